@@ -5,50 +5,56 @@ import pytest
 from rolling import SOAP, TRACK, Rig
 
 COACH = {"model": "multibody"}
+MASS_KG = 43000.0
+WEIGHT_N = MASS_KG * 9.80665
+WHEELSET_KGM2 = 160.0
+# of the running circle of a loaded wheel, a little less than the nominal radius
+ROLLING_RADIUS_M = 0.4447
+LAST_SECOND = slice(-1000, None)
 
 
 @pytest.fixture(scope="module")
-def both():
-    """Return rig and history of six seconds of full brake on soap, on the track, by model."""
-    runs = {}
-    for model in ("planar", "multibody"):
-        rig = Rig(30.0, vehicle={"model": model}, adhesion=SOAP, rig=TRACK)
-        runs[model] = rig, rig.roll(6.0)
-    return runs
+def planar():
+    """Return six seconds of full brake on soap, on the track, of the planar vehicle."""
+    return Rig(30.0, vehicle={"model": "planar"}, adhesion=SOAP, rig=TRACK).roll(6.0)
 
 
-def test_the_coach_in_3d_brakes_as_the_planar_vehicle_does(both):
-    lost = {model: -history.change("vehicle_speed") for model, (_, history) in both.items()}
-    assert lost["multibody"] == pytest.approx(lost["planar"], rel=0.1)
+@pytest.fixture(scope="module")
+def coach():
+    """Return the same six seconds of the coach in 3D."""
+    return Rig(30.0, vehicle=COACH, adhesion=SOAP, rig=TRACK).roll(6.0)
 
 
-def test_loads_sum_to_the_weight_and_lean_forward(both):
-    _, history = both["multibody"]
-    loads = history.wheel_load
-    assert np.mean(loads[-1000:].sum(1)) == pytest.approx(43000.0 * 9.80665, rel=1e-3)
-    planar = both["planar"][1].wheel_load
-    np.testing.assert_allclose(loads[-1000:].mean(0), planar[-1000:].mean(0), rtol=0.03)
+def test_the_coach_in_3d_brakes_as_the_planar_vehicle_does(coach, planar):
+    lost_m_s = -coach.change("vehicle_speed")
+    assert lost_m_s == pytest.approx(-planar.change("vehicle_speed"), rel=0.1)
 
 
-def test_the_observed_quantities_obey_the_equation_of_the_vehicle(both):
-    _, history = both["multibody"]
-    pulled = history.integral(history.contact_force_N.sum(1))
-    resisted = history.integral(600.0 + 0.9375 * history.vehicle_speed**2)
-    assert -43000.0 * history.change("vehicle_speed") == pytest.approx(pulled + resisted, rel=2e-3)
+def test_loads_sum_to_the_weight_and_lean_forward(coach, planar):
+    loads_N = coach.wheel_load[LAST_SECOND].mean(axis=0)
+    assert loads_N.sum() == pytest.approx(WEIGHT_N, rel=1e-3)
+    planar_N = planar.wheel_load[LAST_SECOND].mean(axis=0)
+    np.testing.assert_allclose(loads_N, planar_N, rtol=0.03)
 
 
-def test_the_observed_quantities_obey_the_equation_of_the_wheelset(both):
-    _, history = both["multibody"]
-    moment = 0.4447 * history.contact_force_N - history.brake_torque
-    gained = 160.0 * history.change("wheel_speed")
-    torque = history.integral(np.abs(history.brake_torque))
-    np.testing.assert_allclose(gained, history.integral(moment), atol=0.01 * torque.max())
+def test_the_observed_quantities_obey_the_equation_of_the_vehicle(coach):
+    pulled_Ns = coach.integral(coach.contact_force_N.sum(axis=1))
+    resisted_Ns = coach.integral(600.0 + 0.9375 * coach.vehicle_speed**2)
+    lost_Ns = -MASS_KG * coach.change("vehicle_speed")
+    assert lost_Ns == pytest.approx(pulled_Ns + resisted_Ns, rel=2e-3)
 
 
-def test_a_run_repeats_bit_for_bit(both):
-    _, history = both["multibody"]
+def test_the_observed_quantities_obey_the_equation_of_the_wheelset(coach):
+    moment_Nm = ROLLING_RADIUS_M * coach.contact_force_N - coach.brake_torque
+    gained_Nms = WHEELSET_KGM2 * coach.change("wheel_speed")
+    braked_Nms = coach.integral(np.abs(coach.brake_torque))
+    tolerance_Nms = 0.01 * braked_Nms.max()
+    np.testing.assert_allclose(gained_Nms, coach.integral(moment_Nm), atol=tolerance_Nms)
+
+
+def test_a_run_repeats_bit_for_bit(coach):
     repeated = Rig(30.0, vehicle=COACH, adhesion=SOAP, rig=TRACK).roll(1.0)
-    np.testing.assert_array_equal(repeated.log, history.log[: repeated.log.shape[0]])
+    np.testing.assert_array_equal(repeated.log, coach.log[: len(repeated.log)])
 
 
 def test_a_standing_coach_swings_out_to_its_static_loads():
@@ -56,12 +62,12 @@ def test_a_standing_coach_swings_out_to_its_static_loads():
     rig.roll(12.0)
     assert rig.state.standing[0] == 1.0
     assert rig.state.vehicle_speed[0] == 0.0
-    np.testing.assert_allclose(rig.state.wheel_load, 43000.0 * 9.80665 / 4.0, rtol=0.01)
+    np.testing.assert_allclose(rig.state.wheel_load, WEIGHT_N / 4.0, rtol=0.01)
 
 
 def test_on_rollers_the_coach_brakes_too_and_the_motors_hold_the_rollers():
     rig = Rig(20.0, vehicle=COACH, adhesion=SOAP)
     history = rig.roll(3.0)
     assert history.change("vehicle_speed") < -2.0
-    surface = rig.params.drive.roller_radius_m * rig.state.roller_speed
-    np.testing.assert_allclose(surface, rig.state.vehicle_speed[0], atol=0.3)
+    surface_m_s = rig.params.drive.roller_radius_m * rig.state.roller_speed
+    np.testing.assert_allclose(surface_m_s, rig.state.vehicle_speed[0], atol=0.3)

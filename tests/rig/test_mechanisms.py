@@ -3,6 +3,7 @@
 import math
 from functools import cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ WINDOWS = {
 # for the way between wheels, and its released brake gives no torque, whatever the offset of the
 # sensor is.
 ROUGHLY = {"rail_cleaning": (0.75, 0.3), "torque_offset": (0.85, 0.25)}
-# sizes of causes: the step of its derivative, for the others a share of the upper bound
+# sizes of causes: that of the step of the derivative, or else a share of the upper bound
 SIZE = {"adhesion_memory": 2.0}
 SHARE = 1e-3
 ACCURACY = {
@@ -45,18 +46,45 @@ ACCURACY = {
     "calibration_fraction": 0.003,
     "form_fraction": 0.0,
 }
-CAUSES = [
-    (row, shape, axle)
-    for row in table.TABLE
-    if row.name != "empirical"
-    for shape in (row.shapes or (WINDOWS[row.name], WINDOWS[row.name] | table.CONTAMINANT_ALONE))
-    for axle in row.axles[:2]
-]
-ROWS = [cause for cause in CAUSES if cause[0].mechanism in IN_PLANT]
 
 
-def name(value) -> str:
-    return value.name if isinstance(value, table.Search) else str(value)
+class Case(NamedTuple):
+    """A row of the table of causes with one of its shapes, on one axle or on all (0)."""
+
+    row: table.Search
+    shape: table.Shape
+    axle: int
+
+    def __str__(self):
+        return f"{self.row.name}-{self.shape}-{self.axle}"
+
+
+def shapes_of(row: table.Search) -> tuple[table.Shape, ...]:
+    """Returns the shapes of a row; a row without shapes gets its window."""
+    if row.shapes:
+        return row.shapes
+    window = WINDOWS[row.name]
+    return (window, window | table.CONTAMINANT_ALONE)
+
+
+CASES = []
+for _row in table.TABLE:
+    if _row.name == "empirical":
+        continue
+    for _shape in shapes_of(_row):
+        # all axles, or all and the first one
+        for _axle in _row.axles[:2]:
+            CASES.append(Case(_row, _shape, _axle))
+IN_PLANT_CASES = [case for case in CASES if case.row.mechanism in IN_PLANT]
+
+
+def cases_on(*places: str) -> list[Case]:
+    """Returns the cases in the plant whose mechanism acts on one of these places."""
+    return [case for case in IN_PLANT_CASES if case.row.mechanism.acts_on in places]
+
+
+def each_case(cases: list[Case]):
+    return pytest.mark.parametrize("case", cases, ids=str)
 
 
 def size_of(row: table.Search) -> float:
@@ -76,9 +104,10 @@ def recorded(**mechanisms: float) -> preparation.Design:
     magnets = np.resize(cycle, ticks)[:, None]
     history = rig.roll(DURATION_S, magnets, DEMAND_PA)
     every = round(STEP_S / rig.params.tick_s)
-    plain = params.check(
+    base_model = params.check(
         {"adhesion": SOAP, "rig": TRACK, "contact": {"roller_radius_m": math.inf}}, "a test"
     )
+
     # the recorded torque and load are those of the base model
     capacity = np.vectorize(lambda pressure_Pa: brake.capacity(pressure_Pa, rig.params.brake))
     torque_Nm = capacity(history.cylinder_pressure[::every])
@@ -86,30 +115,31 @@ def recorded(**mechanisms: float) -> preparation.Design:
     for i, felt in enumerate(history.felt_acceleration):
         for j in range(4):
             load_N[i, j] = vehicle.load(j, felt, plain_vehicle())
+
     run = Run(
-        "stop",
-        "tune",
-        plain["vehicle"]["mass_kg"],
-        None,
-        history.time[::every],
-        history.vehicle_speed[::every],
-        history.wheel_speed[::every],
-        load_N[::every],
-        torque_Nm,
-        None,
-        None,
+        name="stop",
+        group="tune",
+        mass_kg=base_model["vehicle"]["mass_kg"],
+        mu_cd=None,
+        time_s=history.time[::every],
+        speed_m_s=history.vehicle_speed[::every],
+        wheel_speed_rad_s=history.wheel_speed[::every],
+        load_N=load_N[::every],
+        torque_Nm=torque_Nm,
+        position_m=None,
+        surface_m_s=None,
     )
     data = Dataset(
-        "test",
-        "braking_runs",
-        Path(),
-        STEP_S,
-        plain,
-        ACCURACY,
-        rig.params.axle_position_m,
-        [run],
-        None,
-        [],
+        name="test",
+        kind="braking_runs",
+        folder=Path(),
+        sample_time_s=STEP_S,
+        sections=base_model,
+        accuracy=ACCURACY,
+        axle_position_m=rig.params.axle_position_m,
+        runs=[run],
+        curve=None,
+        warnings=[],
     )
     return preparation.prepare(data, [run])
 
@@ -124,93 +154,103 @@ def whitened(design: preparation.Design, acts_on: str, *causes: Cause) -> np.nda
 
     They are those of the vehicle for a mechanism that acts on it, else those of the wheels.
     """
-    explanation = candidates.untuned(design)._replace(causes=causes)
-    nu, S, _, vehicle_nu, vehicle_S = sensitivity.innovations(
-        design, candidates.inputs(design, explanation)
-    )
+    nu, variance, _, vehicle_nu, vehicle_variance = innovations(design, *causes)
     if acts_on == VEHICLE:
-        return vehicle_nu / np.sqrt(vehicle_S)
-    return nu / np.sqrt(S)
+        return vehicle_nu / np.sqrt(vehicle_variance)
+    return nu / np.sqrt(variance)
 
 
-def cause_of(row: table.Search, shape: table.Shape, axle: int, size: float) -> Cause:
+def innovations(design: preparation.Design, *causes: Cause) -> tuple[np.ndarray, ...]:
+    """Return what `sensitivity.innovations` returns for a replay with these causes."""
+    explanation = candidates.untuned(design)._replace(causes=causes)
+    return sensitivity.innovations(design, candidates.inputs(design, explanation))
+
+
+def cause_of(case: Case, size: float) -> Cause:
+    """Return the cause of a case, of this size."""
+    row = case.row
     shape_of_stop = {}
-    for key, value in shape.items():
+    for key, value in case.shape.items():
         # the window of sanding belongs to one stop
         is_window = row.name == "sanding" and key in WINDOWS["sanding"]
-        shape_of_stop[f"{key} stop" if is_window else key] = value
+        name = f"{key} stop" if is_window else key
+        shape_of_stop[name] = value
     has_second_value = row.phase or row.mechanism.free == 2
     values = (size, 0.0) if has_second_value else (size,)
-    return Cause(row.name, axle, shape_of_stop, values)
+    return Cause(row.name, case.axle, shape_of_stop, values)
 
 
-@pytest.mark.parametrize(("row", "shape", "axle"), ROWS, ids=name)
-def test_the_replay_removes_the_effect_of_a_small_cause_in_the_plant(
-    plain, row, shape, axle
-) -> None:
-    size = size_of(row)
+def mechanisms_of(case: Case, size: float) -> dict[str, float]:
+    """Return the section [mechanisms] of a plant with the cause of a case."""
+    row = case.row
     mechanisms = {row.mechanism.coefficients[0]: size}
-    for key, value in shape.items():
+    for key, value in case.shape.items():
         mechanisms[f"{row.name}_{key}"] = value
-    if axle:
-        mechanisms[f"{row.name}_axle"] = float(axle)
-    design = recorded(**mechanisms)
-
-    acts_on = row.mechanism.acts_on
-    with_cause = whitened(design, acts_on)
-    effect = with_cause - whitened(plain, acts_on)
-    removed = with_cause - whitened(design, acts_on, cause_of(row, shape, axle, size))
-    least_correlation, most_apart = ROUGHLY.get(row.name, (0.9, 0.2))
-    correlation = np.dot(effect, removed) / np.linalg.norm(effect) / np.linalg.norm(removed)
-    assert correlation > least_correlation
-    assert np.dot(effect, removed) / np.dot(removed, removed) == pytest.approx(1.0, abs=most_apart)
+    if case.axle:
+        mechanisms[f"{row.name}_axle"] = float(case.axle)
+    return mechanisms
 
 
-@pytest.mark.parametrize(
-    ("row", "shape", "axle"), [c for c in ROWS if c[0].mechanism.acts_on != VEHICLE], ids=name
-)
-def test_the_linearised_response_is_the_derivative_of_the_replay(plain, row, shape, axle) -> None:
-    size = row.finite_step or 0.1 * size_of(row)
-    cause = cause_of(row, shape, axle, size)
-    found, _, responses = fitting.normal_equations(
-        plain,
-        candidates.untuned(plain)._replace(
-            causes=(cause._replace(values=tuple(0.0 for _ in cause.values)),)
-        ),
-    )
-    column = next(
-        v.columns[0]
-        for v in found.matrix.variants
-        if (v.cause, v.axle, v.shape) == (cause.name, cause.axle, cause.shape)
-    )
+def correlation(a: np.ndarray, b: np.ndarray) -> float:
+    return np.dot(a, b) / np.linalg.norm(a) / np.linalg.norm(b)
+
+
+def regression(a: np.ndarray, b: np.ndarray) -> float:
+    """Return the factor of b that is closest to a."""
+    return np.dot(a, b) / np.dot(b, b)
+
+
+@each_case(IN_PLANT_CASES)
+def test_the_replay_removes_the_effect_of_a_small_cause_in_the_plant(plain, case) -> None:
+    size = size_of(case.row)
+    design = recorded(**mechanisms_of(case, size))
+
+    acts_on = case.row.mechanism.acts_on
+    with_effect = whitened(design, acts_on)
+    effect = with_effect - whitened(plain, acts_on)
+    removed = with_effect - whitened(design, acts_on, cause_of(case, size))
+    least_correlation, largest_difference = ROUGHLY.get(case.row.name, (0.9, 0.2))
+    assert correlation(effect, removed) > least_correlation
+    assert regression(effect, removed) == pytest.approx(1.0, abs=largest_difference)
+
+
+@each_case([case for case in IN_PLANT_CASES if case.row.mechanism.acts_on != VEHICLE])
+def test_the_linearised_response_is_the_derivative_of_the_replay(plain, case) -> None:
+    size = case.row.finite_step or 0.1 * size_of(case.row)
+    cause = cause_of(case, size)
     change = (whitened(plain, "wheels", cause) - whitened(plain, "wheels")) / size
-    answer = fitting.wheel_responses(plain, responses, [column])[:, 0]
-    assert np.dot(change, answer) / np.linalg.norm(change) / np.linalg.norm(answer) > 0.95
-    assert np.dot(change, answer) / np.dot(answer, answer) == pytest.approx(1.0, abs=0.1)
+
+    absent = cause._replace(values=(0.0,) * len(cause.values))
+    explanation = candidates.untuned(plain)._replace(causes=(absent,))
+    normal, _, responses = fitting.normal_equations(plain, explanation)
+    column = next(
+        variant.columns[0]
+        for variant in normal.matrix.variants
+        if (variant.cause, variant.axle, variant.shape) == (cause.name, cause.axle, cause.shape)
+    )
+    response = fitting.wheel_responses(plain, responses, [column])[:, 0]
+    assert correlation(change, response) > 0.95
+    assert regression(change, response) == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize(("row", "shape", "axle"), CAUSES, ids=name)
-def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(plain, row, shape, axle) -> None:
-    explanation = candidates.untuned(plain)
-    with_it = explanation._replace(causes=(cause_of(row, shape, axle, 0.0),))
-    found = [
-        sensitivity.innovations(plain, candidates.inputs(plain, one))
-        for one in (explanation, with_it)
-    ]
-    assert all(np.array_equal(a, b) for a, b in zip(*found, strict=True))
+@each_case(CASES)
+def test_a_cause_of_size_zero_changes_no_bit_of_the_replay(plain, case) -> None:
+    without_cause = innovations(plain)
+    with_cause = innovations(plain, cause_of(case, 0.0))
+    for values, expected in zip(with_cause, without_cause, strict=True):
+        assert np.array_equal(values, expected)
 
 
-@pytest.mark.parametrize(
-    ("row", "shape", "axle"),
-    [c for c in ROWS if c[0].mechanism.acts_on in (FRICTION, CONTACT, LOAD, VEHICLE)],
-    ids=name,
-)
-def test_causes_of_contact_and_load_act_only_on_the_wheels_and_causes_of_the_vehicle_only_on_it(
-    plain, row, shape, axle
-) -> None:
-    other = "wheels" if row.mechanism.acts_on == VEHICLE else VEHICLE
-    with_it = whitened(plain, other, cause_of(row, shape, axle, size_of(row)))
-    assert np.array_equal(with_it, whitened(plain, other))
+@each_case(cases_on(FRICTION, CONTACT, LOAD))
+def test_causes_of_contact_and_load_act_only_on_the_wheels(plain, case) -> None:
+    with_cause = whitened(plain, VEHICLE, cause_of(case, size_of(case.row)))
+    assert np.array_equal(with_cause, whitened(plain, VEHICLE))
+
+
+@each_case(cases_on(VEHICLE))
+def test_causes_of_the_vehicle_act_only_on_the_vehicle(plain, case) -> None:
+    with_cause = whitened(plain, "wheels", cause_of(case, size_of(case.row)))
+    assert np.array_equal(with_cause, whitened(plain, "wheels"))
 
 
 def test_the_inertia_of_the_wheelsets_also_counts_in_the_balance_of_the_vehicle(plain) -> None:

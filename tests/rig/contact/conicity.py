@@ -19,7 +19,10 @@ import numpy as np
 from rollerrig.rig.contact import geometry
 from rollerrig.rig.contact.profiles import Rail, Wheel
 
+# Newton steps that lay a wheelset down
 _STEPS = 12
+# points of the integral over a quarter of the motion
+_QUARTER_POINTS = 4000
 
 
 def settle(
@@ -67,18 +70,24 @@ def equivalent(
     """
     shifts = np.linspace(0.0, amplitude_m, points)
     steering = radius_difference(shifts, wheel, rail, roller_m)
-    # y = A sin(t) removes the singularity at the turning point
-    t = (np.arange(4000) + 0.5) * (0.5 * math.pi / 4000)
-    y = amplitude_m * np.sin(t)
+
+    # the potential V [E2], by the trapezoidal rule
     fine = np.linspace(0.0, amplitude_m, 20001)
     slope = np.interp(fine, shifts, steering)
-    V = np.concatenate(([0.0], np.cumsum(0.5 * (slope[1:] + slope[:-1]) * np.diff(fine))))
-    left = V[-1] - np.interp(y, fine, V)
-    if np.any(left <= 0.0):
+    areas = 0.5 * (slope[1:] + slope[:-1]) * np.diff(fine)
+    V = np.concatenate(([0.0], np.cumsum(areas)))
+
+    # y = A sin(t) removes the singularity at the turning point
+    step = 0.5 * math.pi / _QUARTER_POINTS
+    t = (np.arange(_QUARTER_POINTS) + 0.5) * step
+    y = amplitude_m * np.sin(t)
+    remaining = V[-1] - np.interp(y, fine, V)
+    if np.any(remaining <= 0.0):
         raise ValueError(
             f"equivalent conicity at {amplitude_m * 1e3:g} mm: the rolling radii do not steer the "
             "wheelset back over the whole amplitude; take another amplitude or profile"
         )
     # e r0 cancels between [E2] and [E3]
-    wavelength = 4.0 * np.sum(amplitude_m * np.cos(t) / np.sqrt(2.0 * left)) * (t[1] - t[0])
-    return float(0.5 * (2.0 * math.pi / wavelength) ** 2)
+    integrand = amplitude_m * np.cos(t) / np.sqrt(2.0 * remaining)
+    wavelength = 4.0 * np.sum(integrand) * step
+    return float(0.5 * (2.0 * math.pi / wavelength) ** 2)  # [E3]

@@ -6,7 +6,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from contact_program import contact_curves
+from contact_program import (
+    CONTACT_PATCH,
+    contact_results,
+    results_with_spin,
+    results_without_spin,
+)
 from paper_law import TABLE_4
 
 from rollerrig.realtime.bench import scenario
@@ -15,39 +20,63 @@ from rollerrig.rig.contact import adhesion, creep_force, polach_spin
 from rollerrig.rig.contact.creep_force import DEGRADED, FASTSIM, MODELS, POLACH
 from rollerrig.rig.contact.patch import patch_for
 
-near = partial(pytest.approx, abs=0.0)
+near = partial(pytest.approx, abs=0.0)  # relative only: many values here are small
 LAW = TABLE_4
-CLEAN = LAW._replace(mu_cd=0.3, A_d=1.0, k_ad=1.0, k_sd=1.0, mu_cr=0.3, A_r=1.0, k_sr=1.0)
-N = 52_700.0
-PATCHES = tuple(
-    patch_for(0.445, R, lateral, 2.1e11, 8.0e10, 0.3, 0, 20)
-    for R, lateral in ((math.inf, 0.3), (0.5, 0.3), (math.inf, 0.05), (1.0, 2.0))
-)
+# constant friction, and Polach's force without a reduction of the slope
+MU = 0.3
+CLEAN = LAW._replace(mu_cd=MU, A_d=1.0, k_ad=1.0, k_sd=1.0, mu_cr=MU, A_r=1.0, k_sr=1.0)
+LOAD_N = 52_700.0
+LIMIT_N = MU * LOAD_N
+
+
+def patch_of(roller_m, lateral_m):
+    """Returns the patch of a wheel on a roller, or on a rail with an infinite radius."""
+    return patch_for(
+        wheel_radius_m=0.445,
+        roller_radius_m=roller_m,
+        lateral_radius_m=lateral_m,
+        young_Pa=2.1e11,
+        shear_Pa=8.0e10,
+        poisson=0.3,
+        cells=20,
+    )
+
+
+RAIL_PATCH = patch_of(math.inf, 0.3)
+PATCHES = (RAIL_PATCH, patch_of(0.5, 0.3), patch_of(math.inf, 0.05), patch_of(1.0, 2.0))
 each_model = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
 each_patch = pytest.mark.parametrize("patch", PATCHES)
 
 
-def force(model, xi, eta, phi, patch=PATCHES[0], law=CLEAN, sliding=0.0, load_N=N):
-    return np.array(creep_force.creep_force(model, xi, eta, phi, sliding, load_N, patch, law))
+def force(model, xi, eta, phi_1_m, patch=RAIL_PATCH, law=CLEAN, sliding_m_s=0.0, load_N=LOAD_N):
+    """Returns force and moment (3,) of a model."""
+    return np.array(
+        creep_force.creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law)
+    )
+
+
+def size_m(patch):
+    """Returns the geometric mean of the semi-axes under the load."""
+    return math.sqrt(patch.a1 * patch.b1) * LOAD_N ** (1 / 3)
 
 
 @each_model
 def test_without_spin_each_model_stays_within_0_08_mu_N_of_contact(model):
-    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
-    for row in contact_curves():
-        if row["phi_1_per_m"] == 0.0:
-            fx, fy, _ = force(model, row["xi"], row["eta"], 0.0, patch) / (0.3 * N)
-            assert math.hypot(fx - row["CONTACT_fx"], fy - row["CONTACT_fy"]) < 0.08, row
+    for result in results_without_spin():
+        fx, fy, _ = force(model, result.xi, result.eta, 0.0, CONTACT_PATCH) / LIMIT_N
+        assert result.distance(fx, fy) < 0.08, result
 
 
 @each_model
 @each_patch
 def test_at_vanishing_creepage_every_force_is_kalkers(model, patch):
-    size = math.sqrt(patch.a1 * patch.b1) * N ** (1 / 3)
-    unit = patch.shear_Pa * size**2
-    assert force(model, 1e-8, 0, 0, patch)[0] == near(-unit * patch.c11 * 1e-8, rel=0.02)
-    assert force(model, 0, 1e-8, 0, patch)[1] == near(-unit * patch.c22 * 1e-8, rel=0.02)
-    assert force(model, 0, 0, 1e-5, patch)[1] == near(-unit * size * patch.c23 * 1e-5, rel=0.02)
+    unit_N = patch.shear_Pa * size_m(patch) ** 2
+    along, _, _ = force(model, 1e-8, 0, 0, patch)
+    _, across, _ = force(model, 0, 1e-8, 0, patch)
+    _, by_spin, _ = force(model, 0, 0, 1e-5, patch)
+    assert along == near(-unit_N * patch.c11 * 1e-8, rel=0.02)
+    assert across == near(-unit_N * patch.c22 * 1e-8, rel=0.02)
+    assert by_spin == near(-unit_N * size_m(patch) * patch.c23 * 1e-5, rel=0.02)
 
 
 @each_model
@@ -55,23 +84,18 @@ def test_at_vanishing_creepage_every_force_is_kalkers(model, patch):
 def test_large_creepage_slides_at_the_friction_limit(model, patch):
     # Polach's arctangent approaches the limit only as 1 / eps
     fx, fy, mz = force(model, 0.3, 0.4, 0.0, patch)
-    size = math.sqrt(patch.a1 * patch.b1) * N ** (1 / 3)
-    assert math.hypot(fx, fy) == near(0.3 * N, rel=0.02)
+    assert math.hypot(fx, fy) == near(LIMIT_N, rel=0.02)
     assert fy / fx == near(4 / 3, rel=0.03)
-    assert abs(mz) < 0.1 * 0.3 * N * size
+    assert abs(mz) < 0.1 * LIMIT_N * size_m(patch)
 
 
 @each_model
 def test_the_moment_stays_near_contacts(model):
-    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
-    unit = 0.3 * N * math.sqrt(patch.a1 * patch.b1) * N ** (1 / 3)
-    errors = [
-        abs(
-            force(model, row["xi"], row["eta"], row["phi_1_per_m"], patch)[2] / unit
-            - row["CONTACT_mz"]
-        )
-        for row in contact_curves()
-    ]
+    unit_Nm = LIMIT_N * size_m(CONTACT_PATCH)
+    errors = []
+    for result in contact_results():
+        _, _, mz = force(model, result.xi, result.eta, result.phi_1_m, CONTACT_PATCH)
+        errors.append(abs(mz / unit_Nm - result.mz))
     assert np.mean(errors) < 0.035
     assert max(errors) < 0.19
 
@@ -79,20 +103,25 @@ def test_the_moment_stays_near_contacts(model):
 @each_model
 def test_the_force_opposes_the_creepage_and_mirrors_with_it(model):
     rng = np.random.default_rng(1)
-    for xi, eta, phi in rng.normal(0.0, (3e-3, 3e-3, 0.3), (60, 3)):
-        f = force(model, xi, eta, phi)
-        assert force(model, -xi, -eta, -phi) == pytest.approx(-f, rel=1e-9, abs=1e-9)
+    for xi, eta, phi_1_m in rng.normal(0.0, (3e-3, 3e-3, 0.3), (60, 3)):
+        with_spin = force(model, xi, eta, phi_1_m)
+        mirrored = force(model, -xi, -eta, -phi_1_m)
+        assert mirrored == pytest.approx(-with_spin, rel=1e-9, abs=1e-9)
+        # Polach's two parts may exceed the limit a little
+        assert math.hypot(*with_spin[:2]) <= LIMIT_N * 1.12
         fx, fy, _ = force(model, xi, eta, 0.0)
         assert fx * xi + fy * eta < 0.0
-        assert math.hypot(f[0], f[1]) <= 0.3 * N * 1.12  # Polach's two parts may exceed it a little
 
 
 @each_model
 def test_friction_falls_with_sliding(model):
     law = LAW._replace(tau_m_J=0.0)
-    pull = [-force(model, 0.2, 0, 0, law=law, sliding=s)[0] for s in (0.0, 1.0, 5.0, 50.0)]
-    assert pull == sorted(pull, reverse=True)
-    assert pull[-1] == near(0.06 * N, rel=0.1)
+    pulls_N = []
+    for sliding_m_s in (0.0, 1.0, 5.0, 50.0):
+        fx, _, _ = force(model, 0.2, 0, 0, law=law, sliding_m_s=sliding_m_s)
+        pulls_N.append(-fx)
+    assert pulls_N == sorted(pulls_N, reverse=True)
+    assert pulls_N[-1] == near(law.mu_cd * LOAD_N, rel=0.1)
 
 
 @each_model
@@ -103,42 +132,40 @@ def test_nothing_acts_without_load_or_creepage(model):
     assert np.all(np.isfinite(force(model, math.inf, -math.inf, 1e300)))
 
 
-@pytest.mark.parametrize("s_m_s", [1e-6, 0.01, 0.3, 2.0, 8.0, 39.0])
-def test_degraded_adhesion_along_the_rail_is_the_scalar_law(s_m_s):
-    for patch in PATCHES:
-        f, _, _, lambda_, W, _ = adhesion.wheel_adhesion(s_m_s, 40.0, N, patch, LAW)
-        fx, fy, mz, recovered, work = creep_force.recovering_force(
-            s_m_s / 40, 0, 0, s_m_s, N, patch, LAW
-        )
-        assert fx == near(-f * N, rel=1e-12)
-        assert (fy, mz) == (0.0, 0.0)
-        assert recovered == pytest.approx(lambda_, rel=1e-10, abs=1e-15)
-        assert work == near(W, rel=1e-12)
+@pytest.mark.parametrize("sliding_m_s", [1e-6, 0.01, 0.3, 2.0, 8.0, 39.0])
+@each_patch
+def test_degraded_adhesion_along_the_rail_is_the_scalar_law(sliding_m_s, patch):
+    speed_m_s = 40.0
+    f, _, _, lambda_, work, _ = adhesion.wheel_adhesion(sliding_m_s, speed_m_s, LOAD_N, patch, LAW)
+    fx, fy, mz, recovered, its_work = creep_force.recovering_force(
+        sliding_m_s / speed_m_s, 0, 0, sliding_m_s, LOAD_N, patch, LAW
+    )
+    assert fx == near(-f * LOAD_N, rel=1e-12)
+    assert (fy, mz) == (0.0, 0.0)
+    assert recovered == pytest.approx(lambda_, rel=1e-10, abs=1e-15)
+    assert its_work == near(work, rel=1e-12)
 
 
 def test_in_two_directions_and_with_spin_the_energy_equation_holds():
+    speed_m_s = 30.0
     rng = np.random.default_rng(7)
-    for xi, eta, phi in rng.normal(0.0, (0.1, 0.05, 0.3), (200, 3)):
-        sliding = 30.0 * math.hypot(xi, eta)
-        fx, fy, _, lambda_, W = creep_force.recovering_force(
-            xi, eta, phi, sliding, N, PATCHES[0], LAW
+    for xi, eta, phi_1_m in rng.normal(0.0, (0.1, 0.05, 0.3), (200, 3)):
+        sliding_m_s = speed_m_s * math.hypot(xi, eta)
+        fx, fy, _, lambda_, work = creep_force.recovering_force(
+            xi, eta, phi_1_m, sliding_m_s, LOAD_N, RAIL_PATCH, LAW
         )
-        assert pytest.approx(1.0 - math.exp(-LAW.tau_m_J * W), abs=1e-12) == lambda_
-        assert pytest.approx(-(fx * xi + fy * eta), rel=1e-9, abs=1e-9) == W
+        assert lambda_ == pytest.approx(1.0 - math.exp(-LAW.tau_m_J * work), abs=1e-12)
+        assert work == pytest.approx(-(fx * xi + fy * eta), rel=1e-9, abs=1e-9)
         assert 0.0 <= lambda_ <= 1.0
 
 
 def test_polach_with_spin_stays_as_close_to_contact_as_in_its_source():
-    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 2.1e11 / 2.6, 0.3)
     distances = []
-    for row in contact_curves():
-        if row["phi_1_per_m"]:
-            fx, fy, _ = polach_spin.force(
-                row["xi"], row["eta"], row["phi_1_per_m"], 0.3, N, patch, 1.0, 1.0
-            )
-            distances.append(
-                math.hypot(fx / (0.3 * N) - row["CONTACT_fx"], fy / (0.3 * N) - row["CONTACT_fy"])
-            )
+    for result in results_with_spin():
+        fx, fy, _ = polach_spin.force(
+            result.xi, result.eta, result.phi_1_m, MU, LOAD_N, CONTACT_PATCH, 1.0, 1.0
+        )
+        distances.append(result.distance(fx / LIMIT_N, fy / LIMIT_N))
     assert np.mean(distances) < 0.10
     assert max(distances) < 0.47
 
@@ -151,12 +178,16 @@ def test_spin_that_reduces_the_creepage_is_not_added():
 
 @each_model
 def test_a_scenario_chooses_the_model_of_the_plant(model):
-    name = next(key for key, value in MODELS.items() if value == model)
+    name = next(key for key, number in MODELS.items() if number == model)
     plan = scenario.load("velim_a1", settings=(f"contact.model={name}",))
-    p = plan.params
-    assert p.patch.model == model
-    f, f_d, f_r, lambda_, W, _ = wheelset.wheelset_adhesion(
-        4.0, 40.0, 2 * N, 0.06, 0.28, p.patch, p.law
+    patch = plan.params.patch
+    law = plan.params.law
+    assert patch.model == model
+
+    sliding_m_s = 4.0
+    speed_m_s = 40.0
+    f, f_d, f_r, lambda_, work, _ = wheelset.wheelset_adhesion(
+        sliding_m_s, speed_m_s, 2 * LOAD_N, 0.06, 0.28, patch, law
     )
     if model == DEGRADED:
         assert f_d < f < f_r
@@ -164,10 +195,13 @@ def test_a_scenario_chooses_the_model_of_the_plant(model):
     else:
         assert f == f_d == f_r
         assert lambda_ == 0.0
-        assert near(f * N * 0.1, rel=1e-12) == W
+        assert work == near(f * LOAD_N * sliding_m_s / speed_m_s, rel=1e-12)
     if model == POLACH:
-        tau_0 = adhesion.wheel_adhesion(4.0, 40.0, N, p.patch, p.law._replace(tau_m_J=0.0))[0]
-        assert f == near(tau_0, rel=1e-12)
+        without_recovery = law._replace(tau_m_J=0.0)
+        expected, *_ = adhesion.wheel_adhesion(
+            sliding_m_s, speed_m_s, LOAD_N, patch, without_recovery
+        )
+        assert f == near(expected, rel=1e-12)
 
 
 def test_an_unknown_model_is_refused_with_the_allowed_ones():
@@ -176,6 +210,8 @@ def test_an_unknown_model_is_refused_with_the_allowed_ones():
 
 
 def test_the_patch_has_the_grid_of_fastsim():
-    coarse = PATCHES[0]._replace(cells=4)
-    fine = PATCHES[0]._replace(cells=60)
-    assert force(FASTSIM, 2e-3, 0, 1.0, coarse)[0] != force(FASTSIM, 2e-3, 0, 1.0, fine)[0]
+    coarse = RAIL_PATCH._replace(cells=4)
+    fine = RAIL_PATCH._replace(cells=60)
+    coarse_force = force(FASTSIM, 2e-3, 0, 1.0, coarse)
+    fine_force = force(FASTSIM, 2e-3, 0, 1.0, fine)
+    assert coarse_force[0] != fine_force[0]

@@ -11,71 +11,90 @@ from rollerrig.rig.contact import profile_csv, profiles
 DATA = Path(__file__).parents[2] / "data"
 S1002 = np.genfromtxt(DATA / "s1002.csv", delimiter=",", skip_header=1)
 UIC60 = np.genfromtxt(DATA / "uic60.csv", delimiter=",", skip_header=1)
+# columns of the published samples: place across, height, slope
+S_MM, Z_MM, SLOPE = S1002.T
+RAIL_Y_MM, RAIL_DEPTH_MM, *_ = UIC60.T
+# the steps of the wheel's profile
+STEPS_MM = np.array([-39.76, -38.43, -35.0, -26.0])
+
+
+def places_m(wheel):
+    """Returns the places across of the fine nodes of a wheel."""
+    return wheel.start_m + wheel.spacing_m * np.arange(len(wheel.fine))
 
 
 def test_s1002_equals_its_published_samples_except_at_its_jumps():
-    off = np.abs(profiles.s1002_height(S1002[:, 0] * 1e-3) * 1e3 - S1002[:, 1])
-    assert np.sort(off)[-2] < 1e-6
+    height_mm = profiles.s1002_height(S_MM * 1e-3) * 1e3
+    off_mm = np.abs(height_mm - Z_MM)
     # one sample is on the jump at -26 mm
-    assert off.max() < 4e-5
+    *_, second_largest, largest = np.sort(off_mm)
+    assert second_largest < 1e-6
+    assert largest < 4e-5
 
 
 def test_uic60_equals_the_sampled_head():
-    depth = profiles.uic60_depth(UIC60[:, 0] * 1e-3) * 1e3
-    np.testing.assert_allclose(depth, UIC60[:, 1], atol=1e-6)
+    depth_mm = profiles.uic60_depth(RAIL_Y_MM * 1e-3) * 1e3
+    np.testing.assert_allclose(depth_mm, RAIL_DEPTH_MM, atol=1e-6)
 
 
 def test_the_table_of_a_wheel_is_its_profile_and_its_slope():
     wheel = profiles.s1002()
-    s = wheel.start_m + wheel.spacing_m * np.arange(len(wheel.fine))
-    here = (S1002[:, 0] > -50.0) & (S1002[:, 0] < 59.0)
-    table = np.interp(S1002[here, 0] * 1e-3, s, wheel.fine[:, 0]) - 0.445
-    off = np.abs(table - S1002[here, 1] * 1e-3)
-    assert off[S1002[here, 0] > -25.0].max() < 1e-7
-    assert off.max() < 5e-6  # the flange, from slopes 0.1 mm apart
-    slope = np.interp(S1002[here, 0] * 1e-3, s, wheel.fine[:, 1])
-    # the steps of the profile at -35 and -26 mm spoil a difference quotient
-    calm = (
-        np.min(np.abs(S1002[here, 0][:, None] - np.array([-35.0, -26.0, -39.76, -38.43])), 1) > 0.5
-    )
-    np.testing.assert_allclose(slope[calm], S1002[here, 2][calm], atol=2e-3)
+    s_m = places_m(wheel)
+    covered = (S_MM > -50.0) & (S_MM < 59.0)
+    s_mm = S_MM[covered]
+
+    height_m = np.interp(s_mm * 1e-3, s_m, wheel.fine[:, profiles.RADIUS_M]) - 0.445
+    off_m = np.abs(height_m - Z_MM[covered] * 1e-3)
+    assert off_m[s_mm > -25.0].max() < 1e-7
+    assert off_m.max() < 5e-6  # the flange, from slopes 0.1 mm apart
+
+    # the steps of the profile spoil a difference quotient
+    slope = np.interp(s_mm * 1e-3, s_m, wheel.fine[:, profiles.SLOPE])
+    to_nearest_step_mm = np.abs(s_mm[:, None] - STEPS_MM).min(axis=1)
+    smooth = to_nearest_step_mm > 0.5
+    np.testing.assert_allclose(slope[smooth], SLOPE[covered][smooth], atol=2e-3)
 
 
-def test_a_laid_rail_has_its_gauge_face_at_half_the_gauge_14_mm_down():
-    for laying in (1 / 20, 1 / 40, 0.0):
-        rail = profiles.uic60(laying)
-        gauge_side = rail.nodes[:, 1].argmax()
-        y = rail.nodes[gauge_side:, profiles.Y_M]
-        z = rail.nodes[gauge_side:, profiles.Z_M]
-        assert np.interp(0.014, -z, y) == pytest.approx(0.7175, abs=2e-5)
-        assert rail.nodes[:, 1].max() == pytest.approx(0.0, abs=1e-7)
+@pytest.mark.parametrize("laying", [1 / 20, 1 / 40, 0.0])
+def test_a_laid_rail_has_its_gauge_face_at_half_the_gauge_14_mm_down(laying):
+    rail = profiles.uic60(laying)
+    y_m = rail.nodes[:, profiles.Y_M]
+    z_m = rail.nodes[:, profiles.Z_M]
+    assert z_m.max() == pytest.approx(0.0, abs=1e-7)
+    gauge_side = slice(z_m.argmax(), None)
+    gauge_face_m = np.interp(0.014, -z_m[gauge_side], y_m[gauge_side])
+    assert gauge_face_m == pytest.approx(0.5 * 1.435, abs=2e-5)
 
 
 def test_curvatures_of_the_arcs_are_those_of_the_drawing():
     rail = profiles.uic60(0.0)
+    radius_m = 1.0 / rail.nodes[:, profiles.RAIL_CURVATURE_1_M]
     middle = (profiles.SINES - 1) // 2
-    assert 1.0 / rail.nodes[middle, 3] == pytest.approx(0.300, rel=1e-3)
-    assert 1.0 / rail.nodes[middle + profiles.SINES // 14, 3] == pytest.approx(0.080, rel=1e-2)
+    on_second_arc = middle + profiles.SINES // 14
+    assert radius_m[middle] == pytest.approx(0.300, rel=1e-3)
+    assert radius_m[on_second_arc] == pytest.approx(0.080, rel=1e-2)
 
 
 def test_a_convex_profile_is_not_moved_and_the_shift_of_a_hollow_one_is_reported():
-    y = np.linspace(-0.0365, 0.0365, 4001)
-    _, changes = profiles.rail(y, -profiles.uic60_depth(y))
+    y_m = np.linspace(-0.0365, 0.0365, 4001)
+    height_m = -profiles.uic60_depth(y_m)
+    _, changes = profiles.rail(y_m, height_m)
     assert changes.moved_by_convexity_m < 1e-6
-    hollow = -profiles.uic60_depth(y) - 2e-4 * np.exp(-((y / 0.004) ** 2))
-    _, changes = profiles.rail(y, hollow)
+
+    hollow_m = 2e-4 * np.exp(-((y_m / 0.004) ** 2))
+    _, changes = profiles.rail(y_m, height_m - hollow_m)
     assert 2e-5 < changes.moved_by_convexity_m < 1e-3
 
 
 def test_smoothing_removes_noise_from_the_slopes_and_reports_the_shift_of_the_points():
     rng = np.random.default_rng(1)
-    s = np.linspace(-0.056, 0.060, 1161)
-    noisy = profiles.s1002_height(s) + rng.normal(0.0, 2e-6, s.size)
-    rough, _ = profiles.wheel(s, noisy)
-    smooth, changes = profiles.wheel(s, noisy, smoothing_m=0.002)
-    exact = profiles.s1002()
+    s_m = np.linspace(-0.056, 0.060, 1161)
+    noisy_m = profiles.s1002_height(s_m) + rng.normal(0.0, 2e-6, s_m.size)
+    rough, _ = profiles.wheel(s_m, noisy_m)
+    smooth, changes = profiles.wheel(s_m, noisy_m, smoothing_m=0.002)
+
     tread = slice(600, 1100)
-    exact_slope = exact.fine[tread, profiles.SLOPE]
+    exact_slope = profiles.s1002().fine[tread, profiles.SLOPE]
     smooth_error = np.std(smooth.fine[tread, profiles.SLOPE] - exact_slope)
     rough_error = np.std(rough.fine[tread, profiles.SLOPE] - exact_slope)
     assert smooth_error < 0.1 * rough_error
@@ -84,7 +103,9 @@ def test_smoothing_removes_noise_from_the_slopes_and_reports_the_shift_of_the_po
 
 
 def _write(path: Path, rows) -> Path:
-    path.write_text("s_mm,z_mm\n" + "".join(f"{a:.6f},{b:.6f}\n" for a, b in rows))
+    """Writes a profile in mm, and returns its path."""
+    lines = ["s_mm,z_mm", *(f"{s_mm:.6f},{z_mm:.6f}" for s_mm, z_mm in rows)]
+    path.write_text("\n".join(lines) + "\n")
     return path
 
 
@@ -92,33 +113,36 @@ WHEEL = S1002[150:, :2]
 
 
 def test_a_wheel_from_a_file_is_the_wheel_it_describes(tmp_path):
-    s, z = profile_csv.read(_write(tmp_path / "w.csv", WHEEL[::-1]), profile_csv.WHEEL)
-    np.testing.assert_allclose(z * 1e3, WHEEL[:, 1], atol=1e-6)
-    named = profiles.wheel_named(str(tmp_path / "w.csv"), 0.445, 0.75, 0.0)
+    path = _write(tmp_path / "w.csv", WHEEL[::-1])
+    _, z_m = profile_csv.read(path, profile_csv.WHEEL)
+    np.testing.assert_allclose(z_m * 1e3, WHEEL[:, 1], atol=1e-6)
+
+    from_file = profiles.wheel_named(str(path), 0.445, 0.75, 0.0)
     exact = profiles.s1002()
-    s = named.start_m + named.spacing_m * np.arange(len(named.fine))
-    whole = exact.start_m + exact.spacing_m * np.arange(len(exact.fine))
-    tread = (s > -0.03) & (s < 0.05)
+    s_m = places_m(from_file)
+    exact_height_m = np.interp(s_m, places_m(exact), exact.fine[:, profiles.RADIUS_M])
+    tread = (s_m > -0.03) & (s_m < 0.05)
     np.testing.assert_allclose(
-        named.fine[tread, 0], np.interp(s[tread], whole, exact.fine[:, 0]), atol=2e-7
+        from_file.fine[tread, profiles.RADIUS_M], exact_height_m[tread], atol=2e-7
     )
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("rows", "message"),
     [
-        (lambda w: np.delete(w, slice(400, 460), 0), "gap of"),
-        (lambda w: np.vstack((w[:300], w[290:])), "folds back"),
-        (lambda w: w * 1e-3, "looks like m"),
-        (lambda w: w / 25.4, "looks like inches"),
-        (lambda w: w[:5], "at least 10"),
-        (lambda w: w[300:900], "wide"),
-        (lambda w: w + np.array([40.0, 0.0]), "must reach"),
-        (lambda w: np.vstack((w, [[61.0, np.nan]])), "finite"),
+        (np.delete(WHEEL, slice(400, 460), axis=0), "gap of"),
+        (np.vstack((WHEEL[:300], WHEEL[290:])), "folds back"),
+        (WHEEL * 1e-3, "looks like m"),
+        (WHEEL / 25.4, "looks like inches"),
+        (WHEEL[:5], "at least 10"),
+        (WHEEL[300:900], "wide"),
+        (WHEEL + np.array([40.0, 0.0]), "must reach"),
+        (np.vstack((WHEEL, [[61.0, np.nan]])), "finite"),
     ],
+    ids=["gap", "fold", "metres", "inches", "few", "narrow", "shifted", "nan"],
 )
-def test_a_bad_profile_is_refused_with_file_reason_and_remedy(tmp_path, spoil, message):
-    path = _write(tmp_path / "bad.csv", spoil(WHEEL))
+def test_a_bad_profile_is_refused_with_file_reason_and_remedy(tmp_path, rows, message):
+    path = _write(tmp_path / "bad.csv", rows)
     with pytest.raises(ConfigError, match=message) as raised:
         profile_csv.read(path, profile_csv.WHEEL)
     assert "bad.csv" in str(raised.value)
