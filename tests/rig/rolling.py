@@ -8,7 +8,11 @@ from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.state import SLOTS
 from rollerrig.wsp_interface.magnets import FILLING, HOLDING, VENTING
 
-FILL, HOLD, VENT = FILLING, HOLDING, VENTING
+# patterns of the valve magnets
+FILL = FILLING
+HOLD = HOLDING
+VENT = VENTING
+
 FULL_BRAKE_PA = 3.8e5
 # Values of configs/adhesion/soap.toml, leaf_film.toml and dry.toml. They are repeated here because
 # the tests must hold when those files change.
@@ -37,7 +41,7 @@ def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, controlled, para
 
 
 class History:
-    """States of a stretch of ticks, with the state before it first.
+    """The states of a number of ticks; the first one is the state before them.
 
     Each slot of the state is an attribute: `history.wheel_speed` has shape (n, 4).
     """
@@ -49,7 +53,9 @@ class History:
         if name not in SLOTS:
             raise AttributeError(name)
         values = self.log[:, SLOTS[name]]
-        return values[:, 0] if values.shape[1] == 1 else values
+        if values.shape[1] == 1:
+            return values[:, 0]
+        return values
 
     def change(self, name):
         """Return the change of a slot from the first to the last state."""
@@ -67,6 +73,16 @@ class History:
         return self.adhesion * self.wheel_load
 
 
+def _friction_plan(changes):
+    """Returns the changes of friction, rows as in `Rig`, as the plant reads them."""
+    columns = list(zip(*changes, strict=True))
+    if not columns:
+        columns = [()] * len(params.Friction._fields)
+    types = (np.bool_, np.float64, np.float64, np.float64, np.int64)
+    arrays = [np.array(column, kind) for column, kind in zip(columns, types, strict=True)]
+    return params.Friction(*arrays)
+
+
 class Rig:
     """A rig that rolls. `sections` override single parameters: vehicle={"mass_kg": 1e4}.
 
@@ -75,16 +91,19 @@ class Rig:
 
     def __init__(self, speed_m_s=30.0, step_s=1e-4, tick_s=1e-3, friction=(), **sections):
         checked = params.check(sections, "a test")
-        rows = list(zip(*friction, strict=True)) or [()] * 5
-        kinds = (np.bool_, np.float64, np.float64, np.float64, np.int64)
-        plan = params.Friction(
-            *(np.array(row, kind) for row, kind in zip(rows, kinds, strict=True))
+        full_brake = params.Demand(np.zeros(1), np.array([FULL_BRAKE_PA]))
+        steps_per_tick = round(tick_s / step_s)
+        self.params = params.build(
+            checked, _friction_plan(friction), full_brake, tick_s, steps_per_tick
         )
-        programme = params.Demand(np.zeros(1), np.array([FULL_BRAKE_PA]))
-        self.params = params.build(checked, plan, programme, tick_s, round(tick_s / step_s))
         self.plant = plant.Plant(self.params, speed_m_s)
         self.state = self.plant.state
         self.tick = 0
+
+    def charge(self, pressure_Pa):
+        """Set the brake demand and the pressure of all cylinders."""
+        self.state.brake_demand[:] = pressure_Pa
+        self.state.cylinder_pressure[:] = pressure_Pa
 
     def roll(self, seconds, magnets=FILL, demand_Pa=np.nan, controlled=True):
         """Advance the rig and return the `History`. Without rig control the motors are idle.
@@ -97,6 +116,7 @@ class Rig:
         log[0] = self.plant.buffer
         energised = np.empty((ticks, 4))
         energised[:] = magnets
+        on_rollers = self.params.mode != params.TRACK
         _roll(
             self.state,
             self.plant.buffer,
@@ -104,7 +124,7 @@ class Rig:
             energised,
             float(demand_Pa),
             self.tick,
-            controlled and self.params.mode != 0,
+            controlled and on_rollers,
             self.params,
             log[1:],
         )

@@ -13,11 +13,12 @@ DRIVE = Rig(30.0).params.drive
 def test_torque_is_limited_at_low_speed_and_power_at_high_speed(sign):
     assert motor.limit(sign * 1e6, 0.0, DRIVE) == sign * DRIVE.max_torque_Nm
     assert motor.limit(sign * 1e6, 10.0, DRIVE) == sign * DRIVE.max_torque_Nm
+
+    # twice the speed at which both limits meet
     fast_rad_s = 2.0 * DRIVE.max_power_W / DRIVE.max_torque_Nm
     fast_rad_s = min(fast_rad_s, DRIVE.max_speed_rad_s)
-    assert motor.limit(sign * 1e6, fast_rad_s, DRIVE) == pytest.approx(
-        sign * DRIVE.max_power_W / fast_rad_s
-    )
+    limited_Nm = motor.limit(sign * 1e6, fast_rad_s, DRIVE)
+    assert limited_Nm == pytest.approx(sign * DRIVE.max_power_W / fast_rad_s)
     assert motor.limit(sign * 123.0, fast_rad_s, DRIVE) == sign * 123.0
 
 
@@ -38,12 +39,14 @@ def test_power_never_exceeds_the_limit_at_any_speed():
 
 
 def test_torque_follows_a_step_with_its_time_constant():
-    rig = Rig(10.0, drive={"torque_time_constant_s": 0.02})
-    rig.state.motor_torque_demand[:] = (1000.0, -1000.0, 500.0, 0.0)
+    time_constant_s = 0.02
+    demands_Nm = np.array([1000.0, -1000.0, 500.0, 0.0])
+    rig = Rig(10.0, drive={"torque_time_constant_s": time_constant_s})
+    rig.state.motor_torque_demand[:] = demands_Nm
     run = rig.roll(0.1, demand_Pa=0.0, controlled=False)
-    grown = -np.expm1(-run.time / 0.02)
-    expected = grown[:, None] * np.array([1000.0, -1000.0, 500.0, 0.0])
-    np.testing.assert_allclose(run.motor_torque, expected, rtol=1e-9, atol=1e-9)
+    risen_share = -np.expm1(-run.time / time_constant_s)
+    expected_Nm = np.outer(risen_share, demands_Nm)
+    np.testing.assert_allclose(run.motor_torque, expected_Nm, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("law", [DRY, SOAP])
@@ -51,17 +54,17 @@ def test_rollers_keep_the_speed_of_the_virtual_vehicle(law):
     rig = Rig(42.3, adhesion=law)
     run = rig.roll(36.0)
     surface_m_s = rig.params.drive.roller_radius_m * run.roller_speed
-    runs = run.vehicle_speed > 0.5
-    error_m_s = np.abs(surface_m_s - run.vehicle_speed[:, None])[runs].max()
-    assert error_m_s < 0.02
+    error_m_s = np.abs(surface_m_s - run.vehicle_speed[:, None])
+    moves = run.vehicle_speed > 0.5
+    assert error_m_s[moves].max() < 0.02
     assert np.abs(run.motor_torque).max() <= rig.params.drive.max_torque_Nm
 
 
 def test_a_motor_that_is_too_weak_lets_the_roller_fall_behind_and_stays_within_its_limit():
-    rig = Rig(42.3, adhesion=DRY, drive={"max_torque_Nm": 2000.0, "max_power_W": 5e4})
-    run = rig.roll(5.0)
+    weak = {"max_torque_Nm": 2000.0, "max_power_W": 5e4}
+    run = Rig(42.3, adhesion=DRY, drive=weak).roll(5.0)
     power_W = run.motor_torque * run.roller_speed
-    assert power_W.max() <= 5e4 * 1.01
-    assert np.abs(run.motor_torque).max() <= 2000.0
+    assert power_W.max() <= weak["max_power_W"] * 1.01
+    assert np.abs(run.motor_torque).max() <= weak["max_torque_Nm"]
     assert (42.3 - run.roller_speed[-1]).min() > 5.0
     assert np.isfinite(run.log).all()

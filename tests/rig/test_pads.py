@@ -20,6 +20,12 @@ VARYING = {
 }
 
 
+MASS_KG = 43000.0
+WHEELSET_KGM2 = 160.0
+RADIUS_M = 0.445
+DISC_J_K = 1.15e5  # heat capacity of the discs of a wheelset
+
+
 def braked(**varying):
     """Return a dry rig on the track with these losses of its pads."""
     return Rig(30.0, adhesion=DRY, rig=TRACK, pads=varying)
@@ -41,9 +47,12 @@ def test_all_the_work_of_varying_pads_becomes_heat_and_the_energy_of_the_stop_ba
     rig = Rig(30.0, adhesion=DRY, rig=TRACK, pads=VARYING, brake={"disc_cooling_time_s": 1e5})
     run = rig.roll(45.0)
     assert run.vehicle_speed[-1] == 0.0
-    heat_J = 1.15e5 * run.change("disc_temperature")
+    heat_J = DISC_J_K * run.change("disc_temperature")
     np.testing.assert_allclose(heat_J, run.change("brake_work"), rtol=1e-3)
-    lost_J = 0.5 * 43000.0 * 30.0**2 + 4 * 0.5 * 160.0 * (30.0 / 0.445) ** 2
+
+    vehicle_J = 0.5 * MASS_KG * 30.0**2
+    wheelset_J = 0.5 * WHEELSET_KGM2 * (30.0 / RADIUS_M) ** 2
+    lost_J = vehicle_J + 4 * wheelset_J
     counted_J = (
         run.change("brake_work").sum()
         + run.change("sliding_work").sum()
@@ -53,16 +62,18 @@ def test_all_the_work_of_varying_pads_becomes_heat_and_the_energy_of_the_stop_ba
 
 
 @pytest.mark.parametrize(
-    ("name", "speed_pressure_temperature"),
+    ("name", "rim_m_s", "pressure_Pa", "disc_K"),
     [
-        ("speed_loss", (40.0, 0.0, 300.0)),
-        ("pressure_loss", (0.0, 4e5, 300.0)),
-        ("fade_loss", (0.0, 0.0, 900.0)),
+        ("speed_loss", 40.0, 0.0, 300.0),
+        ("pressure_loss", 0.0, 4e5, 300.0),
+        ("fade_loss", 0.0, 0.0, 900.0),
     ],
 )
-def test_each_loss_lowers_friction_where_it_acts_and_nowhere_else(name, speed_pressure_temperature):
+def test_each_loss_lowers_friction_where_it_acts_and_nowhere_else(
+    name, rim_m_s, pressure_Pa, disc_K
+):
     constants = Rig(30.0, pads={name: 0.5}).params.pads
-    assert 0.5 < pads.friction_share(*speed_pressure_temperature, constants) < 0.8
+    assert 0.5 < pads.friction_share(rim_m_s, pressure_Pa, disc_K, constants) < 0.8
     assert pads.friction_share(0.0, 0.0, 300.0, constants) == 1.0
 
 
@@ -70,23 +81,30 @@ def test_hot_discs_brake_less_and_stay_cooler_than_without_fading():
     fade = {key: value for key, value in VARYING.items() if "fade" in key}
     plain = braked().roll(12.0)
     fading = braked(**fade).roll(12.0)
+    cold = slice(None, 500)
+    hot = slice(4000, 9000)
     assert fading.disc_temperature[-1].max() < plain.disc_temperature[-1].max()
-    assert fading.brake_torque[4000:9000].mean() < 0.9 * plain.brake_torque[4000:9000].mean()
-    assert np.array_equal(plain.brake_torque[:500], fading.brake_torque[:500])
+    assert fading.brake_torque[hot].mean() < 0.9 * plain.brake_torque[hot].mean()
+    assert np.array_equal(plain.brake_torque[cold], fading.brake_torque[cold])
 
 
 def test_the_clamp_lags_behind_rising_and_falling_pressure_and_turns_without_a_jump():
-    pressure = np.concatenate([np.linspace(0.0, 4e5, 400), np.linspace(4e5, 0.0, 400)])
-    clamp = np.empty_like(pressure)
-    last = 0.0
-    for i, pressure_Pa in enumerate(pressure):
-        last = pads.clamped(last, pressure_Pa, 0.05)
-        clamp[i] = last
-    np.testing.assert_allclose(clamp[:400], 0.95 * pressure[:400], rtol=1e-12)
-    assert np.abs(np.diff(clamp)).max() <= 1.06e3
-    np.testing.assert_allclose(clamp[450:], 1.05 * pressure[450:], rtol=1e-12, atol=1e-6)
+    rising_Pa = np.linspace(0.0, 4e5, 400)
+    pressure_Pa = np.concatenate([rising_Pa, rising_Pa[::-1]])
+    clamp_Pa = np.empty_like(pressure_Pa)
+    last_Pa = 0.0
+    for i, pressure in enumerate(pressure_Pa):
+        last_Pa = pads.clamped(last_Pa, pressure, 0.05)
+        clamp_Pa[i] = last_Pa
+
+    rises = slice(None, 400)
+    falls = slice(450, None)  # after the clamp has turned
+    np.testing.assert_allclose(clamp_Pa[rises], 0.95 * pressure_Pa[rises], rtol=1e-12)
+    np.testing.assert_allclose(clamp_Pa[falls], 1.05 * pressure_Pa[falls], rtol=1e-12, atol=1e-6)
+    assert np.abs(np.diff(clamp_Pa)).max() <= 1.06e3
     # the loop takes work from the movement of the clamp, and gives none
-    assert np.sum(np.diff(pressure) * 0.5 * (clamp[1:] + clamp[:-1])) < 0.0
+    mean_Pa = 0.5 * (clamp_Pa[1:] + clamp_Pa[:-1])
+    assert np.sum(np.diff(pressure_Pa) * mean_Pa) < 0.0
 
 
 @pytest.mark.parametrize("name", [name for name in store.names("pads") if name != "constant"])

@@ -4,12 +4,17 @@ import math
 
 import numpy as np
 import pytest
-from rolling import DRY, SOAP, TRACK, Rig
+from rolling import DRY, SOAP, TRACK, VENT, Rig
 
 from rollerrig.rig import params, vehicle
 
+# defaults of the parameters
 COACH = {row.name: row.default for row in params.ROWS["vehicle"]}
-AT_M = np.array([0.0, 2.56, 19.0, 21.56])
+GRAVITY_M_S2 = 9.80665
+# wheelsets behind the first one
+PLACES_M = np.array([0.0, 2.56, 19.0, 21.56])
+# wheelsets turn with the vehicle: their inertia adds mass
+TURNING_KG = 4 * COACH["wheelset_inertia_kgm2"] / COACH["wheel_radius_m"] ** 2
 
 
 def test_resistance_is_the_polynomial_of_davis():
@@ -25,20 +30,22 @@ def test_resistance_is_the_polynomial_of_davis():
 def test_a_coasting_vehicle_slows_down_as_in_the_closed_form():
     rig = Rig(30.0, rig=TRACK)
     run = rig.roll(60.0, demand_Pa=0.0)
-    # wheelsets turn with the vehicle: their inertia adds mass; v(t) of M dv/dt = -(A + C v^2)
-    mass_kg = COACH["mass_kg"] + 4 * COACH["wheelset_inertia_kgm2"] / COACH["wheel_radius_m"] ** 2
+    # v(t) of M dv/dt = -(A + C v^2)
+    mass_kg = COACH["mass_kg"] + TURNING_KG
     A = COACH["resistance_A_N"]
     C = COACH["resistance_C_N_s2_m2"]
-    root = math.sqrt(A / C)
-    expected = root * np.tan(np.arctan(30.0 / root) - math.sqrt(A * C) / mass_kg * run.time)
-    np.testing.assert_allclose(run.vehicle_speed, expected, rtol=1e-5)
+    unit_m_s = math.sqrt(A / C)
+    rate_1_s = math.sqrt(A * C) / mass_kg
+    angle = np.arctan(30.0 / unit_m_s) - rate_1_s * run.time
+    np.testing.assert_allclose(run.vehicle_speed, unit_m_s * np.tan(angle), rtol=1e-5)
 
 
 @pytest.mark.parametrize("deceleration_m_s2", [0.0, 0.5, 1.6])
 def test_loads_carry_the_weight_and_the_moment_of_braking(deceleration_m_s2):
     constants = Rig(30.0).params.vehicle
     loads_N = np.array([vehicle.load(j, -deceleration_m_s2, constants) for j in range(4)])
-    assert loads_N.sum() == pytest.approx(COACH["mass_kg"] * 9.80665, rel=1e-12)
+    assert loads_N.sum() == pytest.approx(COACH["mass_kg"] * GRAVITY_M_S2, rel=1e-12)
+
     # about the rail: each mass at its height
     body_kg = COACH["mass_kg"] - 2 * COACH["bogie_mass_kg"] - 4 * COACH["wheelset_mass_kg"]
     moment_kg_m = (
@@ -46,25 +53,27 @@ def test_loads_carry_the_weight_and_the_moment_of_braking(deceleration_m_s2):
         + 2 * COACH["bogie_mass_kg"] * COACH["bogie_height_m"]
         + 4 * COACH["wheelset_mass_kg"] * COACH["wheel_radius_m"]
     )
-    ahead_m = AT_M.mean() - AT_M
-    assert loads_N @ ahead_m == pytest.approx(moment_kg_m * deceleration_m_s2, rel=1e-12, abs=1e-6)
+    ahead_m = PLACES_M.mean() - PLACES_M
+    expected_Nm = moment_kg_m * deceleration_m_s2
+    assert loads_N @ ahead_m == pytest.approx(expected_Nm, rel=1e-12, abs=1e-6)
 
 
 def test_braking_loads_the_leading_wheelset_of_every_bogie_and_the_leading_bogie():
     run = Rig(30.0, adhesion=DRY).roll(5.0)
-    loads_N = run.wheel_load[-1]
-    assert loads_N[0] > loads_N[1]
-    assert loads_N[2] > loads_N[3]
-    assert loads_N[:2].sum() > loads_N[2:].sum()
-    np.testing.assert_allclose(run.wheel_load.sum(axis=1), COACH["mass_kg"] * 9.80665, rtol=1e-12)
+    first_N, second_N, third_N, fourth_N = run.wheel_load[-1]
+    assert first_N > second_N
+    assert third_N > fourth_N
+    assert first_N + second_N > third_N + fourth_N
+    weight_N = COACH["mass_kg"] * GRAVITY_M_S2
+    np.testing.assert_allclose(run.wheel_load.sum(axis=1), weight_N, rtol=1e-12)
 
 
 def test_loads_follow_the_deceleration_with_the_lag_of_pitching():
     run = Rig(30.0, adhesion=DRY).roll(8.0)
     lag_s = COACH["pitch_time_constant_s"]
-    felt = run.felt_acceleration
-    change = np.gradient(felt, run.time) * lag_s
-    np.testing.assert_allclose((felt + change)[1:], run.vehicle_acceleration[1:], atol=0.02)
+    felt_m_s2 = run.felt_acceleration
+    unlagged_m_s2 = felt_m_s2 + lag_s * np.gradient(felt_m_s2, run.time)
+    np.testing.assert_allclose(unlagged_m_s2[1:], run.vehicle_acceleration[1:], atol=0.02)
 
 
 def test_a_wheelset_that_is_lifted_off_has_no_load_and_no_adhesion():
@@ -82,16 +91,17 @@ def test_a_wheelset_that_is_lifted_off_has_no_load_and_no_adhesion():
 def test_a_released_vehicle_at_walking_pace_coasts_to_a_standstill():
     rig = Rig(0.5, adhesion=SOAP)
     run = rig.roll(40.0, demand_Pa=0.0)
-    mass_kg = COACH["mass_kg"] + 4 * COACH["wheelset_inertia_kgm2"] / COACH["wheel_radius_m"] ** 2
-    expected_s = 0.5 * mass_kg / COACH["resistance_A_N"]
-    assert run.time[np.flatnonzero(run.standing)[0]] == pytest.approx(expected_s, rel=0.02)
+    momentum_Ns = (COACH["mass_kg"] + TURNING_KG) * 0.5
+    expected_s = momentum_Ns / COACH["resistance_A_N"]
+    stopped = np.flatnonzero(run.standing)[0]
+    assert run.time[stopped] == pytest.approx(expected_s, rel=0.02)
 
 
 def test_brakes_that_are_applied_at_standstill_move_nothing():
     rig = Rig(0.5)
     rig.roll(40.0, demand_Pa=0.0)
     place_m = rig.state.position[0]
-    run = rig.roll(5.0, 3)
+    rig.roll(5.0, VENT)
     run = rig.roll(5.0)
     assert run.position[-1] == place_m
     assert (run.wheel_speed == 0.0).all()

@@ -17,6 +17,12 @@ ICE = {"mu_cd": 0.03, "tau_m_J": 0.0}
 LOCKING = FILL
 FREE = VENT
 
+RADIUS_M = 0.445
+WIDTH_M = 0.03  # of a flat
+WEAR_M3_J = 0.002e-9  # of `WEAR`
+MASS_KG = 43000.0
+WHEELSET_KGM2 = 160.0
+
 
 def locked(flats, seconds=3.0, speed_m_s=15.0, **sections):
     """Return a rig after a lock of every wheel, and the `History` of the lock."""
@@ -33,12 +39,16 @@ def test_a_flat_has_the_volume_that_the_work_of_its_lock_grinds_off_one_wheel():
         # the whole tick in which the wheel locked counts
         begin = np.argmax(still[:, j]) - 1
         work_J = 0.5 * (run.sliding_work[-1, j] - run.sliding_work[begin, j])
-        volume_m3 = 0.03 * run.flat_length[-1, j] ** 3 / (12.0 * 0.445)
-        assert 0.005 < run.flat_length[-1, j] < 0.1
-        assert volume_m3 == pytest.approx(0.002e-9 * work_J, rel=1e-9)
-    assert wheel_flat.length_m(8e5, 2e-12, 0.03, 0.445) == pytest.approx(
-        2.0 * wheel_flat.length_m(1e5, 2e-12, 0.03, 0.445), rel=1e-12
-    )
+        length_m = run.flat_length[-1, j]
+        volume_m3 = WIDTH_M * length_m**3 / (12.0 * RADIUS_M)
+        assert 0.005 < length_m < 0.1
+        assert volume_m3 == pytest.approx(WEAR_M3_J * work_J, rel=1e-9)
+
+
+def test_a_flat_grows_with_the_cube_root_of_the_work():
+    short_m = wheel_flat.length_m(1e5, WEAR_M3_J, WIDTH_M, RADIUS_M)
+    long_m = wheel_flat.length_m(8e5, WEAR_M3_J, WIDTH_M, RADIUS_M)
+    assert long_m == pytest.approx(2.0 * short_m, rel=1e-12)
 
 
 def test_a_short_second_lock_does_not_make_the_flat_of_the_first_longer():
@@ -52,16 +62,31 @@ def test_a_short_second_lock_does_not_make_the_flat_of_the_first_longer():
 
 def test_the_load_over_a_flat_falls_and_rises_once_a_turn_and_its_mean_stays():
     length_m = 0.04
-    radius_m = 0.445
-    angles = np.linspace(0.0, 2.0 * math.pi, 200_001)
-    share = np.array([wheel_flat.load_share(x, length_m, radius_m, 10.0) for x in angles])
-    assert share.mean() == pytest.approx(1.0, abs=1e-6)
-    assert (share.min(), share.max()) == pytest.approx((0.6, 1.4), abs=1e-3)
-    assert np.mean(share != 1.0) == pytest.approx(length_m / (2.0 * math.pi * radius_m), rel=1e-2)
-    assert wheel_flat.load_share(0.01, 0.0, radius_m, 10.0) == 1.0
+
+    def load_share(turned_rad):
+        return wheel_flat.load_share(turned_rad, length_m, RADIUS_M, 10.0)
+
+    turn_rad = np.linspace(0.0, 2.0 * math.pi, 200_001)
+    shares = np.array([load_share(angle_rad) for angle_rad in turn_rad])
+    assert shares.mean() == pytest.approx(1.0, abs=1e-6)
+    assert shares.min() == pytest.approx(0.6, abs=1e-3)
+    assert shares.max() == pytest.approx(1.4, abs=1e-3)
+    share_of_turn = length_m / (2.0 * math.pi * RADIUS_M)
+    assert np.mean(shares != 1.0) == pytest.approx(share_of_turn, rel=1e-2)
     # the wheel drops into the flat first, then it strikes
-    assert wheel_flat.load_share(-0.02, length_m, radius_m, 10.0) < 1.0
-    assert wheel_flat.load_share(0.02, length_m, radius_m, 10.0) > 1.0
+    assert load_share(-0.02) < 1.0
+    assert load_share(0.02) > 1.0
+
+
+def test_the_load_on_a_round_wheel_does_not_change():
+    assert wheel_flat.load_share(0.01, 0.0, RADIUS_M, 10.0) == 1.0
+
+
+def kinetic_J(history, tick):
+    """Return the kinetic energy of vehicle and wheelsets."""
+    vehicle_J = 0.5 * MASS_KG * history.vehicle_speed[tick] ** 2
+    wheelsets_J = 0.5 * WHEELSET_KGM2 * (history.wheel_speed[tick] ** 2).sum()
+    return vehicle_J + wheelsets_J
 
 
 def test_the_energy_of_a_stop_with_acting_flats_balances():
@@ -69,15 +94,14 @@ def test_the_energy_of_a_stop_with_acting_flats_balances():
     rolling = rig.roll(2.0, FREE)
     loads = rolling.wheel_load / rolling.wheel_load[0]
     assert np.abs(loads - 1.0).max() > 0.1
-    vehicle_J = 0.5 * 43000.0 * (lock.vehicle_speed[0] ** 2 - rolling.vehicle_speed[-1] ** 2)
-    wheels_J = 80.0 * ((lock.wheel_speed[0] ** 2).sum() - (rolling.wheel_speed[-1] ** 2).sum())
-    counted_J = sum(
-        history.change("sliding_work").sum()
-        + history.change("brake_work").sum()
-        + history.change("resistance_work")
-        for history in (lock, rolling)
-    )
-    assert counted_J == pytest.approx(vehicle_J + wheels_J, rel=1e-6)
+
+    counted_J = 0.0
+    for history in (lock, rolling):
+        counted_J += history.change("sliding_work").sum()
+        counted_J += history.change("brake_work").sum()
+        counted_J += history.change("resistance_work")
+    lost_J = kinetic_J(lock, 0) - kinetic_J(rolling, -1)
+    assert counted_J == pytest.approx(lost_J, rel=1e-6)
 
 
 def test_wear_without_a_lock_and_a_lock_without_wear_change_no_bit():
@@ -109,10 +133,12 @@ def test_a_flat_gives_repeatable_noise_only_at_the_sensor_of_its_wheel():
     noisy = channels()
     repeated = channels()
     quiet = channels("flats.noise_rad_s_m=0.0")
+
+    noise_rad_s = noisy["measured_speed_1_rad_s"] - noisy["wheel_speed_1_rad_s"]
     turns = noisy["wheel_speed_1_rad_s"] > 1.0
-    late = turns & (noisy["time_s"] > 4.0)
-    spread = (noisy["measured_speed_1_rad_s"] - noisy["wheel_speed_1_rad_s"])[late].std()
-    assert spread == pytest.approx(5.0 * noisy["flat_length_1_m"][-1], rel=0.3)
+    late = noisy["time_s"] > 4.0
+    expected_rad_s = 5.0 * noisy["flat_length_1_m"][-1]
+    assert noise_rad_s[turns & late].std() == pytest.approx(expected_rad_s, rel=0.3)
     assert np.array_equal(noisy["measured_speed_2_rad_s"], noisy["wheel_speed_2_rad_s"])
     assert np.array_equal(noisy["measured_speed_1_rad_s"], repeated["measured_speed_1_rad_s"])
     assert np.array_equal(quiet["measured_speed_1_rad_s"], quiet["wheel_speed_1_rad_s"])

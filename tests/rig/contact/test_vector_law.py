@@ -67,7 +67,7 @@ def laws():
 
 
 def contacts():
-    """Yields random contacts, from micro-slip to a locked wheel: (sliding m/s, speed m/s, load N)."""
+    """Yields random contacts (sliding m/s, speed m/s, load N), from micro-slip to a lock."""
     rng = np.random.default_rng(5)
     for _ in range(400):
         speed = 10.0 ** rng.uniform(-1.0, 2.0)

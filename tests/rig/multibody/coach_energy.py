@@ -22,7 +22,7 @@ from rollerrig.rig.multibody.links import (
 
 @kernel
 def total_J(motion, coach):
-    """Returns the energy in the coach and the energy that has left it; a balance keeps it constant."""
+    """Returns the energy in the coach plus the energy that has left it, which is constant."""
     return stored_J(motion, coach) + dissipated_J(motion)
 
 

@@ -92,7 +92,7 @@ def table_of_patches(model, cells=10):
 
 
 def random_contact(rng, patches, loads_N):
-    """Returns a contact from micro-slip to a locked wheel; some have no spin or lateral creepage."""
+    """Returns a contact from micro-slip to a lock; some have no spin or lateral creepage."""
     surface_m_s = 10.0 ** rng.uniform(-1.5, 1.9)
     largest_creepage = 10.0 ** rng.uniform(-6.0, [0.0, -1.0, 0.3])
     signs = rng.choice([-1.0, 1.0], 3)
