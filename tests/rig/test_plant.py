@@ -173,9 +173,18 @@ def test_a_locked_wheel_recovers_when_the_valve_vents():
 
 @pytest.mark.parametrize("law", [DRY, SOAP])
 def test_a_roller_of_infinite_radius_is_a_rail(law):
-    wheel = (0.445, 0.3, 2.1e11, 8e10, 0.3)
-    rail = patch_for(wheel[0], np.inf, *wheel[1:])
-    np.testing.assert_allclose(patch_for(wheel[0], 1e9, *wheel[1:]), rail, rtol=1e-8)
+    def patch_on(roller_m):
+        return patch_for(
+            wheel_radius_m=0.445,
+            roller_radius_m=roller_m,
+            lateral_radius_m=0.3,
+            young_Pa=2.1e11,
+            shear_Pa=8e10,
+            poisson=0.3,
+        )
+
+    rail = patch_on(np.inf)
+    np.testing.assert_allclose(patch_on(1e9), rail, rtol=1e-8)
     track = Rig(42.3, adhesion=law, rig=TRACK)
     endless = Rig(42.3, adhesion=law, contact={"roller_radius_m": np.inf})
     assert endless.params.patch == track.params.patch == rail
@@ -220,10 +229,8 @@ def test_momentum_is_constant_without_external_forces():
     track.state.wheel_speed[:] *= (0.0, 0.5, 0.9, 1.2)
     vehicle = track.params.vehicle
     run = track.roll(2.0, demand_Pa=0.0)
-    momentum = (
-        vehicle.mass_kg * run.vehicle_speed
-        + vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m * run.wheel_speed.sum(axis=1)
-    )
+    wheelset_kg_m = vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m
+    momentum = vehicle.mass_kg * run.vehicle_speed + wheelset_kg_m * run.wheel_speed.sum(axis=1)
     assert np.ptp(momentum) < 1e-9 * momentum[0]
     assert np.abs(run.sliding[1]).min() > 1.0
     assert np.abs(run.sliding[-1]).max() < 1e-3
@@ -233,10 +240,8 @@ def test_momentum_is_constant_without_external_forces():
     rollers.state.wheel_speed[:] *= (0.0, 0.5, 0.9, 1.2)
     drive = rollers.params.drive
     run = rollers.roll(2.0, demand_Pa=0.0, controlled=False)
-    momentum = (
-        vehicle.wheelset_inertia_kgm2 / vehicle.wheel_radius_m * run.wheel_speed
-        + drive.roller_inertia_kgm2 / drive.roller_radius_m * run.roller_speed
-    )
+    roller_kg_m = drive.roller_inertia_kgm2 / drive.roller_radius_m
+    momentum = wheelset_kg_m * run.wheel_speed + roller_kg_m * run.roller_speed
     assert np.ptp(momentum, axis=0).max() < 1e-9 * momentum.max()
 
 

@@ -268,26 +268,32 @@ def test_without_tau_adhesion_is_the_degraded_one_bit_for_bit():
 def test_the_limits_are_polachs_force_at_the_patch_of_the_load():
     for sliding, speed, load in product(SLIDING, SPEEDS[2:], (1e3, LOAD)):
         _, f_d, f_r, _, _, _ = adhesion.wheel_adhesion(sliding, speed, load, RAIL, TABLE_4)
-        a_m, b_m = RAIL.a1 * load ** (1 / 3), RAIL.b1 * load ** (1 / 3)
-        unit = polach.eps_per_creepage(a_m, b_m, RAIL.c11, RAIL.shear_Pa, load)
-        curves = ((f_d, 0.06, 0.2, 0.3, 0.1), (f_r, 0.28, 0.6, 1.0, 0.4))
-        for f, mu_c, gamma, k_a, k_s in curves:
+        growth = load ** (1 / 3)
+        eps_mu = polach.eps_per_creepage(
+            RAIL.a1 * growth, RAIL.b1 * growth, RAIL.c11, RAIL.shear_Pa, load
+        )
+        for f, mu_c, gamma, k_a, k_s in (
+            (f_d, 0.06, 0.2, 0.3, 0.1),
+            (f_r, 0.28, 0.6, 1.0, 0.4),
+        ):
             mu = polach.friction(sliding, mu_c, 0.4, gamma)
-            expected = mu * polach.shape(unit * sliding / speed / mu, k_a, k_s)[0]
-            assert f == near(expected, rel=1e-13)
+            shape, _ = polach.shape(eps_mu * sliding / speed / mu, k_a, k_s)
+            assert f == near(mu * shape, rel=1e-13)
 
 
 @pytest.mark.parametrize("law", [TABLE_4, SPOILING, TABLE_4._replace(tau_m_J=0.0)])
 def test_the_slope_is_the_derivative_to_sliding(law):
-    for sliding, speed, sign in product((1e-4, 0.02, 0.3, 1.0, 3.0, 12.0), SPEEDS[1:], (1, -1)):
-        h = 1e-5 * sliding
-        ends = [
-            adhesion.wheel_adhesion(sign * (sliding + d), speed, LOAD, RAIL, law)[0]
-            for d in (-h, h)
-        ]
-        difference = sign * (ends[1] - ends[0]) / (2.0 * h)
-        slope = adhesion.wheel_adhesion(sign * sliding, speed, LOAD, RAIL, law)[5]
-        assert slope == pytest.approx(difference, rel=1e-5, abs=1e-9)
+    def f_and_slope(sliding, speed):
+        f, _, _, _, _, slope = adhesion.wheel_adhesion(sliding, speed, LOAD, RAIL, law)
+        return f, slope
+
+    for size, speed, sign in product((1e-4, 0.02, 0.3, 1.0, 3.0, 12.0), SPEEDS[1:], (1, -1)):
+        sliding = sign * size
+        h = 1e-5 * size
+        f_after, _ = f_and_slope(sliding + h, speed)
+        f_before, _ = f_and_slope(sliding - h, speed)
+        _, slope = f_and_slope(sliding, speed)
+        assert slope == pytest.approx((f_after - f_before) / (2.0 * h), rel=1e-5, abs=1e-9)
 
 
 def test_at_rest_the_slope_is_the_weakened_creep_slope_of_the_patch():
