@@ -37,7 +37,7 @@ from rollerrig.wsp_interface.bus.connection_set import (
     SYNC,
     TPDO,
 )
-from rollerrig.wsp_interface.bus.frames import Frame
+from rollerrig.wsp_interface.bus.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.bus.wire import Alarm
 from rollerrig.wsp_interface.events import Code, OnEvent
@@ -462,11 +462,11 @@ def record_frames(hub: Hub, ring: rings.Ring, begun_ns: Callable[[], int] = lamb
             return
         flags = 0
         if frame.extended:
-            flags |= rings.EXTENDED_FLAG
+            flags |= EXTENDED_FLAG
         if frame.remote:
-            flags |= rings.REMOTE_FLAG
+            flags |= REMOTE_FLAG
         if frame.error:
-            flags |= rings.ERROR_FLAG
+            flags |= ERROR_FLAG
         row[rings.FRAME_TIME_NS] = max(frame.time_ns - begun, 0)
         row[rings.FRAME_ID] = frame.can_id | flags
         row[rings.FRAME_LENGTH] = frame.dlc if frame.remote else len(frame.data)

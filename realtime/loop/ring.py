@@ -43,12 +43,8 @@ _HEADER = 16
 # words of 8 bytes in a row of a ring of events, and of frames
 EVENT_WORDS = 64
 FRAME_WORDS = 4
-# places in a row of a ring of frames
+# places in a row of a ring of frames; FRAME_ID also has the flags of `wsp_interface.bus.frames`
 FRAME_TIME_NS, FRAME_ID, FRAME_LENGTH, FRAME_DATA = range(FRAME_WORDS)
-# flags in the word FRAME_ID, as in Linux can.h
-EXTENDED_FLAG = 1 << 31
-REMOTE_FLAG = 1 << 30
-ERROR_FLAG = 1 << 29
 # the most bytes that one character takes in JSON: escaped, as in \\u0001
 _BYTES_PER_CHARACTER = 6
 _PREFIX = "rollerrig-"

@@ -191,16 +191,16 @@ class Recorder:
 def frame_of(row: list[int]) -> frames.Frame:
     """One row of a frame ring: time in ns, identifier and flags, length, data as 8 bytes."""
     time_ns, word, length, data = row
-    remote = bool(word & ring.REMOTE_FLAG)
+    remote = bool(word & frames.REMOTE_FLAG)
     body = b"" if remote else (data & (2**64 - 1)).to_bytes(8, "little")[:length]
     return frames.Frame(
         word & frames.EXTENDED_ID_MAX,
         body,
-        bool(word & ring.EXTENDED_FLAG),
+        bool(word & frames.EXTENDED_FLAG),
         remote,
         length,
         time_ns,
-        bool(word & ring.ERROR_FLAG),
+        bool(word & frames.ERROR_FLAG),
     )
 
 

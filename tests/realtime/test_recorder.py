@@ -22,6 +22,7 @@ from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records
 from rollerrig.realtime.telemetry import recorder
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.bus import frames
 from rollerrig.wsp_interface.events import Code
 
 RAN_S = 2.0
@@ -299,12 +300,11 @@ def test_each_run_has_a_recording_of_its_own(tmp_path):
     [
         (0x181, 8, "(0000000001.500000) rig0 181#0807060504030201"),
         (0x181, 2, "(0000000001.500000) rig0 181#0807"),
-        (0x1ABCDEF0 | ring.EXTENDED_FLAG, 1, "(0000000001.500000) rig0 1ABCDEF0#08"),
-        (0x702 | ring.REMOTE_FLAG, 0, "(0000000001.500000) rig0 702#R"),
+        (0x1ABCDEF0 | frames.EXTENDED_FLAG, 1, "(0000000001.500000) rig0 1ABCDEF0#08"),
+        (0x702 | frames.REMOTE_FLAG, 0, "(0000000001.500000) rig0 702#R"),
     ],
 )
 def test_a_row_of_the_frame_ring_is_a_line_of_a_candump_log(word, length, line):
-    from rollerrig.wsp_interface.bus import frames
 
     row = [1_500_000_000, word, length, 0x0102030405060708]
     assert frames.candump_line(recorder.frame_of(row), "rig0") == line
