@@ -1,138 +1,289 @@
-// Draws what the bench tells. The page asks for new rows when it has drawn the last ones: a browser that stands
-// still asks for nothing, and nothing is kept for it.
-window.desk = {
-  given: null, bench: "", next: 0, rows: [], whole: false, axle: 0, angles: [0, 0, 0, 0], then: 0, held: null,
+// Draws what the bench reports: the plots, the lanes of the dump valves, the figures and the turning wheels.
+//
+// The page requests new rows only after it has drawn the last ones. A browser that is suspended
+// requests nothing, and the server stores nothing for it.
+//
+// `live.py` calls `begin` and `show`. A row is an array with one number a column; a missing number
+// is null.
 
-  begin(given) {
-    this.given = given;
-    this.at = Object.fromEntries(given.columns.map((name, at) => [name, at]));
-    this.drawWheels();
-    this.go();
-    requestAnimationFrame((now) => this.turn(now));
+const AXLES = 4;
+
+// pauses between two requests for rows
+const PAUSE_MS = 100;
+const PAUSE_WHOLE_RUN_MS = 1000;
+const PAUSE_AFTER_ERROR_MS = 1000;
+
+// the turning wheels: a browser that was suspended does not catch up, and a wheel turns at a
+// twentieth of its real speed, because a faster one seems to stand still or to turn backwards
+const LONGEST_FRAME_S = 0.1;
+const SLOW_MOTION = 20;
+
+// the lanes of the dump valves, in pixels
+const LANES_LEFT = 56;
+const LANES_RIGHT = 14;
+const LANE_GAP = 4;
+
+// the picture of the coach, in units of its view box
+const WHEEL_X = [90, 190, 510, 610];
+const WHEEL_Y = 76;
+const SPOKES_DEG = [0, 60, 120];
+
+// Returns a number with some decimals, or a dash where there is no number.
+function numberText(value, decimals) {
+  if (value === null || value === undefined) return "–";
+  return value.toFixed(decimals);
+}
+
+// Returns a speed in km/h, or null where there is none.
+function kilometresPerHour(speed_m_s) {
+  if (speed_m_s === null || speed_m_s === undefined) return null;
+  return 3.6 * speed_m_s;
+}
+
+window.desk = {
+  settings: null, // what `live.py` gives to `begin`: columns, plots, colours and limits
+  columnIndex: {}, // the place of each column in a row
+  bench: "", // the bench that the rows belong to
+  next: 0, // number of the first point that the page has not received yet
+  rows: [], // the rows that are drawn
+  newest: null, // the newest row
+  heldSpeed: null, // m/s while the rig is held, otherwise null
+  whole: false, // whether the whole run is drawn, or only its last seconds
+  axle: 0, // the axle that is drawn; 0: all
+  angles: [0, 0, 0, 0], // of the drawn wheels, rad
+  lastFrame: 0, // time of the last picture of the wheels, ms
+
+  // Starts to draw. `settings` has the keys that `live.py` writes.
+  begin(settings) {
+    this.settings = settings;
+    this.columnIndex = {};
+    settings.columns.forEach((name, index) => {
+      this.columnIndex[name] = index;
+    });
+    this.drawCoach();
+    this.update();
+    requestAnimationFrame((now) => this.turnWheels(now));
   },
 
-  async go() {
-    let pause = 100;
+  // Chooses the axle to draw (0: all), and whether the whole run is drawn.
+  show(axle, whole) {
+    this.axle = axle;
+    if (whole !== this.whole) {
+      // the points of the whole run are thinned: they do not continue those of the last seconds
+      this.rows = [];
+      this.next = 0;
+      this.whole = whole;
+    }
+  },
+
+  // Requests rows and draws them, then does so again after a pause.
+  async update() {
+    let pause = PAUSE_MS;
     try {
-      if (!document.hidden && document.getElementById("desk-time")) {
-        await this.ask();
-        const begun = performance.now();
+      const visible = !document.hidden && document.getElementById("desk-time");
+      if (visible) {
+        await this.fetchRows();
+        const begin = performance.now();
         this.draw();
-        const took = performance.now() - begun;
-        pause = this.whole ? 1000 : Math.max(100 - took, 2 * took);
+        const drawing = performance.now() - begin;
+        // a slow browser spends at most a third of its time on drawing
+        pause = this.whole ? PAUSE_WHOLE_RUN_MS : Math.max(PAUSE_MS - drawing, 2 * drawing);
       }
     } catch (error) {
-      pause = 1000;
+      pause = PAUSE_AFTER_ERROR_MS;
       const place = document.getElementById("desk-time");
       if (place) place.textContent = "the desk does not answer";
     }
-    setTimeout(() => this.go(), pause);
+    setTimeout(() => this.update(), pause);
   },
 
-  async ask() {
-    const about = `bench=${this.bench}&after=${this.next}&whole=${this.whole ? 1 : 0}`;
-    const answer = await fetch(`/desk/rows?${about}`);
-    if (!answer.ok) throw new Error(answer.status);
-    const told = await answer.json();
-    if (told.bench !== this.bench) { this.rows = []; this.bench = told.bench; }
-    this.held = told.held_m_s;
-    this.newest = told.newest;
-    this.next = told.points;
-    if (this.whole) this.rows = told.rows;
-    else {
-      this.rows = this.rows.concat(told.rows);
-      const last = this.rows.length ? this.rows[this.rows.length - 1][0] : 0;
-      const first = this.rows.findIndex((row) => row[0] >= last - this.given.span_s);
-      if (first > 0) this.rows.splice(0, first);
+  // Requests the rows after the last received point. Throws an error if the desk refuses.
+  async fetchRows() {
+    const query = `bench=${this.bench}&after=${this.next}&whole=${this.whole ? 1 : 0}`;
+    const response = await fetch(`/desk/rows?${query}`);
+    if (!response.ok) throw new Error(response.status);
+    const reply = await response.json();
+
+    if (reply.bench !== this.bench) {
+      this.rows = [];
+      this.bench = reply.bench;
+    }
+    this.heldSpeed = reply.held_m_s;
+    this.newest = reply.newest;
+    this.next = reply.points;
+
+    if (this.whole) {
+      this.rows = reply.rows;
+    } else {
+      this.rows = this.rows.concat(reply.rows);
+      this.dropOldRows();
     }
   },
 
-  show(axle, whole) {
-    this.axle = axle;
-    if (whole !== this.whole) { this.rows = []; this.next = 0; this.whole = whole; }
+  // Removes rows that are older than the span of the plots.
+  dropOldRows() {
+    const oldest_s = this.lastTime() - this.settings.span_s;
+    const first = this.rows.findIndex((row) => row[0] >= oldest_s);
+    if (first > 0) this.rows.splice(0, first);
   },
 
+  // Returns the time of the last row in s, or 0 without rows. Column 0 of a row is its time.
+  lastTime() {
+    if (!this.rows.length) return 0;
+    return this.rows[this.rows.length - 1][0];
+  },
+
+  // Draws the plots, the lanes of the valves and the figures.
   draw() {
-    const rows = this.rows, last = rows.length ? rows[rows.length - 1][0] : 0;
-    const first = this.whole ? 0 : Math.max(0, last - this.given.span_s);
-    for (const plot of this.given.plots) {
-      const chart = getElement(plot.id)?.chart;
-      if (!chart || chart.isDisposed()) continue;
-      const series = plot.lines.map((line) => {
-        const at = this.at[line.column], mine = !this.axle || !line.axle || line.axle === this.axle;
-        return { id: line.column, data: mine ? rows.map((row) => [row[0], row[at] === null ? null : row[at] * plot.scale]) : [] };
-      });
-      chart.setOption({ xAxis: { min: first, max: Math.max(last, first + 1) }, series }, { lazyUpdate: true });
+    const last = this.lastTime();
+    const begin = this.whole ? 0 : Math.max(0, last - this.settings.span_s);
+    const end = Math.max(last, begin + 1);
+    for (const plot of this.settings.plots) this.drawPlot(plot, begin, end);
+    this.drawValves(begin, end);
+    this.drawFigures();
+  },
+
+  drawPlot(plot, begin, end) {
+    const chart = getElement(plot.id)?.chart;
+    if (!chart || chart.isDisposed()) return;
+    const series = plot.lines.map((line) => ({ id: line.column, data: this.points(line, plot.scale) }));
+    chart.setOption({ xAxis: { min: begin, max: end }, series }, { lazyUpdate: true });
+  },
+
+  // Returns the points [time, value] of a line; none if the line belongs to an axle that is not drawn.
+  points(line, scale) {
+    const drawn = !this.axle || !line.axle || line.axle === this.axle;
+    if (!drawn) return [];
+    const index = this.columnIndex[line.column];
+    return this.rows.map((row) => {
+      const value = row[index] === null ? null : row[index] * scale;
+      return [row[0], value];
+    });
+  },
+
+  // Returns the newest value of a column, or undefined without a bench.
+  newestValue(column) {
+    return this.newest?.[this.columnIndex[column]];
+  },
+
+  drawFigures() {
+    const put = (name, text) => {
+      document.getElementById(`desk-${name}`).textContent = text;
+    };
+
+    let time = "no bench";
+    let demand_bar = null;
+    let sliding_km_h = null;
+    if (this.newest) {
+      time = `${numberText(this.newestValue("time_s"), 1)} s`;
+      demand_bar = this.newestValue("brake_demand_Pa") / 1e5;
+      sliding_km_h = kilometresPerHour(this.largestSliding());
+    } else if (this.heldSpeed !== null) {
+      time = "held";
     }
-    this.lanes(first, Math.max(last, first + 1));
-    this.figures();
+
+    // while the rig is held, its speed is known but there is no row
+    const speed_m_s = this.heldSpeed ?? this.newestValue("vehicle_speed_m_s");
+    put("time", time);
+    put("speed", numberText(kilometresPerHour(speed_m_s), 1));
+    put("distance", numberText(this.newestValue("position_m"), 0));
+    put("demand", numberText(demand_bar, 2));
+    put("sliding", numberText(sliding_km_h, 1));
+    put("missed", numberText(this.newestValue("ticks_missed"), 0));
+    put("late", numberText(this.newestValue("tick_lateness_us"), 0));
   },
 
-  figures() {
-    const put = (name, text) => { document.getElementById(`desk-${name}`).textContent = text; };
-    const now = this.newest, of = (name) => now?.[this.at[name]];
-    const speed = this.held ?? of("vehicle_speed_m_s");
-    const number = (value, places) => (value === null || value === undefined ? "–" : value.toFixed(places));
-    put("time", now ? `${number(of("time_s"), 1)} s` : this.held !== null ? "held" : "no bench");
-    put("speed", number(speed === null || speed === undefined ? null : 3.6 * speed, 1));
-    put("distance", number(of("position_m"), 0));
-    put("demand", number(now ? of("brake_demand_Pa") / 1e5 : null, 2));
-    put("sliding", number(now ? 3.6 * Math.max(...[1, 2, 3, 4].map((axle) => of(`sliding_${axle}_m_s`))) : null, 1));
-    put("missed", number(of("ticks_missed"), 0));
-    put("late", number(of("tick_lateness_us"), 0));
+  // Returns the largest newest sliding speed of all axles in m/s.
+  largestSliding() {
+    const slidings = [];
+    for (let axle = 1; axle <= AXLES; axle++) slidings.push(this.newestValue(`sliding_${axle}_m_s`));
+    return Math.max(...slidings);
   },
 
-  lanes(first, last) {
+  // Draws one lane an axle, in the colour of the state of its valve.
+  drawValves(begin, end) {
     const canvas = document.getElementById("desk-valves");
     if (!canvas) return;
-    const width = (canvas.width = canvas.clientWidth), height = canvas.height, pen = canvas.getContext("2d");
-    const left = 56, right = 14, lane = height / 4;
-    pen.clearRect(0, 0, width, height);
+    // a new width clears the canvas, and keeps it sharp when the window changes
+    canvas.width = canvas.clientWidth;
+    const pen = canvas.getContext("2d");
+    const laneHeight = canvas.height / AXLES;
+    const laneWidth = canvas.width - LANES_LEFT - LANES_RIGHT;
+    const toX = (time) => LANES_LEFT + ((time - begin) / (end - begin)) * laneWidth;
+
+    pen.clearRect(0, 0, canvas.width, canvas.height);
     pen.font = "11px sans-serif";
-    for (let axle = 1; axle <= 4; axle++) {
-      const at = this.at[`valve_${axle}`], top = (axle - 1) * lane;
-      pen.fillStyle = this.given.axles[axle - 1];
-      pen.fillText(`axle ${axle}`, 6, top + lane / 2 + 4);
-      if (this.axle && this.axle !== axle) continue;
-      const x = (time) => left + ((time - first) / (last - first)) * (width - left - right);
-      for (let k = 0; k + 1 < this.rows.length; k++) {
-        const state = this.rows[k][at] ?? 0;
-        pen.fillStyle = this.given.valves[Math.min(2, Math.round(state))];
-        const from = x(this.rows[k][0]);
-        pen.fillRect(from, top + 2, Math.max(1, x(this.rows[k + 1][0]) - from + 0.5), lane - 4);
-      }
+    for (let axle = 1; axle <= AXLES; axle++) {
+      const top = (axle - 1) * laneHeight;
+      pen.fillStyle = this.settings.axles[axle - 1];
+      pen.fillText(`axle ${axle}`, 6, top + laneHeight / 2 + 4);
+      const drawn = !this.axle || this.axle === axle;
+      if (drawn) this.drawLane(pen, axle, top, laneHeight, toX);
     }
   },
 
-  drawWheels() {
-    const places = [90, 190, 510, 610];
-    const one = (x, axle) => `<circle cx="${x}" cy="126" r="24" class="desk-roller"/>
-      <g id="desk-wheel-${axle}" style="transform-origin:${x}px 76px"><circle cx="${x}" cy="76" r="26" class="desk-wheel"
-        style="stroke:${this.given.axles[axle - 1]}"/>${[0, 60, 120].map((turn) => `<line x1="${x - 24}" y1="76"
-        x2="${x + 24}" y2="76" transform="rotate(${turn} ${x} 76)" class="desk-spoke"/>`).join("")}</g>
+  drawLane(pen, axle, top, height, toX) {
+    const index = this.columnIndex[`valve_${axle}`];
+    for (let k = 0; k + 1 < this.rows.length; k++) {
+      const state = Math.round(this.rows[k][index] ?? 0);
+      const left = toX(this.rows[k][0]);
+      const right = toX(this.rows[k + 1][0]);
+      pen.fillStyle = this.settings.valves[Math.min(2, state)];
+      // half a pixel more closes the gap to the next rectangle
+      pen.fillRect(left, top + LANE_GAP / 2, Math.max(1, right - left + 0.5), height - LANE_GAP);
+    }
+  },
+
+  // Draws the coach with two bogies and four wheels on rollers.
+  drawCoach() {
+    const frames = WHEEL_X.map((x) => `<line x1="${x}" y1="50" x2="${x}" y2="${WHEEL_Y}" class="desk-frame"/>`);
+    const wheels = WHEEL_X.map((x, index) => this.wheelPicture(x, index + 1));
+    document.getElementById("desk-rig").innerHTML = `
+      <svg viewBox="0 0 700 170" width="100%" height="150">
+        <rect x="30" y="6" width="640" height="40" rx="9" class="desk-coach"/>
+        ${frames.join("")}
+        <rect x="64" y="46" width="152" height="7" class="desk-bogie"/>
+        <rect x="484" y="46" width="152" height="7" class="desk-bogie"/>
+        ${wheels.join("")}
+      </svg>`;
+  },
+
+  // Returns the picture of a roller, the wheel on it, and the number of its axle.
+  wheelPicture(x, axle) {
+    const colour = this.settings.axles[axle - 1];
+    const spokes = SPOKES_DEG.map(
+      (angle) => `
+        <line x1="${x - 24}" y1="${WHEEL_Y}" x2="${x + 24}" y2="${WHEEL_Y}"
+          transform="rotate(${angle} ${x} ${WHEEL_Y})" class="desk-spoke"/>`,
+    );
+    return `
+      <circle cx="${x}" cy="126" r="24" class="desk-roller"/>
+      <g id="desk-wheel-${axle}" style="transform-origin:${x}px ${WHEEL_Y}px">
+        <circle cx="${x}" cy="${WHEEL_Y}" r="26" class="desk-wheel" style="stroke:${colour}"/>
+        ${spokes.join("")}
+      </g>
       <text x="${x}" y="164" class="desk-text" id="desk-lock-${axle}">${axle}</text>`;
-    document.getElementById("desk-rig").innerHTML = `<svg viewBox="0 0 700 170" width="100%" height="150">
-      <rect x="30" y="6" width="640" height="40" rx="9" class="desk-coach"/>
-      ${places.slice(0, 2).map((x) => `<line x1="${x}" y1="50" x2="${x}" y2="76" class="desk-frame"/>`).join("")}
-      ${places.slice(2).map((x) => `<line x1="${x}" y1="50" x2="${x}" y2="76" class="desk-frame"/>`).join("")}
-      <rect x="64" y="46" width="152" height="7" class="desk-bogie"/><rect x="484" y="46" width="152" height="7" class="desk-bogie"/>
-      ${places.map((x, at) => one(x, at + 1)).join("")}</svg>`;
   },
 
-  turn(now) {
-    const passed = Math.min(0.1, (now - this.then) / 1000);
-    this.then = now;
-    for (let axle = 1; axle <= 4; axle++) {
-      const wheel = document.getElementById(`desk-wheel-${axle}`);
-      const speed = this.held ?? this.newest?.[this.at[`wheel_circumferential_speed_${axle}_m_s`]] ?? 0;
-      const vehicle = this.held ?? this.newest?.[this.at.vehicle_speed_m_s] ?? 0;
-      const locked = vehicle > this.given.moving_m_s && speed < this.given.locked_m_s;
-      if (!wheel) continue;
-      this.angles[axle - 1] += (passed * speed) / this.given.radius_m / 20;
-      wheel.style.transform = `rotate(${this.angles[axle - 1]}rad)`;
-      wheel.classList.toggle("desk-locked", locked);
-      document.getElementById(`desk-lock-${axle}`).textContent = locked ? `${axle}: locked` : `${axle}`;
-    }
-    requestAnimationFrame((next) => this.turn(next));
+  // Turns the drawn wheels by the time since the last picture, and requests the next picture.
+  turnWheels(now) {
+    const elapsed_s = Math.min(LONGEST_FRAME_S, (now - this.lastFrame) / 1000);
+    this.lastFrame = now;
+    for (let axle = 1; axle <= AXLES; axle++) this.turnWheel(axle, elapsed_s);
+    requestAnimationFrame((next) => this.turnWheels(next));
+  },
+
+  turnWheel(axle, elapsed_s) {
+    const wheel = document.getElementById(`desk-wheel-${axle}`);
+    if (!wheel) return;
+    const { moving_m_s, locked_m_s, radius_m } = this.settings;
+    const speed = this.heldSpeed ?? this.newestValue(`wheel_circumferential_speed_${axle}_m_s`) ?? 0;
+    const vehicleSpeed = this.heldSpeed ?? this.newestValue("vehicle_speed_m_s") ?? 0;
+    const locked = vehicleSpeed > moving_m_s && speed < locked_m_s;
+
+    this.angles[axle - 1] += (elapsed_s * speed) / radius_m / SLOW_MOTION;
+    wheel.style.transform = `rotate(${this.angles[axle - 1]}rad)`;
+    wheel.classList.toggle("desk-locked", locked);
+    document.getElementById(`desk-lock-${axle}`).textContent = locked ? `${axle}: locked` : `${axle}`;
   },
 };

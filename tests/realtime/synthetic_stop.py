@@ -1,22 +1,202 @@
-"""A plausible stop for tests of what records and draws: four axles, a bang-bang WSP, adhesion that
-recovers with the energy dissipated. Not the rig's physics: simple enough to be read at a glance.
+"""A plausible stop for tests of the recording and the drawing.
+
+Four axles brake with a bang-bang WSP, on adhesion that recovers with the dissipated energy. This is
+not the physics of the rig: it is simple enough to understand at a glance.
 """
+
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
 
-RADIUS_M, ROLLER_M, INERTIA_KGM2, LOAD_N, MASS_KG = 0.445, 1.0, 160.0, 105e3, 43e3
+AXLES = 4
+RADIUS_M = 0.445
+ROLLER_M = 1.0  # radius of a roller
+INERTIA_KGM2 = 160.0  # of a wheelset
+LOAD_N = 105e3  # of a wheelset
+MASS_KG = 43e3
+RESISTANCE_N = 1200
 STEP_S = 0.002
 
+# the brake: pressure to torque, the demand from its begin on, and the time constants of a cylinder
+TORQUE_NM_PA = 0.019
+DEMAND_PA = 3.8e5
+DEMAND_FROM_S = 1.0
+FILL_S = 0.5
+VENT_S = 0.2
+AIR_PER_PA = 4e-5  # air that a rise of the pressure uses
 
-def _limits(s, v, mu_cd):
-    def polach(mu_c, gamma, k):
-        mu = mu_c + (mu_c / 0.4 - mu_c) * np.exp(-gamma * s)
-        return mu * 2 / np.pi * np.arctan(k * s / max(v, 0.5) / mu)
+# states of a dump valve
+FILL = 0
+HOLD = 1
+VENT = 2
 
-    return polach(mu_cd, 0.2, 12.0), polach(0.28, 0.6, 40.0)
+# the WSP: a cycle of ten steps, and the fastest plausible deceleration of the vehicle
+CYCLE_STEPS = 10
+CYCLE_S = 0.02
+REFERENCE_M_S2 = 1.4
+
+# the axle to lock brakes too hard between these times
+GRIP_FROM_S = 6.0
+GRIP_TO_S = 8.0
+
+STOPPED_RAD_S = 1e-3  # a wheelset below this speed is locked if the vehicle moves
+MOVING_M_S = 3.0
+RECOVERY_PER_J = 1.9e-4  # rate at which adhesion recovers with the dissipated energy
+TEETH = 100
+TWO_PI = 6.2832
+
+
+def _axles(value=0.0):
+    return np.full(AXLES, value)
+
+
+@dataclass
+class _Stop:
+    """All quantities of the stop at one time; arrays have one value an axle."""
+
+    speed_m_s: float
+    friction: np.ndarray  # degraded coefficient of friction
+    reference_m_s: float  # reference speed of the WSP
+    omega_rad_s: np.ndarray
+    time_s: float = 0.0
+    position_m: float = 0.0
+    demand_Pa: float = 0.0
+    angle_rad: np.ndarray = field(default_factory=_axles)
+    roller_angle_rad: np.ndarray = field(default_factory=_axles)
+    sliding_m_s: np.ndarray = field(default_factory=_axles)
+    degraded: np.ndarray = field(default_factory=_axles)
+    recovered: np.ndarray = field(default_factory=_axles)
+    adhesion: np.ndarray = field(default_factory=_axles)
+    energy_J: np.ndarray = field(default_factory=_axles)
+    torque_Nm: np.ndarray = field(default_factory=_axles)
+    pressure_Pa: np.ndarray = field(default_factory=_axles)
+    valve: np.ndarray = field(default_factory=_axles)
+    vents: np.ndarray = field(default_factory=_axles)
+    work_J: np.ndarray = field(default_factory=_axles)
+    lock_s: np.ndarray = field(default_factory=_axles)
+    longest_lock_s: np.ndarray = field(default_factory=_axles)
+    air: float = 0.0
+
+    def gripping(self, lock_axle):
+        """Whether the brake of `lock_axle` grips too hard now."""
+        return lock_axle is not None and GRIP_FROM_S < self.time_s < GRIP_TO_S
+
+    def update_contacts(self):
+        """Set sliding, adhesion and dissipated energy."""
+        speed = max(self.speed_m_s, 0.5)
+        self.sliding_m_s = np.maximum(self.speed_m_s - RADIUS_M * self.omega_rad_s, 0.0)
+        self.degraded = _polach(self.sliding_m_s, speed, self.friction, 0.2, 12.0)
+        self.recovered = _polach(self.sliding_m_s, speed, 0.28, 0.6, 40.0)
+
+        # adhesion depends on the energy, and the energy on adhesion: a few iterations are enough
+        adhesion = self.degraded.copy()
+        for _ in range(6):
+            rest = np.exp(-RECOVERY_PER_J * adhesion * LOAD_N / 2 * self.sliding_m_s / speed)
+            adhesion = self.recovered - (self.recovered - self.degraded) * rest
+        self.adhesion = adhesion
+        self.energy_J = adhesion * LOAD_N / 2 * self.sliding_m_s / speed
+
+    def update_brakes(self, lock_axle):
+        """Set the torques of the brakes."""
+        turning = np.where(self.omega_rad_s > STOPPED_RAD_S, 1.0, 0.0)
+        self.torque_Nm = turning * self.pressure_Pa * TORQUE_NM_PA
+        if self.gripping(lock_axle):
+            self.torque_Nm[lock_axle - 1] *= 2.0
+
+    def wsp_cycle(self, lock_axle):
+        """Set the valves from the slip of each axle: hold at little slip, vent at more."""
+        wheel_m_s = RADIUS_M * self.omega_rad_s
+        fastest_m_s = float(np.max(wheel_m_s))
+        self.reference_m_s = max(fastest_m_s, self.reference_m_s - REFERENCE_M_S2 * CYCLE_S)
+
+        slip_m_s = self.reference_m_s - wheel_m_s
+        valve = np.where(slip_m_s > 0.06 * self.reference_m_s + 0.2, HOLD, FILL)
+        valve = np.where(slip_m_s > 0.16 * self.reference_m_s + 0.5, VENT, valve)
+        if self.gripping(lock_axle):
+            valve[lock_axle - 1] = FILL
+
+        self.vents += (valve == VENT) & (self.valve != VENT)
+        self.valve = valve.astype(float)
+
+    def move(self):
+        """Advance cylinders, wheelsets and vehicle by one step."""
+        filled_Pa = np.where(self.valve == FILL, self.demand_Pa, self.pressure_Pa)
+        target_Pa = np.where(self.valve == VENT, 0.0, filled_Pa)
+        time_constant_s = np.where(self.valve == VENT, VENT_S, FILL_S)
+        rise_Pa = (target_Pa - self.pressure_Pa) * STEP_S / time_constant_s
+        self.air += float(np.sum(np.maximum(rise_Pa, 0))) * AIR_PER_PA
+        self.pressure_Pa = self.pressure_Pa + rise_Pa
+
+        driving_Nm = RADIUS_M * self.adhesion * LOAD_N
+        omega = self.omega_rad_s + (driving_Nm - self.torque_Nm) / INERTIA_KGM2 * STEP_S
+        omega = np.maximum(omega, 0.0)
+        self.omega_rad_s = np.minimum(omega, self.speed_m_s / RADIUS_M)
+
+        locked = (self.omega_rad_s < STOPPED_RAD_S) & (self.speed_m_s > MOVING_M_S)
+        self.lock_s = np.where(locked, self.lock_s + STEP_S, 0.0)
+        self.longest_lock_s = np.maximum(self.longest_lock_s, self.lock_s)
+        self.work_J += self.adhesion * LOAD_N * self.sliding_m_s * STEP_S
+
+        braking_N = np.sum(self.adhesion) * LOAD_N + RESISTANCE_N
+        self.speed_m_s = max(self.speed_m_s - braking_N / MASS_KG * STEP_S, 0.0)
+        self.position_m = self.position_m + self.speed_m_s * STEP_S
+        self.angle_rad = self.angle_rad + self.omega_rad_s * STEP_S
+        self.roller_angle_rad = self.roller_angle_rad + self.speed_m_s / ROLLER_M * STEP_S
+
+    def row(self):
+        """The row of all signals; signals that this stop does not have are NaN."""
+        motor_Nm = self.adhesion * LOAD_N * ROLLER_M
+        magnets_of_valve = np.array([0, 1, 3])
+        values = {
+            "time": self.time_s,
+            "vehicle_speed": self.speed_m_s,
+            "position": self.position_m,
+            "vehicle_acceleration": -np.sum(self.adhesion) * LOAD_N / MASS_KG,
+            "brake_demand": self.demand_Pa,
+            "wheel_speed": self.omega_rad_s,
+            "wheel_circumferential_speed": RADIUS_M * self.omega_rad_s,
+            "wheel_angle": self.angle_rad,
+            "tooth_frequency": self.omega_rad_s * TEETH / TWO_PI,
+            "pulse_count": np.floor(self.angle_rad * TEETH / TWO_PI),
+            "roller_speed": _axles(self.speed_m_s / ROLLER_M),
+            "roller_angle": self.roller_angle_rad,
+            "sliding": self.sliding_m_s,
+            "creepage": self.sliding_m_s / max(self.speed_m_s, 0.5),
+            "adhesion": self.adhesion,
+            "adhesion_degraded": self.degraded,
+            "adhesion_recovered": self.recovered,
+            "transition": 1 - np.exp(-RECOVERY_PER_J * self.energy_J),
+            "dissipated_energy": self.energy_J,
+            "sliding_work": self.work_J,
+            "friction_degraded": self.friction,
+            "wheel_load": _axles(LOAD_N),
+            "brake_torque": self.torque_Nm,
+            "cylinder_pressure": self.pressure_Pa,
+            "valve": self.valve,
+            "vents": self.vents,
+            "longest_lock": self.longest_lock_s,
+            "air_consumption": self.air,
+            "motor_torque_demand": motor_Nm,
+            "motor_torque": 0.98 * self.adhesion * LOAD_N * ROLLER_M,
+            "wsp_reference_speed": self.reference_m_s,
+            "magnets": magnets_of_valve[self.valve.astype(int)],
+            "tick_lateness": 20 + 60 * abs(np.sin(self.time_s * 7)),
+            "tick_duration": 25.0,
+            "ticks_missed": 0,
+        }
+        row = np.full(len(signals.COLUMNS), np.nan)
+        for name, value in values.items():
+            row[signals.span(name)] = value
+        return row
+
+
+def _polach(sliding_m_s, speed_m_s, friction, gamma, stiffness):
+    """Adhesion that saturates at a coefficient of friction which falls with sliding."""
+    limit = friction + (friction / 0.4 - friction) * np.exp(-gamma * sliding_m_s)
+    return limit * 2 / np.pi * np.arctan(stiffness * sliding_m_s / speed_m_s / limit)
 
 
 def stop(speed_m_s=42.3, record_hz=100, mu_cd=0.05, lock_axle=None, end_s=90.0):
@@ -24,94 +204,27 @@ def stop(speed_m_s=42.3, record_hz=100, mu_cd=0.05, lock_axle=None, end_s=90.0):
 
     The brake of `lock_axle` grips twice as hard for two seconds, and its valve fills.
     """
-    v, x, omega = speed_m_s, 0.0, np.full(4, speed_m_s / RADIUS_M)
-    angle, roller = np.zeros(4), np.zeros(4)
-    pressure, valve, since, vents = np.zeros(4), np.zeros(4), np.zeros(4), np.zeros(4)
-    work, lock, longest, air = np.zeros(4), np.zeros(4), np.zeros(4), 0.0
-    mu, rows, reference = mu_cd * np.array([0.9, 1.0, 1.15, 1.3]), [], speed_m_s
+    now = _Stop(
+        speed_m_s=speed_m_s,
+        friction=mu_cd * np.array([0.9, 1.0, 1.15, 1.3]),
+        reference_m_s=speed_m_s,
+        omega_rad_s=_axles(speed_m_s / RADIUS_M),
+    )
+    steps_per_row = round(1 / record_hz / STEP_S)
+    rows = []
     for step in range(int(end_s / STEP_S)):
-        t = step * STEP_S
-        demand = 3.8e5 if t >= 1.0 else 0.0
-        s = np.maximum(v - RADIUS_M * omega, 0.0)
-        fd, fr = _limits(s, v, mu)
-        f = fd.copy()
-        for _ in range(6):
-            f = fr - (fr - fd) * np.exp(-1.9e-4 * f * LOAD_N / 2 * s / max(v, 0.5))
-        energy = f * LOAD_N / 2 * s / max(v, 0.5)
-        torque = np.where(omega > 1e-3, 1.0, 0.0) * pressure * 0.019
-        if lock_axle is not None and 6.0 < t < 8.0:
-            torque[lock_axle - 1] *= 2.0
-        if step % 10 == 0:
-            reference = max(float(np.max(RADIUS_M * omega)), reference - 1.4 * 0.02)
-            slip = reference - RADIUS_M * omega
-            new = np.where(slip > 0.06 * reference + 0.2, 1, 0)
-            new = np.where(slip > 0.16 * reference + 0.5, 2, new)
-            if lock_axle is not None and 6.0 < t < 8.0:
-                new[lock_axle - 1] = 0
-            vents += (new == 2) & (valve != 2)
-            valve = new.astype(float)
-        if step % round(1 / record_hz / STEP_S) == 0:
-            rows.append(_row(locals()))
-        if v <= 0.0 and t > 2:
+        now.time_s = step * STEP_S
+        now.demand_Pa = DEMAND_PA if now.time_s >= DEMAND_FROM_S else 0.0
+        now.update_contacts()
+        now.update_brakes(lock_axle)
+        if step % CYCLE_STEPS == 0:
+            now.wsp_cycle(lock_axle)
+        if step % steps_per_row == 0:
+            rows.append(now.row())
+        if now.speed_m_s <= 0.0 and now.time_s > 2:
             break
-        target = np.where(valve == 0, demand, np.where(valve == 2, 0.0, pressure))
-        step_p = (target - pressure) * STEP_S / np.where(valve == 2, 0.2, 0.5)
-        air += float(np.sum(np.maximum(step_p, 0))) * 4e-5
-        pressure = pressure + step_p
-        omega = np.maximum(omega + (RADIUS_M * f * LOAD_N - torque) / INERTIA_KGM2 * STEP_S, 0.0)
-        omega = np.minimum(omega, v / RADIUS_M)
-        locked = (omega < 1e-3) & (v > 3.0)
-        lock = np.where(locked, lock + STEP_S, 0.0)
-        longest = np.maximum(longest, lock)
-        work += f * LOAD_N * s * STEP_S
-        v = max(v - (np.sum(f) * LOAD_N + 1200) / MASS_KG * STEP_S, 0.0)
-        x, angle, roller = x + v * STEP_S, angle + omega * STEP_S, roller + v / ROLLER_M * STEP_S
+        now.move()
     return np.array(rows)
-
-
-def _row(at):
-    v, s, f = at["v"], at["s"], at["f"]
-    row = np.full(len(signals.COLUMNS), np.nan)
-    values = {
-        "time": at["t"],
-        "vehicle_speed": v,
-        "position": at["x"],
-        "vehicle_acceleration": -np.sum(f) * LOAD_N / MASS_KG,
-        "brake_demand": at["demand"],
-        "wheel_speed": at["omega"],
-        "wheel_circumferential_speed": RADIUS_M * at["omega"],
-        "wheel_angle": at["angle"],
-        "tooth_frequency": at["omega"] * 100 / 6.2832,
-        "pulse_count": np.floor(at["angle"] * 100 / 6.2832),
-        "roller_speed": np.full(4, v / ROLLER_M),
-        "roller_angle": at["roller"],
-        "sliding": s,
-        "creepage": s / max(v, 0.5),
-        "adhesion": f,
-        "adhesion_degraded": at["fd"],
-        "adhesion_recovered": at["fr"],
-        "transition": 1 - np.exp(-1.9e-4 * at["energy"]),
-        "dissipated_energy": at["energy"],
-        "sliding_work": at["work"],
-        "friction_degraded": at["mu"],
-        "wheel_load": np.full(4, LOAD_N),
-        "brake_torque": at["torque"],
-        "cylinder_pressure": at["pressure"],
-        "valve": at["valve"],
-        "vents": at["vents"],
-        "longest_lock": at["longest"],
-        "air_consumption": at["air"],
-        "motor_torque_demand": f * LOAD_N * ROLLER_M,
-        "motor_torque": 0.98 * f * LOAD_N * ROLLER_M,
-        "wsp_reference_speed": at["reference"],
-        "magnets": np.array([0, 1, 3])[at["valve"].astype(int)],
-        "tick_lateness": 20 + 60 * abs(np.sin(at["t"] * 7)),
-        "tick_duration": 25.0,
-        "ticks_missed": 0,
-    }
-    for name, value in values.items():
-        row[signals.span(name)] = value
-    return row
 
 
 EVENTS = [
