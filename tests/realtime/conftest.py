@@ -1,4 +1,4 @@
-"""Runs that several test files look at: each is made once."""
+"""Runs that several test files examine: each run is made once in a session of tests."""
 
 import bench_process
 import pytest
@@ -13,29 +13,29 @@ def folders(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def stop_with_wsp(folders):
-    """velim_a1 over the bus in lockstep, the reference unit in its own process."""
+    """velim_a1 over the bus in lockstep, with the reference unit in a separate process."""
     return bench_process.run(folders / "with", "--pacing", "lockstep")
 
 
 @pytest.fixture(scope="session")
 def stop_without_wsp(folders):
-    """From 20 m/s on leaves, where no sliding cleans enough for a full brake."""
+    """A stop from 20 m/s on leaves, where sliding never cleans enough for a full brake."""
     return bench_process.run(folders / "without", "--pacing", "free", "--wsp", "none", *ON_LEAVES)
 
 
 @pytest.fixture(scope="session")
 def stop_on_leaves(folders):
-    """The same with the reference unit."""
+    """The same stop on leaves, with the reference unit."""
     return bench_process.run(folders / "leaves", "--pacing", "free", *ON_LEAVES)
 
 
 @pytest.fixture(scope="session")
 def free_stop(folders):
-    """The same stop without a bus, the unit's cycle called in the tick."""
+    """velim_a1 without a bus: the tick calls the cycle of the unit."""
     return bench_process.run(folders / "free", "--pacing", "free")
 
 
 @pytest.fixture(scope="session")
 def wall_run(folders):
-    """Four seconds in real time."""
+    """The first four seconds of velim_a1 in real time."""
     return bench_process.run(folders / "wall", "--pacing", "wall", "--set", "duration_max_s=4")

@@ -1,7 +1,7 @@
-"""The imports and kernels of a bench whose run begins: tests fork their benches from here.
+"""Loads the imports and kernels of a bench whose run begins: tests fork their benches from here.
 
-Nothing of it differs from a bench that is started by hand; it has no threads, and no run was run in
-it.
+A forked bench does not differ from a bench that is started by hand. This process has no threads,
+and it has simulated no run.
 """
 
 import numpy as np
@@ -15,10 +15,12 @@ __all__ = ["bench", "cli", "summary"]
 
 
 class Rows:
-    """The memory that `tick_data.build` wants of a ring."""
+    """The memory of a ring, as `tick_data.build` needs it."""
 
-    header, rows = np.zeros(16, dtype=np.int64), np.zeros((1000, len(signals.COLUMNS)))
+    header = np.zeros(16, dtype=np.int64)
+    rows = np.zeros((1000, len(signals.COLUMNS)))
 
 
 for pacing in ("wall", "lockstep"):
-    tick_data.warm_up(tick_data.build(scenario.load("velim_a1"), Rows()), pacing, "external")
+    data = tick_data.build(scenario.load("velim_a1"), Rows())
+    tick_data.warm_up(data, pacing, "external")

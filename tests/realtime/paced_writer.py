@@ -19,6 +19,7 @@ from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
 
 WIDTH = len(signals.COLUMNS)
+ROW_NS = 10_000_000  # a hundredth of a second
 SCENARIO = 'title = "rows of a test"\n[loop]\ntick_hz = 1000\nstep_s = 0.0001\nrecord_hz = 100\n'
 
 
@@ -32,7 +33,10 @@ def rings(capacity=4096):
 
 
 def row(number):
-    """Row `number`: its time in hundredths of a second; other columns have the number of their place."""
+    """Row `number`: its time is in hundredths of a second.
+
+    Every other column contains the number of its place plus the number of the row.
+    """
     values = np.arange(WIDTH, dtype=np.float64) + number
     values[signals.column("time")] = number / 100.0
     values[signals.span("valve")] = (number // 20) % 3
@@ -44,7 +48,12 @@ def write(to, number):
     rows, frames, events = to
     rows.push(row(number))
     for node in (0, 1):
-        frames.push(np.array([number * 10_000_000 + node, 0x181 + node, 8, number], dtype=np.int64))
+        frame = np.zeros(ring.FRAME_WORDS, dtype=np.int64)
+        frame[ring.FRAME_TIME_NS] = number * ROW_NS + node
+        frame[ring.FRAME_ID] = 0x181 + node
+        frame[ring.FRAME_LENGTH] = 8
+        frame[ring.FRAME_DATA] = number
+        frames.push(frame)
     if number % 25 == 0:
         ring.push_event(events, make(number / 100.0, Code.OPERATOR_NOTE, note=f"row {number}"))
 
@@ -55,8 +64,9 @@ def main():
     to = rings()
     process = processes.record(folder, *to, {"pacing": "wall", "seed": 7})
     if not processes.wait_ready(process, to[0]):
-        sys.exit("the recorder did not come")
-    print(json.dumps({"rings": [str(one.path) for one in to], "recorder": process.pid}), flush=True)
+        sys.exit("the recorder is not ready")
+    report = {"rings": [str(each.path) for each in to], "recorder": process.pid}
+    print(json.dumps(report), flush=True)
     number = 0
     while True:
         write(to, number)

@@ -8,7 +8,10 @@ from rollerrig.realtime.bench import brake_demand
 from rollerrig.realtime.bench.brake_demand import ModbusDemand
 
 NONE = math.nan
-EMERGENCY_PA, SET_POINT_PA, NODE_PA = 3.8e5, 2.0e5, 1.0e5
+# three different demands, so that a test sees which of them counts
+EMERGENCY_PA = 3.8e5
+SET_POINT_PA = 2.0e5
+NODE_PA = 1.0e5
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""A wheel of the coach that leaves its rail is an event, and ends the run."""
+"""The bench reports a wheel of the coach that leaves its rail, and stops the run."""
 
 import json
 
@@ -14,10 +14,14 @@ from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.events import Code
 
 SETTINGS = ("vehicle.model=multibody", "rig=plain_track")
+# the coach's velocities: six a body, of which the second is lateral; body 5 is the third wheelset
+VELOCITIES = 6
+LATERAL = 1
+LATERAL_OF_WHEELSET_3 = VELOCITIES * 5 + LATERAL
 
 
 class Rows:
-    """The memory that `build_machine` wants of a ring."""
+    """The memory of a ring, as `tick_data.build` needs it."""
 
     def __init__(self):
         self.header = np.zeros(16, dtype=np.int64)
@@ -26,56 +30,63 @@ class Rows:
 
 @pytest.fixture
 def coach():
-    """A coach that brakes; a free run calls what `compile_kernels.py` has compiled."""
+    """A coach that brakes; a free run calls the kernels that `compile_kernels.py` has compiled."""
     plan = scenario.load("velim_a1", settings=SETTINGS)
     return free.Stop(plan, tick_data.build(plan, Rows()))
 
 
 @pytest.fixture
 def watch():
-    told, stopped = [], []
+    """A watch for derailments, the events that it reports, and its requests to stop the run."""
+    events_seen = []
+    stopped = []
 
     def on_event(code, /, **fields):
-        told.append(events.make(0.0, code, **fields))
+        events_seen.append(events.make(0.0, code, **fields))
 
-    return derailment.Watch(on_event, lambda: stopped.append(True)), told, stopped
+    return derailment.Watch(on_event, lambda: stopped.append(True)), events_seen, stopped
 
 
-def test_a_wheelset_that_is_thrown_over_its_flange_is_told_once_and_the_run_ends(coach, watch):
-    (look, told, stopped), machine = watch, coach.data
+def test_a_wheelset_that_is_thrown_over_its_flange_is_reported_once_and_the_run_ends(coach, watch):
+    look, events_seen, stopped = watch
+    machine = coach.data
     coach.advance(50)
     look.look(machine.buffer)
-    assert not told
+    assert not events_seen
     assert not stopped
-    coach_state.views(machine.buffer[SIZE:]).v[6 * 5 + 1] = 12.0  # the third wheelset, to the left
+
+    # throw the third wheelset to the left
+    coach_state.views(machine.buffer[SIZE:]).v[LATERAL_OF_WHEELSET_3] = 12.0
     coach.advance(200)
     look.look(machine.buffer)
-    assert {event.code for event in told} == {Code.COACH_DERAILED}
-    assert 3 in [event.fields["axle"] for event in told]
+    assert {event.code for event in events_seen} == {Code.COACH_DERAILED}
+    assert 3 in [event.fields["axle"] for event in events_seen]
     assert stopped == [True]
-    count = len(told)
+
+    count = len(events_seen)
     look.look(machine.buffer)
-    assert len(told) == count
+    assert len(events_seen) == count
 
 
 def test_a_planar_vehicle_cannot_derail(watch):
-    look, told, stopped = watch
+    look, events_seen, stopped = watch
     planar = tick_data.build(scenario.load("velim_a1"), Rows())
     look.look(planar.buffer)
-    assert not told
+    assert not events_seen
     assert not stopped
 
 
 def test_a_sway_within_the_gauge_is_no_derailment(coach, watch):
-    (look, told, _), machine = watch, coach.data
-    coach_state.views(machine.buffer[SIZE:]).v[1::6] = 0.2
+    look, events_seen, _ = watch
+    machine = coach.data
+    coach_state.views(machine.buffer[SIZE:]).v[LATERAL::VELOCITIES] = 0.2
     coach.advance(1500)
     assert machine.control[TICK] == 1500
     look.look(machine.buffer)
-    assert not told
+    assert not events_seen
 
 
-def test_a_run_of_the_coach_that_stays_on_its_rails_says_nothing_of_it(tmp_path):
+def test_a_run_of_the_coach_that_stays_on_its_rails_reports_no_derailment(tmp_path):
     status = cli.main(
         [
             "run",

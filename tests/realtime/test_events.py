@@ -10,6 +10,9 @@ from rollerrig.realtime.record.events import KEPT, Events
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code, make
 
+# the NMT command "reset node" (129) to all nodes (0)
+RESET_ALL_NODES = can.Message(arbitration_id=0, data=[129, 0], is_extended_id=False)
+
 
 def note(number):
     return make(number, Code.OPERATOR_NOTE, note=f"event {number}")
@@ -43,12 +46,13 @@ def test_a_flood_of_resets_does_not_flood_the_summary(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--wsp", "none")
     with buses.open_client(bench.address()) as bus:
         bench.runs_for(0.2)
-        for _ in range(20 * KEPT // 100):  # each resets six nodes, which report two or more events
+        # each reset is for six nodes, and each node reports two events or more
+        for _ in range(20 * KEPT // 100):
             for _ in range(10):
-                bus.send(can.Message(arbitration_id=0, data=[129, 0], is_extended_id=False))
+                bus.send(RESET_ALL_NODES)
             time.sleep(0.05)
         bench.process.send_signal(signal.SIGINT)
         bench.finish()
     assert len(bench.reported(Code.NMT_STATE)) > 4 * KEPT
     assert len(bench.result["events"]) <= 2 * KEPT + 1
-    assert Code.EVENTS_LEFT_OUT in [one["code"] for one in bench.result["events"]]
+    assert Code.EVENTS_LEFT_OUT in [event["code"] for event in bench.result["events"]]

@@ -1,4 +1,7 @@
-"""Momentum and energy over whole runs, from what is recorded alone, for every rig and both vehicle models."""
+"""Momentum and energy are balanced over whole runs, for every rig and both vehicle models.
+
+The balances use only the recorded channels.
+"""
 
 import itertools
 
@@ -16,7 +19,7 @@ RIGS = {
     "virtual_track": ("rig=virtual_track",),
     "track": ("rig=plain_track",),
 }
-WITHIN = 1e-3
+WITHIN = 1e-3  # relative difference of two balances
 
 
 class Record:
@@ -24,7 +27,9 @@ class Record:
 
     def __init__(self, folder, settings):
         table = channels.load(folder)
-        self.columns = {name: table[name].to_numpy() for name in table.column_names}
+        self.columns = {}
+        for name in table.column_names:
+            self.columns[name] = table[name].to_numpy()
         self.plan = scenario.load("velim_a1", settings=settings)
         self.time_s = self.columns["time_s"]
         self.speed_m_s = self.columns["vehicle_speed_m_s"]
@@ -37,12 +42,13 @@ class Record:
 
     def axles(self, name, unit=""):
         suffix = f"_{unit}" if unit else ""
-        return np.column_stack(
-            [self.columns[f"{name}_{axle}{suffix}"] for axle in range(1, AXLES + 1)]
-        )
+        columns = []
+        for axle in range(1, AXLES + 1):
+            columns.append(self.columns[f"{name}_{axle}{suffix}"])
+        return np.column_stack(columns)
 
     def integral(self, values):
-        """Over the run, of all axles together."""
+        """The integral over the run of (samples,), or of the sum over the axles of (samples, axles)."""
         total = values.sum(axis=1) if values.ndim == 2 else values
         return np.trapezoid(total, self.time_s)
 
@@ -54,19 +60,21 @@ def record(request, tmp_path_factory):
     rig, model = request.param
     settings = (*RIGS[rig], f"vehicle.model={model}", "duration_max_s=4", "loop.record_hz=1000")
     folder = tmp_path_factory.mktemp("laws") / f"{rig}_{model}"
-    words = [word for setting in settings for word in ("--set", setting)]
-    cli.main(["run", "velim_a1", "--pacing", "free", "--out", str(folder), *words])
+    words = ["run", "velim_a1", "--pacing", "free", "--out", str(folder)]
+    for setting in settings:
+        words += ["--set", setting]
+    cli.main(words)
     return Record(folder, settings)
 
 
-def test_what_contacts_and_air_hold_back_is_the_momentum_and_the_energy_that_the_vehicle_loses(
-    record,
-):
-    mass_kg, speed_m_s = record.plan["vehicle"]["mass_kg"], record.speed_m_s
-    force_N = (record.axles("adhesion") * record.axles("wheel_load", "N")).sum(
-        axis=1
-    ) + record.resistance_N
-    momentum_kg_m_s, energy_J = mass_kg * speed_m_s, 0.5 * mass_kg * speed_m_s**2
+def test_the_vehicle_loses_the_momentum_and_energy_that_contacts_and_air_resistance_take(record):
+    mass_kg = record.plan["vehicle"]["mass_kg"]
+    speed_m_s = record.speed_m_s
+    contact_N = (record.axles("adhesion") * record.axles("wheel_load", "N")).sum(axis=1)
+    force_N = contact_N + record.resistance_N
+
+    momentum_kg_m_s = mass_kg * speed_m_s
+    energy_J = 0.5 * mass_kg * speed_m_s**2
     assert momentum_kg_m_s[0] > momentum_kg_m_s[-1] + 1000.0
     assert record.integral(force_N) == pytest.approx(
         momentum_kg_m_s[0] - momentum_kg_m_s[-1], rel=WITHIN
@@ -76,15 +84,20 @@ def test_what_contacts_and_air_hold_back_is_the_momentum_and_the_energy_that_the
     )
 
 
-def test_what_brakes_and_contacts_take_is_the_energy_that_is_lost_or_comes_from_the_motors(record):
-    """On rollers wheelsets and rollers are a machine of their own; on a track, virtual or not, the vehicle drives."""
-    vehicle, drive = record.plan["vehicle"], record.plan["drive"]
-    wheel, roller = record.axles("wheel_speed", "rad_s"), record.axles("roller_speed", "rad_s")
+def test_brakes_and_contacts_take_the_energy_that_is_lost_or_comes_from_the_motors(record):
+    """On rollers, wheelsets and rollers are a closed machine with motors.
+
+    On a track and on a virtual track, the vehicle drives the wheelsets.
+    """
+    vehicle = record.plan["vehicle"]
+    drive = record.plan["drive"]
+    wheel = record.axles("wheel_speed", "rad_s")
+    roller = record.axles("roller_speed", "rad_s")
+
     kinetic_J = 0.5 * vehicle["wheelset_inertia_kgm2"] * (wheel**2).sum(axis=1)
-    taken_J = (
-        record.integral(record.axles("brake_torque", "Nm") * wheel)
-        + record.axles("sliding_work", "J")[-1].sum()
-    )
+    braked_J = record.integral(record.axles("brake_torque", "Nm") * wheel)
+    slid_J = record.axles("sliding_work", "J")[-1].sum()
+    taken_J = braked_J + slid_J
     if record.plan["rig"]["mode"] == "contaminated_rollers":
         kinetic_J = kinetic_J + 0.5 * drive["roller_inertia_kgm2"] * (roller**2).sum(axis=1)
         taken_J -= record.integral(record.axles("motor_torque", "Nm") * roller)
