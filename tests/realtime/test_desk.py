@@ -1,4 +1,4 @@
-"""The desk: what it reads of a bench, whom it serves, what its page shows and refuses."""
+"""The desk reads a bench, serves only allowed clients, and controls the bench from its page."""
 
 import asyncio
 import contextlib
@@ -29,6 +29,9 @@ from nicegui.testing.user_simulation import user_simulation
 
 from rollerrig.realtime.desk import desk, library, page, reader, server
 
+# keys of the WebDriver protocol: control and "a" (then all keys released), and tabulator
+SELECT_ALL = "\ue009a\ue000"
+TABULATOR = "\ue004"
 FREE_PORTS = "modbus.port=0 bus.interface=hub bus.socketcand_port=0"
 WRITER = """
 import time
@@ -40,64 +43,70 @@ events = ring.Ring(ring.place("events"), np.int64, 64, ring.EVENT_WORDS)
 print("there", flush=True)
 time.sleep(900)
 """
-PATIENCE = 1200  # of 0.1 s: a first run compiles, perhaps on a busy machine
+PATIENCE = 1200  # tries of 0.1 s each: a first run compiles, perhaps on a busy machine
 
 
 @pytest.fixture
 def rings():
-    """Rings as a bench makes them, of this process."""
-    made = [
-        ring.Ring(ring.place("rows"), np.float64, 4096, len(signals.COLUMNS)),
-        ring.Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS),
-    ]
-    yield made
-    for one in made:
-        one.unlink()
+    """The rings of rows and events, as a bench makes them; this process is their writer."""
+    rows = ring.Ring(ring.place("rows"), np.float64, 4096, len(signals.COLUMNS))
+    events = ring.Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS)
+    yield rows, events
+    rows.unlink()
+    events.unlink()
 
 
 def row(time_s, **values):
-    found = np.zeros(len(signals.COLUMNS))
-    found[signals.column("time")] = time_s
+    """A row of all signals: zeros except for its time and these values."""
+    signals_row = np.zeros(len(signals.COLUMNS))
+    signals_row[signals.column("time")] = time_s
     for name, value in values.items():
-        found[signals.column(name)] = value
-    return found
+        signals_row[signals.column(name)] = value
+    return signals_row
 
 
-# -- what is read
+# -- reading a bench
 
 
-def test_no_spike_is_lost_in_what_a_page_is_told(rings):
+def test_no_spike_is_lost_in_the_points_that_a_page_receives(rings):
+    rows, _ = rings
     bench = reader.find(among=[os.getpid()])
-    spike = 3.3
-    for at in range(1000):
-        rings[0].push(row(0.01 * at, sliding=spike if at == 637 else 0.0))
-        if at % 37 == 0:
+    spike_m_s = 3.3
+    for number in range(1000):
+        sliding_m_s = spike_m_s if number == 637 else 0.0
+        rows.push(row(0.01 * number, sliding=sliding_m_s))
+        if number % 37 == 0:
             bench.poll()
     bench.poll()
-    recent, at = np.array(bench.since(0)), reader.COLUMNS.index("sliding_1_m_s")
-    assert recent[:, at].max() == bench.whole[:, at].max() == spike
-    assert (
-        len(recent) == bench.points == 2 * 99
-    )  # a pair for each tenth of a second, but the one that goes on
+
+    recent = np.array(bench.since(0))
+    sliding = reader.COLUMNS.index("sliding_1_m_s")
+    assert recent[:, sliding].max() == spike_m_s
+    assert bench.whole[:, sliding].max() == spike_m_s
+
+    # a pair of points for each tenth of a second, except for the last one, which is not complete
+    assert bench.points == 2 * 99
+    assert len(recent) == bench.points
     assert bench.since(bench.points) == []
     assert len(bench.since(bench.points - 4)) == 4
 
 
-def test_a_bench_tells_where_it_listens_which_faults_act_and_how_it_ended(rings):
+def test_the_reader_knows_where_a_bench_listens_which_faults_act_and_how_it_ended(rings):
     rows, events = rings
     stuck = {"fault": "speed_sensor_stuck axle=2", "kind": "speed_sensor_stuck"}
     off = {"fault": "node_off node=1", "kind": "node_off", "reaches_unit": False}
-    for code, fields in (
-        (Code.BUS_PLACE, {"address": "socketcand://127.0.0.1:4711/rig0"}),
-        (Code.MODBUS_SERVED, {"transport": "TCP", "host": "127.0.0.1", "port": 5021}),
-        (Code.FAULT_BEGINS, stuck | {"reaches_unit": False}),
-        (Code.FAULT_BEGINS, off),
-        (Code.FAULT_LIFTED, off | {"frames_met": None}),
+    for event in (
+        make(0.0, Code.BUS_PLACE, address="socketcand://127.0.0.1:4711/rig0"),
+        make(0.0, Code.MODBUS_SERVED, transport="TCP", host="127.0.0.1", port=5021),
+        make(0.0, Code.FAULT_BEGINS, reaches_unit=False, **stuck),
+        make(0.0, Code.FAULT_BEGINS, **off),
+        make(0.0, Code.FAULT_LIFTED, frames_met=None, **off),
     ):
-        ring.push_event(events, make(0.0, code, **fields))
+        ring.push_event(events, event)
     bench = reader.find(among=[os.getpid()])
     bench.poll()
-    assert (bench.bus, bench.modbus) == ("socketcand://127.0.0.1:4711/rig0", ("127.0.0.1", 5021))
+    assert bench.bus == "socketcand://127.0.0.1:4711/rig0"
+    assert bench.modbus == ("127.0.0.1", 5021)
     assert bench.faults == ["speed_sensor_stuck axle=2"]
     assert bench.ended == ""
     rows.close()
@@ -113,10 +122,11 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
         one.bench = reader.find(among=[writer.pid])
         one.look()
         assert not one.alarms
+
         writer.kill()
         writer.wait()
         one.look()
-        one.look()
+        one.look()  # the alarm is raised once only
         assert [alarm.text[:20] for alarm in one.alarms] == ["the bench was killed"]
     finally:
         writer.kill()
@@ -125,11 +135,11 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
             path.unlink()
 
 
-# -- whom it serves
+# -- allowed clients
 
 
 @pytest.mark.parametrize(
-    ("heads", "asked", "token", "why"),
+    ("headers", "token_in_address", "token", "reason"),
     [
         ({"host": "127.0.0.1:8530"}, "", "", ""),
         ({"host": "localhost:8530", "origin": "http://localhost:8530"}, "", "", ""),
@@ -147,17 +157,23 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
         ({"host": "10.0.0.1:8530", "cookie": f"{server.COOKIE}=wrong"}, "", "secret", "token"),
     ],
 )
-def test_who_is_refused(heads, asked, token, why):
-    told = server.refused(heads, asked, token)
-    assert (why in told) if why else told == ""
+def test_requests_of_other_hosts_and_origins_and_without_the_token_are_refused(
+    headers, token_in_address, token, reason
+):
+    refusal = server.refused(headers, token_in_address, token)
+    if reason:
+        assert reason in refusal
+    else:
+        assert refusal == ""
 
 
 @contextlib.contextmanager
 def served(folder, *arguments):
-    """A desk as a process of its own, and its address."""
-    # NiceGUI takes a process of pytest for a simulation
-    outside = {key: value for key, value in os.environ.items() if key != "PYTEST_CURRENT_TEST"}
-    with open(folder / "desk.stderr", "wb") as said:
+    """A desk as a separate process; its address."""
+    # with this variable, NiceGUI would simulate its server
+    environment = dict(os.environ)
+    environment.pop("PYTEST_CURRENT_TEST", None)
+    with open(folder / "desk.stderr", "wb") as stderr:
         process = subprocess.Popen(
             [
                 sys.executable,
@@ -173,26 +189,27 @@ def served(folder, *arguments):
                 *arguments,
             ],
             stdout=subprocess.PIPE,
-            stderr=said,
+            stderr=stderr,
             text=True,
-            env=outside,
+            env=environment,
         )
     try:
         yield json.loads(process.stdout.readline())["address"]
     finally:
         process.terminate()
         process.communicate(timeout=60)
-        for one in Path("/proc").glob("[0-9]*/cwd"):  # what the desk has started goes on without it
+        # a bench that the desk has started continues without it: kill the processes in its folder
+        for working_folder in Path("/proc").glob("[0-9]*/cwd"):
             with contextlib.suppress(OSError):
-                if one.resolve() == folder.resolve():
-                    os.kill(int(one.parent.name), signal.SIGKILL)
+                if working_folder.resolve() == folder.resolve():
+                    os.kill(int(working_folder.parent.name), signal.SIGKILL)
 
 
-def get(address, **heads):
+def get(address, **headers):
+    """The status and the body of the answer to a request."""
+    request = urllib.request.Request(address, headers=headers)
     try:
-        with urllib.request.urlopen(
-            urllib.request.Request(address, headers=heads), timeout=60
-        ) as answer:
+        with urllib.request.urlopen(request, timeout=60) as answer:
             return answer.status, answer.read().decode()
     except urllib.error.HTTPError as error:
         return error.code, error.read().decode()
@@ -221,14 +238,13 @@ def test_a_desk_serves_its_page_on_loopback_and_a_second_one_on_its_port_is_refu
     assert "Traceback" not in second.stderr
 
 
-def test_beyond_loopback_it_says_so_loudly_and_wants_its_token(tmp_path):
+def test_beyond_loopback_the_desk_warns_loudly_and_requires_its_token(tmp_path):
     with served(tmp_path, "--host", "0.0.0.0") as address:
-        token, here = (
-            address.partition("token=")[2],
-            address.partition("?")[0].replace("0.0.0.0", "127.0.0.1"),
-        )
+        token = address.partition("token=")[2]
+        here = address.partition("?")[0].replace("0.0.0.0", "127.0.0.1")
         assert len(token) >= 32
-        assert get(here)[0] == get(here + "?token=" + token[:-1])[0] == 403
+        assert get(here)[0] == 403
+        assert get(here + "?token=" + token[:-1])[0] == 403
         assert get(here + "?token=" + token)[0] == 200
         assert get(here + "desk/rows", Cookie=f"{server.COOKIE}={token}")[0] == 200
     assert "THE DESK LISTENS BEYOND THIS MACHINE" in (tmp_path / "desk.stderr").read_text()
@@ -239,13 +255,14 @@ def test_beyond_loopback_it_says_so_loudly_and_wants_its_token(tmp_path):
 
 @pytest.fixture
 def runs(tmp_path, stop_on_leaves, stop_without_wsp):
-    """A folder with two runs and what is left of two others."""
-    for name, run in (
-        ("with", stop_on_leaves),
-        ("without", stop_without_wsp),
-        ("cut", stop_on_leaves),
-        ("damaged", stop_on_leaves),
-    ):
+    """A folder with two complete runs, one without a summary, and one with a damaged summary."""
+    copies = {
+        "with": stop_on_leaves,
+        "without": stop_without_wsp,
+        "cut": stop_on_leaves,
+        "damaged": stop_on_leaves,
+    }
+    for name, run in copies.items():
         shutil.copytree(run.out, tmp_path / "runs" / name)
     (tmp_path / "runs/cut/summary.json").unlink()
     (tmp_path / "runs/damaged/summary.json").write_text("{")
@@ -253,7 +270,7 @@ def runs(tmp_path, stop_on_leaves, stop_without_wsp):
 
 
 def test_the_library_lists_runs_also_those_without_a_summary(runs):
-    rows = {one["name"]: one for one in library.rows(runs)}
+    rows = {row["name"]: row for row in library.rows(runs)}
     assert rows["runs/with"]["verdict"] == "valid"
     assert rows["runs/with"]["longest_lock_s"] < rows["runs/without"]["longest_lock_s"]
     assert "it has no summary" in rows["runs/cut"]["verdict"]
@@ -279,7 +296,7 @@ def test_a_run_is_downloaded_as_export_writes_it(runs, kind, name):
 
 
 def simulated(one, play):
-    """Let a simulated user play on the page of a desk that works meanwhile."""
+    """Let a simulated user work on the page of a desk, while the desk runs."""
 
     async def go():
         async with user_simulation(root=lambda: page.build(one)) as user:
@@ -296,7 +313,7 @@ def simulated(one, play):
     asyncio.run(go())
 
 
-def test_without_a_bench_the_page_says_so_and_refuses_in_words(tmp_path):
+def test_without_a_bench_the_page_reports_it_and_refuses_with_a_message(tmp_path):
     async def play(user):
         await user.should_see("no bench runs on this machine")
         await user.should_see(page.NO_SAFETY)
@@ -312,7 +329,7 @@ def test_without_a_bench_the_page_says_so_and_refuses_in_words(tmp_path):
     simulated(desk.Desk(tmp_path, own=True), play)
 
 
-def test_what_a_command_line_refuses_becomes_an_alarm_that_is_acknowledged(tmp_path):
+def test_an_error_of_the_command_line_becomes_an_alarm_that_is_acknowledged(tmp_path):
     one = desk.Desk(tmp_path, own=True)
 
     async def play(user):
@@ -332,7 +349,8 @@ def test_two_runs_are_compared_and_a_note_is_kept_on_the_page(runs):
         user.find(marker="compare").click()
         await user.should_see("0 runs are chosen in the table: choose 2", retries=50)
         table = user.find(kind=ui.table, marker="runs").elements.pop()
-        table.selected = [one for one in table.rows if one["name"] in ("runs/with", "runs/without")]
+        complete = ("runs/with", "runs/without")
+        table.selected = [row for row in table.rows if row["name"] in complete]
         user.find(marker="compare").click()
         await user.should_see(marker="compared", retries=PATIENCE)
         table.selected = table.selected[:1]
@@ -348,12 +366,15 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
     one = desk.Desk(tmp_path, own=True)
 
     async def come(reached, what, press=lambda: None):
-        for at in range(PATIENCE):
+        """Press a button every two seconds until something is reached."""
+        for attempt in range(PATIENCE):
             if reached():
                 return
-            assert not one.programs or one.programs[-1].status is None, (what, one.alarms)
-            if at % 20 == 0:
-                with contextlib.suppress(AssertionError):  # it is not there yet
+            if one.programs:
+                assert one.programs[-1].status is None, (what, one.alarms)
+            if attempt % 20 == 0:
+                # the button may not be on the page yet
+                with contextlib.suppress(AssertionError):
                     press()
             await asyncio.sleep(0.1)
         raise AssertionError(f"{what}: {one.doors and one.doors.why}, {one.alarms}")
@@ -362,25 +383,29 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         def press(marker):
             return lambda: user.find(marker=marker).click()
 
-        def told(code, **fields):
-            return lambda: any(
-                event.code == code and fields.items() <= event.fields.items()
-                for event in one.bench.events
-            )
+        def reported(code, **fields):
+            def matches(event):
+                return event.code == code and fields.items() <= event.fields.items()
+
+            def is_reported():
+                return any(matches(event) for event in one.bench.events)
+
+            return is_reported
 
         user.find(marker="more").type(f"{FREE_PORTS} duration_max_s=600 stand_s=60")
         user.find(marker="prepare").click()
         await come(one.held, "held")
         await come(lambda: one.doors.state is State.RUNNING, "running", press("start"))
-        user.find(marker="set-speed").click()  # not while it runs
+
+        # a running bench refuses another speed
+        user.find(marker="set-speed").click()
         await user.should_see("the bench refuses speed_set_point", retries=PATIENCE)
-        await come(
-            told(Code.FAULT_BEGINS, fault="speed_sensor_stuck axle=1"), "fault", press("inject")
-        )
-        await come(told(Code.OPERATOR_NOTE), "acknowledged", press("acknowledge"))
-        await come(
-            told(Code.FAULT_LIFTED, fault="speed_sensor_stuck axle=1"), "lifted", press("lift")
-        )
+
+        stuck = "speed_sensor_stuck axle=1"
+        await come(reported(Code.FAULT_BEGINS, fault=stuck), "fault", press("inject"))
+        await come(reported(Code.OPERATOR_NOTE), "acknowledged", press("acknowledge"))
+        await come(reported(Code.FAULT_LIFTED, fault=stuck), "lifted", press("lift"))
+
         with user:
             user.find(kind=ui.select, marker="friction-3").elements.pop().value = 0.03
         await come(
@@ -421,28 +446,28 @@ def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
         finally:
             browser.quit()
     (run,) = (tmp_path / "runs").iterdir()
-    told = (run / "events.jsonl").read_text()
-    assert "fault speed_sensor_stuck axle=1 begins" in told
-    # the newest, which may be the unit's own word on the sensor
-    assert "note: alarm acknowledged at the desk: " in told
-    assert '"emergency_stop.set"' in told
+    events = (run / "events.jsonl").read_text()
+    assert "fault speed_sensor_stuck axle=1 begins" in events
+    # the newest alarm, which may be a message of the unit about the sensor
+    assert "note: alarm acknowledged at the desk: " in events
+    assert '"emergency_stop.set"' in events
 
 
 def play_in(browser):
+    """Run the rig from the page: prepare, start, inject a fault, lock an axle, and stop."""
+
     def there(path):
         return until(lambda: next(iter(browser.find_elements("xpath", path)), None), path)
 
     def click(text):
-        # not the mouse: a message of before may lie over the button
+        # without the mouse: an earlier message may cover the button
         browser.execute_script(
             "arguments[0].click()", there(f"//button[not(@disabled)][normalize-space()='{text}']")
         )
 
     def put(label, text):
         field = there(f"//input[@aria-label='{label}']")
-        field.send_keys(
-            "\ue009a\ue000", text, "\ue004"
-        )  # all of it anew, then on to the next field
+        field.send_keys(SELECT_ALL, text, TABULATOR)
 
     def shows(text):
         return there(f"//*[contains(text(), '{text}')]")

@@ -1,7 +1,4 @@
-"""No process outlives a parent that is killed.
-
-On a full disk only what could not be written is lost.
-"""
+"""No process outlives a parent that is killed, and a full disk costs only the unwritten data."""
 
 import json
 import os
@@ -31,38 +28,36 @@ def start(*arguments):
 
 
 def killed(process, *words):
-    """Kill a process once it has descendants whose commands have all of these words.
+    """Kill a process once the commands of its descendants contain all of these words.
 
-    All of them exit.
+    Checks that all descendants exit, and returns them.
     """
 
     def descendants():
         assert process.poll() is None
-        found = runs.descendants(process.pid)
-        commands = list(found.values())
-        complete = all(any(word in command for command in commands) for word in words)
-        return found if complete else None
+        commands_by_pid = runs.descendants(process.pid)
+        all_commands = "\n".join(commands_by_pid.values())
+        complete = all(word in all_commands for word in words)
+        return commands_by_pid if complete else None
 
-    there = until(descendants, f"processes with {words}")
+    running = until(descendants, f"processes with {words}")
     process.kill()
     process.wait()
     try:
-        until(lambda: not any(map(runs.is_running, there)), f"the end of {there}", 60.0)
+        until(lambda: not any(map(runs.is_running, running)), f"the end of {running}", 60.0)
     finally:
-        for pid in filter(runs.is_running, there):
+        for pid in filter(runs.is_running, running):
             os.kill(pid, signal.SIGKILL)
-    return there
+    return running
 
 
-def test_a_sequence_that_is_killed_takes_its_workers_benches_and_units_along_and_keeps_records(
-    tmp_path,
-):
+def test_workers_benches_and_units_of_a_killed_sequence_exit_and_their_records_are_kept(tmp_path):
     process = start(
         "sequence", "low_speed_010", "emergency_120", "--jobs", 2, "--out", tmp_path / "out"
     )
     until(lambda: list(tmp_path.glob("out/*/can.log")), "a run that has begun")
-    there = killed(process, "spawn_main", " run ", " wsp ", RECORDER)
-    assert len(there) >= 5
+    descendants = killed(process, "spawn_main", " run ", " wsp ", RECORDER)
+    assert len(descendants) >= 5
     begun = [folder for folder in (tmp_path / "out").iterdir() if (folder / "can.log").is_file()]
     assert begun
     for folder in begun:
@@ -71,7 +66,7 @@ def test_a_sequence_that_is_killed_takes_its_workers_benches_and_units_along_and
 
 
 @pytest.mark.parametrize("verb", ["explain", "campaign"])
-def test_a_verb_with_workers_that_is_killed_takes_them_along(verb, tmp_path):
+def test_the_workers_of_a_killed_verb_exit(verb, tmp_path):
     if verb == "explain":
         process = start("explain", "open_rail_cleaning", "--out", tmp_path / "out")
     else:
@@ -101,31 +96,19 @@ def test_a_run_that_is_killed_while_its_unit_is_frozen_leaves_no_process(tmp_pat
         ("no_such_program {port}", ("status 1", "no_such_program: No such file or directory")),
     ],
 )
-def test_a_unit_command_that_dies_is_told_at_once_with_its_status_and_last_words(
+def test_a_unit_command_that_exits_is_reported_immediately_with_its_status_and_last_output(
     command, words, tmp_path, capfd
 ):
-    assert (
-        cli.main(
-            [
-                "sequence",
-                "low_speed_010",
-                "--wsp",
-                "external",
-                "--unit",
-                command,
-                "--out",
-                str(tmp_path / "out"),
-            ]
-        )
-        == 1
-    )
+    arguments = ["sequence", "low_speed_010", "--wsp", "external", "--unit", command]
+    status = cli.main([*arguments, "--out", str(tmp_path / "out")])
+    assert status == 1
     printed = capfd.readouterr().err
     for word in ("--unit", command, *words):
         assert word in printed
     assert "rollerrig wsp" not in printed
 
 
-def test_drives_that_wait_for_a_master_that_is_not_there_are_told_after_a_second(tmp_path):
+def test_drives_that_wait_for_a_missing_master_are_reported_after_a_second(tmp_path):
     bench = BenchProcess(
         tmp_path / "run",
         "--pacing",
@@ -138,13 +121,14 @@ def test_drives_that_wait_for_a_master_that_is_not_there_are_told_after_a_second
         "duration_max_s=1.5",
     ).finish()
     (event,) = bench.reported(Code.DRIVES_WITHOUT_MASTER)
-    assert (event.time_s, event.level) == (1.0, "warning")
+    assert event.time_s == 1.0
+    assert event.level == "warning"
     assert event.fields["nodes"] == [1, 2, 3, 4]
     for word in ("nodes 1, 2, 3, 4", "6040h", "--set rig.drives=rig"):
         assert word in event.text
 
 
-def test_a_run_that_has_not_begun_has_loaded_its_bus_by_nothing(tmp_path):
+def test_a_run_that_has_not_begun_reports_a_bus_load_of_zero(tmp_path):
     bench = BenchProcess(
         tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--wait", "0.5"
     ).finish()
@@ -152,20 +136,22 @@ def test_a_run_that_has_not_begun_has_loaded_its_bus_by_nothing(tmp_path):
     assert records.summary(bench.out)["bus"]["load_percent"] == 0.0
 
 
-# --- a full disk: a limit of the file size of the writing process, because rings in memory are files too ---
+# --- a full disk ---
 
 
-def full(pid, size=20_000):
+def limit_file_size(pid, size=20_000):
+    """Let a process write no file beyond this size: for it, the disk is full.
+
+    The limit is set on a running process only, because rings in memory are files too.
+    """
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
 @pytest.mark.parametrize("pacing", ["wall", "lockstep"])
-def test_a_disk_that_gets_full_is_an_event_and_status_2_and_what_was_recorded_is_kept(
-    pacing, tmp_path
-):
+def test_a_disk_that_gets_full_is_an_event_and_status_2_and_the_record_is_kept(pacing, tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", pacing, "--set", "duration_max_s=4")
     bench.runs_for(0.5)
-    full(bench.child(RECORDER))
+    limit_file_size(bench.child(RECORDER))
     bench.finish()
     assert bench.status == 2
     assert "Traceback" not in bench.stderr
@@ -180,10 +166,11 @@ def test_a_disk_that_gets_full_is_an_event_and_status_2_and_what_was_recorded_is
     assert "cannot be written" in ended["fields"]["reason"]
 
 
-def test_a_summary_that_cannot_be_written_is_told_with_status_2(tmp_path):
+def test_a_summary_that_cannot_be_written_is_reported_with_status_2(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", "duration_max_s=2")
     bench.runs_for(0.5)
-    full(bench.process.pid, 2000)  # its messages, which go to a file here, fit
+    # the messages of the bench, which go to a file in this test, are shorter than that
+    limit_file_size(bench.process.pid, 2000)
     bench.finish()
     assert bench.status == 2
     assert "Traceback" not in bench.stderr
@@ -192,7 +179,7 @@ def test_a_summary_that_cannot_be_written_is_told_with_status_2(tmp_path):
 
 
 @pytest.mark.parametrize("size", ["64k", "3m"])
-def test_a_small_disk_is_told_with_status_2_from_the_start_or_when_it_is_full(size, tmp_path):
+def test_a_small_disk_is_reported_with_status_2_at_the_start_or_when_it_is_full(size, tmp_path):
     place = tmp_path / "disk"
     place.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o", f"size={size}", "none", place]

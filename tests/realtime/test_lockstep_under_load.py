@@ -1,4 +1,4 @@
-"""Lockstep runs repeat to the byte, also with busy cores and a bench that is stopped at times."""
+"""Lockstep runs repeat to the byte, even if cores are busy or the bench is paused repeatedly."""
 
 import contextlib
 import functools
@@ -28,20 +28,26 @@ FAULTS = (
 )
 # a wire that is never silent
 BABBLE = "node_babbling node=17 can_id=0x101 rate_Hz=4000 at=0.6 for=0.3"
+
+
+def with_faults():
+    """The arguments of a run with these faults."""
+    words = ["--set", "duration_max_s=6"]
+    for fault in FAULTS:
+        words += ["--fault", fault]
+    return tuple(words)
+
+
 CASES = {
     "plain": ("--set", "duration_max_s=6"),
-    "faults": (
-        "--set",
-        "duration_max_s=6",
-        *(word for fault in FAULTS for word in ("--fault", fault)),
-    ),
+    "faults": with_faults(),
     "wire": ("--set", "duration_max_s=1.2", "--set", "bus.arbitration=true", "--fault", BABBLE),
 }
 
 
 @contextlib.contextmanager
 def busy_cores():
-    """Twice as many processes that count as there are cores."""
+    """Keep every core busy with two processes."""
     command = [sys.executable, "-c", "while True: pass"]
     busy = [subprocess.Popen(command) for _ in range(2 * os.cpu_count())]
     try:
@@ -53,14 +59,16 @@ def busy_cores():
 
 
 def stop_and_go(bench, rest_s=0.2, go_s=0.05):
-    """Stop the bench again and again, from its first frames to its exit.
-
-    How often it was stopped.
-    """
-    count = 0
+    """Pause the bench repeatedly, from its first frames to its exit; return how often."""
     log = bench.out / "can.log"
-    while bench.process.poll() is None and not (log.exists() and log.stat().st_size):
+
+    def has_frames():
+        return log.exists() and log.stat().st_size > 0
+
+    while bench.process.poll() is None and not has_frames():
         time.sleep(0.01)
+
+    count = 0
     while bench.process.poll() is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(bench.process.pid, signal.SIGSTOP)
@@ -81,16 +89,20 @@ def run(out, arguments, disturb=lambda bench: None):
     return bench
 
 
-def same(one, other):
+def check_same(one, other):
+    """Check that two runs have the same frames, channels, warnings and errors."""
     lines = (one.out / "can.log").read_text().splitlines()
     others = (other.out / "can.log").read_text().splitlines()
-    different = [(a, b) for a, b in zip(lines, others, strict=False) if a != b][:3]
-    assert lines == others, f"{len(lines)} and {len(others)} frames; {different}"
+    different = [(a, b) for a, b in zip(lines, others, strict=False) if a != b]
+    assert lines == others, f"{len(lines)} and {len(others)} frames; {different[:3]}"
+
     for name in one.record.table.column_names:
+        # wall times of ticks differ
         if not name.startswith("tick_"):
-            assert np.array_equal(
-                one.record.column(name), other.record.column(name), equal_nan=True
-            ), name
+            first = one.record.column(name)
+            second = other.record.column(name)
+            assert np.array_equal(first, second, equal_nan=True), name
+
     assert warnings_and_errors(one) == warnings_and_errors(other)
 
 
@@ -100,34 +112,34 @@ def warnings_and_errors(bench):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """The run of a case that nothing disturbs, made once."""
+    """A function that returns the undisturbed run of a case; each is made once."""
     return functools.cache(lambda case: run(tmp_path_factory.mktemp("alone") / case, CASES[case]))
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_run_in_lockstep_whose_bench_is_stopped_now_and_then_is_the_same_to_the_byte(
+def test_a_run_in_lockstep_whose_bench_is_paused_repeatedly_is_the_same_to_the_byte(
     case, undisturbed, tmp_path
 ):
     counts = []
     # on a fast machine the case with a wire takes 0.2 s only
     go_s = 0.02 if case == "wire" else 0.05
-    disturbed = run(
-        tmp_path / "run", CASES[case], lambda bench: counts.append(stop_and_go(bench, go_s=go_s))
-    )
-    same(undisturbed(case), disturbed)
+
+    def disturb(bench):
+        counts.append(stop_and_go(bench, go_s=go_s))
+
+    disturbed = run(tmp_path / "run", CASES[case], disturb)
+    check_same(undisturbed(case), disturbed)
     assert counts[0] > 3
 
 
 @pytest.mark.parametrize("case", ["plain", "faults"])
-def test_a_run_in_lockstep_beside_twice_as_many_busy_processes_as_cores_is_the_same_to_the_byte(
-    case, undisturbed, tmp_path
-):
+def test_a_run_in_lockstep_on_busy_cores_is_the_same_to_the_byte(case, undisturbed, tmp_path):
     with busy_cores():
         disturbed = run(tmp_path / "run", CASES[case])
-    same(undisturbed(case), disturbed)
+    check_same(undisturbed(case), disturbed)
 
 
-def test_a_unit_that_is_only_slow_is_waited_for(undisturbed, tmp_path):
+def test_the_bench_waits_for_a_unit_that_is_only_slow(undisturbed, tmp_path):
     def stop_the_unit(bench):
         bench.runs_for(0.5)
         unit = bench.child("wsp")
@@ -135,14 +147,12 @@ def test_a_unit_that_is_only_slow_is_waited_for(undisturbed, tmp_path):
         time.sleep(2.5)
         os.kill(unit, signal.SIGCONT)
 
-    # its process runs, so it gets six times the wait
-    same(
-        undisturbed("plain"),
-        run(tmp_path / "run", (*CASES["plain"], "--answer-wait", "1"), stop_the_unit),
-    )
+    # the process of the unit exists, so the bench waits six times as long
+    disturbed = run(tmp_path / "run", (*CASES["plain"], "--answer-wait", "1"), stop_the_unit)
+    check_same(undisturbed("plain"), disturbed)
 
 
-def test_an_outside_unit_may_owe_its_answer_for_the_time_that_is_asked_for(tmp_path):
+def test_an_outside_unit_may_owe_its_answer_for_the_configured_time(tmp_path):
     def answer(n):
         time.sleep(2.0 if n == 50 else 0.0)
         return [(MAGNETS, b"\0")]

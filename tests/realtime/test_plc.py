@@ -16,9 +16,21 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
-AT = {row.name: row.at for row in (*BITS, *WORDS)}
+ADDRESS_OF = {row.name: row.at for row in (*BITS, *WORDS)}
+BIT_NAMES = {row.name for row in BITS}
+# time-outs of wall time, for a busy machine
 START_S = 240.0
 END_S = 240.0
+# exception codes of Modbus
+ILLEGAL_VALUE = 3
+BUSY = 6
+# the modules of the four drives: unit identifiers of Modbus, and the statusword there
+DRIVE_UNITS = (11, 12, 13, 14)
+STATUSWORD = 100
+# the state bits of a statusword, and two states
+STATE_BITS = 0x6F
+OPERATION_ENABLED = 0x27
+SWITCH_ON_DISABLED = 0x40
 
 
 class Rig:
@@ -63,29 +75,29 @@ class Rig:
         assert await client.connect()
         return client
 
-    def ask(self, function, *arguments, device_id=1, **more):
-        """The answer to a request; `function` is a name in the client of pymodbus."""
-        return self.runner.run(
-            getattr(self.client, function)(*arguments, device_id=device_id, **more)
-        )
+    def request(self, function, *arguments, device_id=1, **more):
+        """The answer to a request; `function` is a method of the client of pymodbus."""
+        method = getattr(self.client, function)
+        return self.runner.run(method(*arguments, device_id=device_id, **more))
 
     def read(self, name, count=1):
-        found = self.ask("read_input_registers", AT[name], count=count).registers
-        return found[0] if count == 1 else found
+        answer = self.request("read_input_registers", ADDRESS_OF[name], count=count)
+        return answer.registers[0] if count == 1 else answer.registers
 
     def bit(self, name):
-        return self.ask("read_coils", AT[name], count=1).bits[0]
+        return self.request("read_coils", ADDRESS_OF[name], count=1).bits[0]
 
     def write(self, name, value):
-        """Write a register; the exception code, or 0."""
-        return self.ask("write_register", AT[name], value & 0xFFFF).exception_code
+        """Write a register; return the exception code, or 0."""
+        return self.request("write_register", ADDRESS_OF[name], value & 0xFFFF).exception_code
 
     def set(self, name, on=True):
-        return self.ask("write_coil", AT[name], on).exception_code
+        return self.request("write_coil", ADDRESS_OF[name], on).exception_code
 
     def until(self, name, wanted, patience_s=120.0):
+        """Read a value until it is as wanted; return it."""
         deadline = time.monotonic() + patience_s
-        is_bit = AT[name] < 8 and name in BIT_NAMES
+        is_bit = ADDRESS_OF[name] < 8 and name in BIT_NAMES
         while time.monotonic() < deadline:
             value = self.bit(name) if is_bit else self.read(name)
             if wanted(value):
@@ -104,7 +116,6 @@ class Rig:
             self.process.communicate()
 
 
-BIT_NAMES = {row.name for row in BITS}
 HELD = ("--start", "modbus", "--set", "modbus.port=0")
 
 
@@ -126,27 +137,31 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     one = rig(*HELD, "--set", "initial_speed_m_s=6")
     one.connect()
     one.until("state", lambda state: state == State.HELD)
+
     # the rig rolls and its bus works, while the time of the run stands still
     assert one.read("vehicle_speed") == 600
     frames = one.read("bus_frames", 2)
     assert one.until("held", bool)
-    # another scenario, another speed
+
+    # choose another scenario and another speed
     wanted = store.names("scenarios").index("step_adhesion")
     assert one.write("scenario", wanted) == 0
     one.until("state", lambda state: state == State.HELD)
     assert one.read("scenario") == wanted
-    assert one.write("scenario", 999) == 3
-    assert one.write("speed_set_point", 20) == 3
+    assert one.write("scenario", 999) == ILLEGAL_VALUE
+    assert one.write("speed_set_point", 20) == ILLEGAL_VALUE
     assert one.write("speed_set_point", 500) == 0
     assert one.write("brake_demand_set_point", 0) == 0
     one.until("at_set_speed", bool)
     assert one.read("bus_frames", 2) > frames
     assert one.read("time", 2) == [0, 0]
+
     # an emergency stop prevents the start
     assert one.set("emergency_stop") == 0
-    assert one.set("run") == 6
+    assert one.set("run") == BUSY
     assert one.set("emergency_stop", False) == 0
     one.until("at_set_speed", bool)
+
     # the run begins without brakes, because the set point over Modbus is 0
     assert one.set("run") == 0
     one.until("state", lambda state: state == State.RUNNING)
@@ -154,7 +169,10 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     one.until("time", lambda _: one.read("time", 2)[1] > 1000)
     assert one.read("cylinder_pressure_1") == 0
     assert one.read("vehicle_speed") > 490
-    assert (one.write("speed_set_point", 600), one.write("scenario", 0)) == (6, 6)
+    assert one.write("speed_set_point", 600) == BUSY
+    assert one.write("scenario", 0) == BUSY
+
+    # an emergency stop brakes
     assert one.set("emergency_stop") == 0
     one.until("cylinder_pressure_1", lambda mbar: mbar > 200)
     one.until("state", lambda state: state == State.ENDED)
@@ -171,23 +189,29 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
 
 
 def check_record(folder, summary):
-    """The record begins at 0, without the time while the rig was held, and can be run again."""
+    """Check that the record begins at 0, without the time while the rig was held."""
     run = records.load(folder)
-    time_s, speed = run.column("time_s"), run.column("vehicle_speed_m_s")
+    time_s = run.column("time_s")
+    speed = run.column("vehicle_speed_m_s")
     assert time_s[0] == 0.0
     assert speed[0] == pytest.approx(5.0, abs=0.02)
     assert run.column("position_m")[0] == 0.0
     assert run.column("time_s")[-1] == pytest.approx(summary["loop"]["ticks"] / 1000, abs=0.02)
     assert run.scenario["initial_speed_m_s"] == pytest.approx(5.0, abs=0.01)
     assert run.scenario["friction"]
-    stamps = [float(line[1 : line.index(")")]) for line in (folder / "can.log").open()]
+
+    stamps = []
+    syncs = []
+    for line in (folder / "can.log").read_text().splitlines():
+        stamp_s = float(line[1 : line.index(")")])
+        stamps.append(stamp_s)
+        if " 080#" in line:
+            syncs.append(stamp_s)
     assert stamps == sorted(stamps)
     assert stamps[-1] - summary["loop"]["stalled_s"] == pytest.approx(time_s[-1], abs=0.1)
-    syncs = [
-        float(line[1 : line.index(")")]) for line in (folder / "can.log").open() if " 080#" in line
-    ]
     assert stamps[0] >= 0.0
-    assert syncs[0] < 0.5  # 0.01 where no other program holds up the bus
+    # it is 0.01 s where no other program delays the bus
+    assert syncs[0] < 0.5
 
 
 @pytest.mark.conformance("Modbus", "emergency stop: brakes and a quick stop of every drive")
@@ -198,20 +222,26 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
     one.until("at_set_speed", bool)
     assert one.set("run") == 0
     one.until("time", lambda _: one.read("time", 2)[1] > 500)
-    assert drive_words(one) == [0x27] * 4
+    assert drive_states(one) == [OPERATION_ENABLED] * 4
+
     assert one.set("emergency_stop") == 0
     one.until("standing", bool, 10.0)
-    assert drive_words(one) == [0x40] * 4
-    # while it is set no master can enable a drive; resetting it gives the drives back to the rig
-    one.ask("write_register", 0, 15, device_id=11)
-    assert drive_words(one) == [0x40] * 4
+    assert drive_states(one) == [SWITCH_ON_DISABLED] * 4
+
+    # while the emergency stop is set, no master can enable a drive (controlword 15)
+    one.request("write_register", 0, 15, device_id=DRIVE_UNITS[0])
+    assert drive_states(one) == [SWITCH_ON_DISABLED] * 4
+
+    # its reset gives the drives back to the rig
     assert one.set("emergency_stop", False) == 0
-    assert drive_words(one) == [0x27] * 4
+    assert drive_states(one) == [OPERATION_ENABLED] * 4
+
     status, summary = one.result()
     assert status == 0
     assert summary["stopped"] is True
     run = records.load(one.out)
-    time_s, speed = run.column("time_s"), run.column("vehicle_speed_m_s")
+    time_s = run.column("time_s")
+    speed = run.column("vehicle_speed_m_s")
     (set_s,) = (event.time_s for event in run.events if event.code == Code.EMERGENCY_STOP_SET)
     # the motors' 30 kN m on 1200 kg m2 take a second or so; the brakes alone would take ten
     assert time_s[speed == 0.0][0] - set_s < 3.0
@@ -221,15 +251,16 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
         assert run.column(f"cylinder_pressure_{axle}_Pa")[-1] > 1e5
 
 
-def drive_words(one):
+def drive_states(one):
     """The state bits of the statusword of every drive."""
-    return [
-        one.ask("read_input_registers", 100, count=1, device_id=unit).registers[0] & 0x6F
-        for unit in (11, 12, 13, 14)
-    ]
+    states = []
+    for unit in DRIVE_UNITS:
+        answer = one.request("read_input_registers", STATUSWORD, count=1, device_id=unit)
+        states.append(answer.registers[0] & STATE_BITS)
+    return states
 
 
-def test_a_held_rig_that_is_stopped_ends_well(rig):
+def test_a_held_rig_that_is_stopped_exits_without_an_error(rig):
     one = rig(*HELD)
     one.connect()
     assert one.set("stop") == 0
@@ -247,15 +278,20 @@ def test_a_run_that_is_stopped_over_modbus_is_valid_after_standstill_only(rig, s
     one.connect()
     one.until("at_set_speed", bool)
     assert one.set("run") == 0
-    one.until(*(("standing", bool) if stands else ("time", lambda _: one.read("time", 2)[1] > 300)))
+    if stands:
+        one.until("standing", bool)
+    else:
+        one.until("time", lambda _: one.read("time", 2)[1] > 300)
     time.sleep(0.1)
     assert one.set("stop") == 0
     status, summary = one.result()
-    assert status == (0 if stands else 4)
-    assert [
-        "stopped over Modbus while the coach rolled, at " in why
-        for why in summary["invalid_because"]
-    ] == ([] if stands else [True])
+    if stands:
+        assert status == 0
+        assert summary["invalid_because"] == []
+    else:
+        assert status == 4
+        (reason,) = summary["invalid_because"]
+        assert "stopped over Modbus while the coach rolled, at " in reason
 
 
 @pytest.fixture
@@ -264,7 +300,7 @@ def taken():
         yield server.getsockname()[1]
 
 
-def test_a_port_that_is_taken_does_not_keep_a_run_from_running(rig, taken):
+def test_a_run_continues_without_modbus_if_its_port_is_taken(rig, taken):
     one = rig("--set", f"modbus.port={taken}", "--set", "duration_max_s=0.3")
     status, summary = one.result()
     assert status == 4  # it has not stopped
@@ -275,7 +311,7 @@ def test_a_port_that_is_taken_does_not_keep_a_run_from_running(rig, taken):
     assert "modbus.port=N" in warning["text"]
 
 
-def test_a_port_that_is_taken_keeps_a_start_over_modbus_from_waiting_for_ever(rig, taken):
+def test_a_start_over_modbus_is_refused_if_its_port_is_taken(rig, taken):
     one = rig("--start", "modbus", "--set", f"modbus.port={taken}")
     output, _ = one.process.communicate(timeout=START_S)
     assert one.process.returncode == 2
@@ -283,7 +319,7 @@ def test_a_port_that_is_taken_keeps_a_start_over_modbus_from_waiting_for_ever(ri
 
 
 @pytest.mark.conformance("Bad input", "another address than loopback is told loudly")
-def test_a_port_beyond_this_machine_is_told_loudly(rig):
+def test_a_port_beyond_this_machine_is_a_loud_warning(rig):
     one = rig(
         "--set", "modbus.host=0.0.0.0", "--set", "modbus.port=0", "--set", "duration_max_s=0.3"
     )
@@ -302,7 +338,7 @@ def test_a_port_beyond_this_machine_is_told_loudly(rig):
         ["--set", "modbus.enabled=false"],
     ],
 )
-def test_a_start_over_modbus_that_cannot_come_is_refused(wrong, tmp_path, capsys):
+def test_a_start_over_modbus_that_is_impossible_is_refused(wrong, tmp_path, capsys):
     status = cli.main(
         ["run", "dry_stop", "--start", "modbus", "--out", str(tmp_path / "run"), *wrong]
     )
@@ -316,7 +352,7 @@ def test_every_request_is_answered_while_the_loop_runs(rig):
     one = rig(*HELD, "--set", "initial_speed_m_s=6")
     one.connect()
     one.until("state", lambda state: state == State.HELD)
-    count = 3000  # rollerrig bench bus tells how many a second
+    count = 3000  # `rollerrig bench bus` reports how many are possible in a second
     for _ in range(count):
         assert len(one.read("vehicle_speed", 10)) == 10
     assert one.read("lateness_p50") < 65535
