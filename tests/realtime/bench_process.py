@@ -30,10 +30,12 @@ PATIENCE_S = 240.0  # a first run compiles, perhaps on a busy machine
 def until(condition, what, timeout_s=PATIENCE_S):
     """Wait until a condition is true and return its value; the test fails after the time-out."""
     end = time.monotonic() + timeout_s
-    while not (found := condition()):
+    while True:
+        value = condition()
+        if value:
+            return value
         assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
         time.sleep(0.02)
-    return found
 
 
 @functools.cache
@@ -62,7 +64,9 @@ class Forked:
     def __init__(self, words, stdout, stderr, before=int):
         for path in (stdout, stderr):
             path.write_bytes(b"")
-        folder, environment, cores = os.getcwd(), dict(os.environ), os.sched_getaffinity(0)
+        folder = os.getcwd()
+        environment = dict(os.environ)
+        cores = os.sched_getaffinity(0)
         self._process = forking().Process(
             target=_begin,
             args=(words, stdout, stderr, before, folder, environment, cores),
@@ -75,7 +79,8 @@ class Forked:
 
     @property
     def returncode(self):
-        with self._lock:  # of two threads that read it at the same time only one would get it
+        # if two threads read it simultaneously, only one of them would receive it
+        with self._lock:
             return self._process.exitcode
 
     poll = returncode.fget
@@ -107,9 +112,10 @@ def _begin(words, stdout, stderr, before, folder, environment, cores):
     os.sched_setaffinity(0, cores)
     os.environ.clear()
     os.environ.update(environment)
-    streams = ((0, os.devnull, os.O_RDONLY), (1, stdout, os.O_WRONLY), (2, stderr, os.O_WRONLY))
-    for descriptor, path, mode in streams:
-        os.dup2(os.open(path, mode | os.O_CREAT | os.O_TRUNC), descriptor)
+    new_file = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(os.open(stdout, new_file), 1)
+    os.dup2(os.open(stderr, new_file), 2)
     parent_death.signal_at_parent_death(os.getppid(), signal.SIGTERM)
     before()
     from rollerrig.realtime import cli
@@ -215,12 +221,12 @@ class BenchProcess:
 
 
 def run(out, *arguments, **more):
-    """A run from start to end."""
+    """Run the bench from start to end; return it."""
     return BenchProcess(out, *arguments, **more).finish()
 
 
 class SimpleUnit:
-    """An outside WSP unit: it sends heartbeats, and answers SYNC number n with `answer(n)`.
+    """An outside WSP unit that sends heartbeats, and answers SYNC number n with `answer(n)`.
 
     `answer` returns messages as (identifier, data), or None to be silent from then on.
     """

@@ -19,7 +19,7 @@ END_S = 20.0
 
 
 class Attacked:
-    """A run in real time that was left alone for a while, and attacked for a while."""
+    """A run in real time: first without an attack, then under attack."""
 
     def __init__(self):
         with runs.started("--pacing", "wall", *fuzz.SETTINGS, seconds=END_S) as bench:
@@ -75,7 +75,7 @@ def test_no_input_ends_the_run_or_fails_inside_it(attacked):
 @pytest.mark.conformance(
     "Bad input", "no thread dies: SYNC, SDO and Modbus continue after the attack"
 )
-def test_bus_and_modbus_serve_a_polite_client_as_before(attacked):
+def test_bus_and_modbus_serve_a_correct_client_as_before(attacked):
     assert attacked.unanswered == []
 
 

@@ -1,4 +1,4 @@
-"""Whole runs over the bus: the WSP prevents locks, stops shorten, runs repeat bit for bit."""
+"""Whole runs over the bus: the WSP prevents locks and shortens stops; runs repeat bit for bit."""
 
 import json
 import os
@@ -23,11 +23,13 @@ def channels(run):
 
 
 def without_times(summary):
-    """A summary without what may differ: when and where it was made, and its free ports."""
-    found = {key: summary[key] for key in summary.keys() - {"folder", "made", "started"}}
+    """A summary without the entries that may differ: times, folder, and free ports."""
+    comparable = dict(summary)
+    for key in ("folder", "made", "started"):
+        comparable.pop(key, None)
     with_ports = (Code.BUS_PLACE, Code.BUS_PORT)
-    found["events"] = [event for event in summary["events"] if event["code"] not in with_ports]
-    return found
+    comparable["events"] = [event for event in summary["events"] if event["code"] not in with_ports]
+    return comparable
 
 
 # --- the main job ---
@@ -48,7 +50,8 @@ def test_without_wsp_on_leaves_every_wheelset_locks(stop_without_wsp):
 
 
 def test_with_wsp_the_stop_on_leaves_is_shorter_than_without(stop_on_leaves, stop_without_wsp):
-    with_wsp, without = stop_on_leaves.result, stop_without_wsp.result
+    with_wsp = stop_on_leaves.result
+    without = stop_without_wsp.result
     assert with_wsp["stopped"]
     assert without["stopped"]
     assert with_wsp["stop_distance_m"] < 0.95 * without["stop_distance_m"]
@@ -57,10 +60,10 @@ def test_with_wsp_the_stop_on_leaves_is_shorter_than_without(stop_on_leaves, sto
 
 def test_sliding_stays_moderate_with_wsp(stop_with_wsp):
     run = stop_with_wsp.record
-    runs = run.column("vehicle_speed_m_s") > CUT_OFF_M_S
+    fast = run.column("vehicle_speed_m_s") > CUT_OFF_M_S
     for axle in "1234":
-        assert run.column(f"sliding_{axle}_m_s")[runs].max() < 12.0
-        assert run.column(f"wheel_speed_{axle}_rad_s")[runs].min() > 0.0
+        assert run.column(f"sliding_{axle}_m_s")[fast].max() < 12.0
+        assert run.column(f"wheel_speed_{axle}_rad_s")[fast].min() > 0.0
 
 
 # --- the unit receives the speeds over the bus, and its magnets act ---
@@ -71,56 +74,65 @@ def test_the_record_has_speeds_magnets_and_heartbeats_of_every_cycle(stop_with_w
     assert len(lines) == stop_with_wsp.result["bus"]["frames"]
     cycles = stop_with_wsp.result["loop"]["ticks"] // 10
     for identifier in ("080#", "190#", "211#"):
-        assert abs(sum(f" {identifier}" in line for line in lines) - cycles) <= 2
-    assert sum(" 720#" in line for line in lines) >= cycles // 5
+        assert abs(count(identifier, lines) - cycles) <= 2
+    assert count("720#", lines) >= cycles // 5
     assert stop_with_wsp.result["bus"]["dropped"] == 0
+
+
+def count(frame, lines):
+    """How many lines of a log have this frame."""
+    return sum(f" {frame}" in line for line in lines)
 
 
 def test_magnets_on_the_bus_reach_the_valves_after_their_dead_time(stop_with_wsp):
     run = stop_with_wsp.record
     for axle in "1234":
-        asked = run.column(f"magnets_{axle}")
-        wanted = np.select([asked >= 2, asked == 1], [2.0, 1.0], 0.0)
-        # samples lie 10 ms apart, the dead time is 40 ms
-        np.testing.assert_array_equal(run.column(f"valve_{axle}")[4:], wanted[:-4])
+        magnets = run.column(f"magnets_{axle}")
+        commanded = np.select([magnets >= 2, magnets == 1], [2.0, 1.0], 0.0)
+        # a sample is taken every 10 ms, and the dead time is 40 ms
+        np.testing.assert_array_equal(run.column(f"valve_{axle}")[4:], commanded[:-4])
 
 
 def test_the_units_reference_speed_is_recorded_and_near_the_vehicles(stop_with_wsp):
     run = stop_with_wsp.record
-    speed, reference = run.column("vehicle_speed_m_s"), run.column("wsp_reference_speed_m_s")
-    runs = (speed > 5.0) & (run.column("time_s") > 1.0)
-    assert np.isfinite(reference[runs]).all()
-    assert np.abs(reference - speed)[runs].mean() < 2.0
+    speed = run.column("vehicle_speed_m_s")
+    reference = run.column("wsp_reference_speed_m_s")
+    fast = (speed > 5.0) & (run.column("time_s") > 1.0)
+    assert np.isfinite(reference[fast]).all()
+    assert np.abs(reference - speed)[fast].mean() < 2.0
 
 
 # --- runs repeat ---
 
 
-def test_lockstep_with_the_wsp_in_its_own_process_equals_free_bit_for_bit(stop_with_wsp, free_stop):
+def test_lockstep_with_the_wsp_in_a_separate_process_equals_free_bit_for_bit(
+    stop_with_wsp, free_stop
+):
     assert free_stop.status == 0, free_stop.stderr
-    over_bus, in_tick = channels(stop_with_wsp), channels(free_stop)
+    over_bus = channels(stop_with_wsp)
+    in_tick = channels(free_stop)
     assert over_bus.shape == in_tick.shape
-    different = [
-        name
-        for name, a, b in zip(COLUMNS, over_bus, in_tick, strict=True)
-        if a.tobytes() != b.tobytes()
-    ]
+
+    different = []
+    for name, one, other in zip(COLUMNS, over_bus, in_tick, strict=True):
+        if one.tobytes() != other.tobytes():
+            different.append(name)
     assert different == []
 
 
 def test_two_lockstep_runs_give_the_same_summary_channels_and_bus_log(folders):
-    first, second = (
-        bench_process.run(
-            folders / f"again{n}", "--pacing", "lockstep", "--set", "duration_max_s=5"
-        )
-        for n in range(2)
-    )
-    assert first.status == second.status == 4  # they do not stop in that time
-    summaries = [json.loads((run.out / "summary.json").read_text()) for run in (first, second)]
-    assert without_times(summaries[0]) == without_times(summaries[1])
+    arguments = ("--pacing", "lockstep", "--set", "duration_max_s=5")
+    first = bench_process.run(folders / "again0", *arguments)
+    second = bench_process.run(folders / "again1", *arguments)
+    # they do not stop in that time
+    assert first.status == 4
+    assert second.status == 4
+
+    first_summary = json.loads((first.out / "summary.json").read_text())
+    second_summary = json.loads((second.out / "summary.json").read_text())
+    assert without_times(first_summary) == without_times(second_summary)
     assert channels(first).tobytes() == channels(second).tobytes()
-    logs = [(run.out / "can.log").read_bytes() for run in (first, second)]
-    assert logs[0] == logs[1]
+    assert (first.out / "can.log").read_bytes() == (second.out / "can.log").read_bytes()
 
 
 def test_the_resolved_scenario_repeats_the_run(free_stop, folders):
@@ -165,7 +177,8 @@ def test_an_external_unit_drives_a_stop_in_lockstep(tmp_path):
     assert not run.column("valve_2").any()
     assert len(unit.speeds) >= unit.syncs - 1
     # 0.01 rad/s a count, four axles
-    assert int.from_bytes(unit.speeds[0][:2], "little") == round(8.0 / 0.445 / 0.01)
+    first_count = int.from_bytes(unit.speeds[0][:2], "little")
+    assert first_count == round(8.0 / 0.445 / 0.01)
 
 
 # --- real time ---
@@ -181,7 +194,7 @@ def test_wall_pacing_keeps_real_time(wall_run):
 
 
 def times_s(run, frame):
-    """When a frame was on the bus, read from the log."""
+    """The times of a frame on the bus, from the log."""
     lines = (run.out / "can.log").read_text().splitlines()
     return np.array([float(line[1:18]) for line in lines if f" {frame}" in line])
 
@@ -202,7 +215,7 @@ def test_the_unit_is_lost_only_where_its_heartbeat_is_missing_on_the_bus(stop_wi
         if event["code"] in losses:
             silent_s = longest_gap_s(beats_s, event["time_s"])
             stalled_s = longest_gap_s(times_s(wall_run, "080#"), event["time_s"])
-            # it beats every 100 ms and may be silent for 200; or the bench itself stood still
+            # the heartbeat time is 100 ms, and 200 ms are allowed; or the bench itself was stopped
             assert silent_s > 0.15 or stalled_s > 0.05, event
 
 
@@ -211,7 +224,7 @@ def longest_gap_s(times, before_s):
     return np.diff(times[times < before_s][-30:], append=before_s).max()
 
 
-def test_a_stall_is_counted_as_missed_ticks_and_strict_says_so(tmp_path):
+def test_a_stall_is_counted_as_missed_ticks_and_strict_reports_it(tmp_path):
     bench = BenchProcess(
         tmp_path / "run",
         "--pacing",
@@ -236,7 +249,8 @@ def test_a_stall_is_counted_as_missed_ticks_and_strict_says_so(tmp_path):
     assert bench.result["loop"]["missed"] >= 350
     assert bench.result["loop"]["lateness_us"]["max"] >= 350_000
     assert bench.record.column("ticks_missed")[-1] >= 350
-    # the record has two clocks, and events report how far they are apart and from which time on
+
+    # the record has two clocks; events report their difference, and from which time on it exists
     stalls = [event for event in bench.result["events"] if event["code"] == Code.LOOP_STALLED]
     apart_s = bench.result["loop"]["stalled_s"]
     reported_s = sum(event["fields"]["stalled_s"] for event in stalls)

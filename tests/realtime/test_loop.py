@@ -17,10 +17,10 @@ MS = 1_000_000
 
 
 def built(folder, duration_s):
+    """The tick data of a stop that lasts at most this time."""
     ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
-    return tick_data.build(
-        scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",)), ring
-    )
+    plan = scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",))
+    return tick_data.build(plan, ring)
 
 
 @pytest.fixture
@@ -29,10 +29,11 @@ def machine(tmp_path):
 
 
 def wall(machine, begin_ns, sync_ticks=10):
-    """Run the loop to its end; its histogram, and how often it woke the bus thread."""
+    """Run the loop to its end; return its histogram, and how often it woke the bus thread."""
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     descriptor = clock.eventfd()
-    loop.wall(machine, MS, sync_ticks, descriptor, histogram, np.zeros(3, dtype=np.int64), begin_ns)
+    stalls = np.zeros(3, dtype=np.int64)
+    loop.wall(machine, MS, sync_ticks, descriptor, histogram, stalls, begin_ns)
     calls = int.from_bytes(os.read(descriptor, 8), "little")
     os.close(descriptor)
     return histogram, calls
@@ -82,7 +83,7 @@ def test_a_flag_set_from_python_stops_the_loop(tmp_path):
     assert 20 <= machine.control[TICK] < 60_000
 
 
-def test_the_loop_lets_python_run_beside_it(machine):
+def test_the_loop_lets_python_run_in_parallel(machine):
     tick_data.warm_up(machine, "wall")
     thread = threading.Thread(target=wall, args=(machine, time.monotonic_ns()))
     thread.start()
@@ -104,7 +105,9 @@ def test_warming_up_runs_no_tick_and_changes_nothing(machine):
 
 def test_percentiles_are_the_upper_edges_of_their_bins():
     histogram = np.zeros(loop.BINS, dtype=np.int64)
-    histogram[4], histogram[9], histogram[99] = 985, 10, 5
+    histogram[4] = 985
+    histogram[9] = 10
+    histogram[99] = 5
     found = loop.percentiles(histogram, 99_500)
     assert found == {"p50": 5.0, "p99": 10.0, "p999": 99.5, "max": 99.5}
 
@@ -126,7 +129,7 @@ def test_no_ticks_have_no_lateness():
     }
 
 
-def test_a_core_that_is_not_there_is_refused_with_those_that_are():
+def test_a_missing_core_is_refused_with_the_available_ones():
     refused = []
     thread = threading.Thread(target=lambda: refused.extend(loop.ask_for_priority(0, 1023)))
     thread.start()
@@ -137,13 +140,13 @@ def test_a_core_that_is_not_there_is_refused_with_those_that_are():
     assert str(sorted(os.sched_getaffinity(0))[0]) in text
 
 
-def test_who_asks_for_nothing_is_refused_nothing():
+def test_without_a_requested_priority_or_core_nothing_changes():
     before = os.sched_getscheduler(0), os.sched_getaffinity(0)
     assert loop.ask_for_priority(0, -1) == []
     assert (os.sched_getscheduler(0), os.sched_getaffinity(0)) == before
 
 
-def test_the_row_that_a_sample_keeps_tells_the_worst_lateness_since_the_last(machine):
+def test_a_sample_has_the_worst_lateness_since_the_last_sample(machine):
     tick_data.warm_up(machine, "wall")
     wall(machine, time.monotonic_ns() - 15 * MS)
     rows = machine.ring_rows[: machine.ring_header[rings.WRITTEN]]

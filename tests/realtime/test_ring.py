@@ -1,4 +1,4 @@
-"""Rings: order, loss, room, whether their writer is alive, and events in a row."""
+"""Rings: order and loss of rows, room, the check that the writer is alive, and rows of events."""
 
 import os
 import signal
@@ -73,7 +73,8 @@ def test_a_reader_that_fell_behind_learns_how_many_rows_it_lost(small):
 def test_the_slot_that_the_writer_fills_next_is_never_read(small):
     fill(small, range(8))
     rows, _, lost = small.read(0)
-    assert (lost, rows[0, 0]) == (1, 1.0)
+    assert lost == 1
+    assert rows[0, 0] == 1.0
 
 
 def test_room_is_what_may_be_written_before_the_recorder_loses_a_row(small):
@@ -85,7 +86,7 @@ def test_room_is_what_may_be_written_before_the_recorder_loses_a_row(small):
     assert small.room == 7
 
 
-def test_a_ring_tells_that_its_writer_is_done_without_being_dead(small):
+def test_a_ring_is_closed_while_its_writer_is_still_alive(small):
     other = Ring(small.path, np.float64)
     assert other.writer_alive
     assert not other.closed
@@ -94,7 +95,7 @@ def test_a_ring_tells_that_its_writer_is_done_without_being_dead(small):
     assert other.writer_alive
 
 
-def test_a_writer_that_was_killed_is_dead_though_nobody_has_waited_for_it(killed):
+def test_a_killed_writer_is_dead_even_as_a_zombie(killed):
     assert not Ring(killed, np.float64).writer_alive
 
 
@@ -104,7 +105,7 @@ def test_a_dead_writer_is_noticed_after_the_file_is_gone(killed):
     assert not reader.writer_alive
 
 
-def test_sweeping_removes_what_dead_writers_left_and_nothing_else(killed):
+def test_sweeping_removes_abandoned_rings_of_dead_writers_and_nothing_else(killed):
     mine = Ring(ring.place("rows"), np.float64, 8, 2)
     try:
         assert killed not in map(str, ring.sweep())  # its recorder may still be at work
@@ -128,7 +129,7 @@ def test_a_new_ring_in_an_old_place_leaves_the_old_readers_their_rows(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"x" * 200])
-def test_a_file_that_is_no_ring_is_refused_by_name(tmp_path, content):
+def test_a_file_that_is_not_a_ring_is_refused_with_its_name(tmp_path, content):
     path = tmp_path / "other"
     path.write_bytes(content)
     with pytest.raises(RollerrigError, match="other: not a ring"):
@@ -153,9 +154,8 @@ def test_events_of_several_threads_all_arrive(tmp_path):
         thread.join()
     rows, _, lost = events.read(0)
     assert lost == 0
-    assert {ring.read_event(row).fields["note"] for row in rows} == {
-        f"{thread} {number}" for thread in range(4) for number in range(100)
-    }
+    notes = {ring.read_event(row).fields["note"] for row in rows}
+    assert notes == {f"{thread} {number}" for thread in range(4) for number in range(100)}
 
 
 @pytest.mark.parametrize("text", ["axle 1 locked", "Räder rollen: λ = 0.3 µ", "", "a\nb"])
@@ -180,7 +180,8 @@ def test_of_a_long_event_the_longest_text_is_cut_and_code_and_other_fields_are_k
     given = make(1.0, Code.BENCH_EXCEPTION, message="hub: node failed", exception=text)
     ring.push_event(events, given)
     found = ring.read_event(events.read(0)[0][0])
-    assert (found.time_s, found.code) == (1.0, Code.BENCH_EXCEPTION)
+    assert found.time_s == 1.0
+    assert found.code == Code.BENCH_EXCEPTION
     assert found.fields["message"] == "hub: node failed"
     assert 60 < len(found.fields["exception"]) < 500
     assert text.startswith(found.fields["exception"])

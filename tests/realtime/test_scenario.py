@@ -8,7 +8,7 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import scenario
 
-OWN = """
+OF_A_USER = """
 title = "a scenario of a user"
 vehicle = "uic_z1"
 adhesion_set = "wet"
@@ -29,46 +29,55 @@ mu_cr = 0.2
 
 
 @pytest.fixture
-def own(tmp_path):
+def user_scenario(tmp_path):
     path = tmp_path / "own.toml"
-    path.write_text(OWN)
+    path.write_text(OF_A_USER)
     return str(path)
 
 
-def test_what_comes_later_wins(own, tmp_path):
+def test_a_later_layer_overrides_an_earlier_one(user_scenario, tmp_path):
     model = tmp_path / "extended.toml"
     model.write_text("[adhesion]\ntau_m_J = 1e-4\nmu_cr = 0.25\n")
-    plain = scenario.load(own)
-    assert plain["adhesion"]["mu_cd"] == 0.09  # the scenario over the set "wet"
-    assert plain["adhesion"]["cleaning_creepage"] == 0.5  # the set over the default
+    plain = scenario.load(user_scenario)
+    # the scenario overrides the set "wet", and the set overrides the default
+    assert plain["adhesion"]["mu_cd"] == 0.09
+    assert plain["adhesion"]["cleaning_creepage"] == 0.5
     assert plain["adhesion"]["mu_cr"] == 0.28
-    extended = scenario.load(own, str(model))
-    assert (extended["adhesion"]["tau_m_J"], extended["adhesion"]["mu_cr"]) == (1e-4, 0.25)
-    settled = scenario.load(own, str(model), ("adhesion.mu_cr=0.22", "initial_speed_m_s=25"))
-    assert (settled["adhesion"]["mu_cr"], settled["adhesion"]["tau_m_J"]) == (0.22, 1e-4)
+    extended = scenario.load(user_scenario, str(model))
+    assert extended["adhesion"]["tau_m_J"] == 1e-4
+    assert extended["adhesion"]["mu_cr"] == 0.25
+
+    # settings of the command line override both
+    settled = scenario.load(
+        user_scenario, str(model), ("adhesion.mu_cr=0.22", "initial_speed_m_s=25")
+    )
+    assert settled["adhesion"]["mu_cr"] == 0.22
+    assert settled["adhesion"]["tau_m_J"] == 1e-4
     assert settled["initial_speed_m_s"] == 25.0
 
 
-def test_a_set_can_be_named_beside_single_values_of_it(own):
+def test_a_set_and_single_values_of_it_can_be_set_in_any_order(user_scenario):
     for settings in (
         ("adhesion=dry", "adhesion.mu_cr=0.3"),
         ("adhesion.mu_cr=0.3", "adhesion=dry"),
     ):
-        plan = scenario.load(own, settings=settings)
+        plan = scenario.load(user_scenario, settings=settings)
         assert plan["adhesion_set"] == "dry"
         assert plan["adhesion"]["tau_m_J"] == 0.0
         assert plan["adhesion"]["mu_cr"] == 0.3
         assert plan["adhesion"]["mu_cd"] == 0.09
 
 
-def test_a_set_is_found_beside_the_scenario_that_names_it(tmp_path):
+def test_a_set_is_found_in_the_folder_of_the_scenario_that_names_it(tmp_path):
     (tmp_path / "sand.toml").write_text("[adhesion]\nmu_cd = 0.2\n")
-    (tmp_path / "own.toml").write_text(OWN.replace('"wet"', '"sand.toml"').replace("0.09", "0.2"))
+    (tmp_path / "own.toml").write_text(
+        OF_A_USER.replace('"wet"', '"sand.toml"').replace("0.09", "0.2")
+    )
     assert scenario.load(str(tmp_path / "own.toml"))["adhesion"]["mu_cd"] == 0.2
 
 
-def test_the_resolved_scenario_is_whole_and_a_scenario_again(own, tmp_path):
-    first = scenario.load(own, settings=("loop.tick_hz=2000", "loop.step_s=5e-5"))
+def test_the_resolved_scenario_is_complete_and_a_scenario_again(user_scenario, tmp_path):
+    first = scenario.load(user_scenario, settings=("loop.tick_hz=2000", "loop.step_s=5e-5"))
     folder = tmp_path / "run7"
     folder.mkdir()
     (folder / "scenario.toml").write_text(scenario.dump(first))
@@ -83,9 +92,9 @@ def test_the_resolved_scenario_is_whole_and_a_scenario_again(own, tmp_path):
         assert row.name in written
 
 
-def test_the_hash_changes_with_whatever_decides_the_result(own):
-    plain = scenario.digest(scenario.load(own))
-    assert scenario.digest(scenario.load(own)) == plain
+def test_the_hash_changes_with_every_value_that_changes_the_result(user_scenario):
+    plain = scenario.digest(scenario.load(user_scenario))
+    assert scenario.digest(scenario.load(user_scenario)) == plain
     for setting in (
         "adhesion.mu_cd=0.091",
         "loop.step_s=5e-5",
@@ -93,18 +102,22 @@ def test_the_hash_changes_with_whatever_decides_the_result(own):
         "initial_speed_m_s=20.1",
         "wsp_config=other",
     ):
-        assert scenario.digest(scenario.load(own, settings=(setting,))) != plain
+        assert scenario.digest(scenario.load(user_scenario, settings=(setting,))) != plain
 
 
-def test_friction_and_demand_become_arrays_in_their_order(own):
-    plan = scenario.load(own)
-    friction, demand = plan.params.friction, plan.params.demand
+def test_friction_and_demand_become_arrays_in_their_order(user_scenario):
+    plan = scenario.load(user_scenario)
+    friction = plan.params.friction
+    demand = plan.params.demand
     assert friction.by_place.tolist() == [True, False]
     assert friction.start.tolist() == [100.0, 7.0]
-    assert friction.mu_cd.tolist() == [0.05, 0.09]  # that of the law where a step gives none
+    # a step without a value has that of the adhesion law
+    assert friction.mu_cd.tolist() == [0.05, 0.09]
     assert friction.mu_cr.tolist() == [0.28, 0.2]
     assert friction.axles.tolist() == [0b0101, 0b1111]
-    assert (demand.start_s.tolist(), demand.pressure_Pa.tolist()) == ([1.0], [2e5])
+
+    assert demand.start_s.tolist() == [1.0]
+    assert demand.pressure_Pa.tolist() == [2e5]
 
 
 def test_without_demand_nothing_brakes(tmp_path):
@@ -139,7 +152,7 @@ def test_ratios_that_are_no_whole_numbers_are_refused_with_both_numbers():
 
 
 def test_a_mask_names_an_axle_once_however_often_it_is_listed(tmp_path):
-    text = OWN.replace("axles = [1, 3]", "axles = [3, 1, 3]")
+    text = OF_A_USER.replace("axles = [1, 3]", "axles = [3, 1, 3]")
     (tmp_path / "own.toml").write_text(text)
     assert scenario.load(str(tmp_path / "own.toml")).params.friction.axles[0] == 0b0101
 

@@ -43,7 +43,7 @@ def test_the_speeds_of_table_5_are_those_of_the_scenarios():
     assert velim.SPEEDS_M_S == TABLE_5_M_S
 
 
-def test_group_b_knows_nothing_but_group_a():
+def test_the_contaminant_of_group_b_is_the_mean_of_group_a():
     found = velim.settings()
     of_group_a = [found[f"mu_cd_{test}"] for test in velim.GROUP_A]
     geometric_mean = np.exp(np.mean(np.log(of_group_a)))
@@ -94,7 +94,7 @@ def by_title(table):
 
 @pytest.fixture(scope="module")
 def a1():
-    """A1 as found on group A, by the rig's soap and by the paper's law."""
+    """Test A1 with the fit on group A: by the soap of the rig, and by the law of the paper."""
     found = velim.settings()
     plans = (
         velim.plan_of("a1", found),
@@ -116,7 +116,7 @@ def test_the_six_stops_run_by_the_papers_law_and_adhesion_recovers_in_their_seco
     assert soap.sliding_std_m_s[0] == pytest.approx(1.72, abs=0.35)
 
 
-def test_by_the_classic_model_the_second_half_decelerates_as_the_first():
+def test_by_the_classic_model_both_halves_decelerate_equally():
     classic = velim.from_measured_mean("a1", velim.settings(), velim.CLASSIC)
     first, second = classic.decelerations_m_s2
     assert second == pytest.approx(first, rel=0.1)
@@ -158,7 +158,7 @@ def test_no_fit_of_a_function_of_speed_on_group_a_predicts_group_b_within_0_37()
     }
 
 
-def test_a_rule_that_holds_is_found_by_every_fit_that_can_hold_it():
+def test_an_exact_rule_is_found_by_every_fit_that_can_represent_it():
     speeds = dict(zip("abcdef", (10.0, 12.0, 14.0, 11.0, 13.0, 12.5), strict=True))
     measured = {test: 3.0 + 0.5 * speed for test, speed in speeds.items()}
     bounds = velim.bounds(speeds, measured, known="abc", predicted="def")
@@ -209,7 +209,7 @@ def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, t
     assert torque_error.std() == pytest.approx(0.015 * torque.max(), rel=0.15)
 
 
-def test_the_packaged_synthetic_set_is_marked_and_gives_its_own_recovery_back():
+def test_the_packaged_synthetic_set_is_marked_and_its_recovery_is_found_again():
     data = dataset.load("velim_synthetic")
     assert "SYNTHETIC" in (data.folder / "dataset.toml").read_text()
     assert [run.name for run in data.runs] == list(velim.TESTS)
@@ -238,6 +238,6 @@ def test_a_recovery_out_of_range_is_refused(capsys):
     assert "0 to 1" in capsys.readouterr().err
 
 
-def test_folders_that_hold_no_run_are_refused(tmp_path):
+def test_folders_without_a_run_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="no such file"):
         run_dataset.from_folders([tmp_path], tmp_path / "out")
