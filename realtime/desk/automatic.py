@@ -14,7 +14,7 @@ from rollerrig.realtime.desk.programs import Program
 
 _LINES_SHOWN = 14
 _PROGRAMS_SHOWN = 6
-# of lines by their first word, and of the result
+# colours of lines by their first word, and of the result
 _COLOURS = {"pass": "#009e73", "fail": "#d55e00", "error": "#d55e00"}
 _RESULTS = {0: "passed", 1: "a verdict failed"}  # by exit status
 

@@ -1,7 +1,7 @@
-"""The desk itself, one for all pages: the bench that it follows, alarms, and programs that it started.
+"""The desk, shared by all pages: it has a bench that it follows, alarms, and started programs.
 
-`work` runs as long as the desk does. It reads the rings ten times a second and the registers twice a
-second. While there is no bench, it looks for one each second.
+`work` runs as long as the desk does. It reads the rings ten times a second and the registers twice
+a second. While no bench runs, it looks for a bench every second.
 """
 
 import asyncio
@@ -66,7 +66,7 @@ class Desk:
         self._viewer: Any = None
         self._last_failure = ""  # reported only once while it repeats
 
-    # -- what runs all the time
+    # -- the work in the background
 
     async def work(self) -> None:
         """Follow the bench, until cancelled."""
@@ -89,10 +89,11 @@ class Desk:
             await asyncio.sleep(_READ_S)
 
     def find(self) -> None:
-        """Turn to the newest bench that runs, if it is another one than before."""
+        """Follow the newest running bench, if the desk does not follow it already."""
         started_here = [program.pid for program in self._running_benches()]
         among = started_here if started_here or self.own else None
-        bench = reader.find(self.bench.key if self.bench else "", among)
+        followed = self.bench.key if self.bench else ""
+        bench = reader.find(followed, among)
         if bench is None:
             return
         if self.doors:
@@ -109,7 +110,7 @@ class Desk:
         ]
 
     def look(self) -> None:
-        """Take in the new events of the bench, and the ends of programs."""
+        """Process the new events of the bench, and the programs that have exited."""
         if self.bench:
             self._look_at(self.bench)
         for program in self.programs:
@@ -125,16 +126,15 @@ class Desk:
             if event.level != "info":
                 alarm = Alarm(event.time_s, event.level, event.text, bench.key, code=event.code)
                 self.alarms.appendleft(alarm)
-        known = any(
+        if bench.ended == "killed" and not self._is_known_as_killed(bench):
+            text = f"the bench was killed (process {bench.pid}): its recorder keeps the data so far"
+            self.alarm("error", text, bench.key, Code.BENCH_KILLED)
+
+    def _is_known_as_killed(self, bench: reader.Bench) -> bool:
+        """Whether there is already an alarm that this bench was killed."""
+        return any(
             alarm.bench == bench.key and alarm.code == Code.BENCH_KILLED for alarm in self.alarms
         )
-        if bench.ended == "killed" and not known:
-            self.alarm(
-                "error",
-                f"the bench was killed (process {bench.pid}): its recorder keeps what there was",
-                bench.key,
-                Code.BENCH_KILLED,
-            )
 
     def alarm(self, level: str, text: str, bench: str = "", code: Code | None = None) -> None:
         """Add an alarm of the desk."""

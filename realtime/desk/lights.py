@@ -48,7 +48,7 @@ def line(bench: Bench | None, doors: Doors | None, folder: Path) -> list[Light]:
     if bench.ended == "closed":
         return _all_but_disk(GREY, "the run has ended", folder)
     if bench.ended:
-        why = f"the bench (process {bench.pid}) was killed; its recorder keeps what there was"
+        why = f"the bench (process {bench.pid}) was killed; its recorder keeps the data so far"
         return _all_but_disk(RED, why, folder)
 
     registers = doors.values
@@ -66,7 +66,8 @@ def line(bench: Bench | None, doors: Doors | None, folder: Path) -> list[Light]:
 
 def _all_but_disk(colour: str, why: str, folder: Path) -> list[Light]:
     """The same light for all parts of the bench, and that of the disk."""
-    return [*(Light(name, colour, why) for name in NAMES[:-1]), _disk(folder)]
+    lights = [Light(name, colour, why) for name in NAMES[:-1]]
+    return [*lights, _disk(folder)]
 
 
 def _loop(bench: Bench, doors: Doors) -> Light:
@@ -99,7 +100,8 @@ def _bus(bench: Bench, registers: dict[str, float]) -> Light:
     why = f"load {load_percent:.1f} %"
     if dropped:
         why += f", {dropped:.0f} frames dropped for a slow client"
-    return Light("bus", YELLOW if dropped or load_percent > _FULL_PERCENT else GREEN, why)
+    colour = YELLOW if dropped or load_percent > _FULL_PERCENT else GREEN
+    return Light("bus", colour, why)
 
 
 def _unit(bench: Bench, registers: dict[str, float]) -> Light:
@@ -132,7 +134,8 @@ def _nodes(name: str, nodes: tuple[int, ...], registers: dict[str, float], doors
     why = ", ".join(
         f"node {node} {_STATES.get(state, 'not heard')}" for node, state in wrong.items()
     )
-    return Light(name, RED if UNHEARD in wrong.values() else YELLOW, why)
+    colour = RED if UNHEARD in wrong.values() else YELLOW
+    return Light(name, colour, why)
 
 
 def _modbus(bench: Bench, doors: Doors) -> Light:
@@ -140,7 +143,8 @@ def _modbus(bench: Bench, doors: Doors) -> Light:
         host, port = bench.modbus
         clients = doors.values["modbus_clients"]
         return Light("Modbus", GREEN, f"{host}:{port}, {clients:.0f} clients")
-    return Light("Modbus", RED if doors.unanswered else GREY, doors.why)
+    colour = RED if doors.unanswered else GREY
+    return Light("Modbus", colour, doors.why)
 
 
 def _recorder(bench: Bench) -> Light:

@@ -1,9 +1,9 @@
 """Follows the bench that runs on this machine: reads its rings in shared memory, once for all pages.
 
-The bench does not notice it: the writer of a ring waits for nobody. Rows are thinned to ten pairs a
+The bench is not affected, because the writer of a ring never waits. Rows are thinned to ten pairs a
 second of simulated time. Each pair has the least and the largest value of every signal, so that no
-spike is lost. The last minute is kept as it is. The whole run is thinned further as it grows. The
-first events of a bench report where it listens.
+spike is lost. All pairs of the last minute are kept. The whole run is thinned further as it grows.
+The first events of a bench report where it listens.
 """
 
 import re
@@ -72,7 +72,7 @@ class Bench:
         self.unit_lost = False
         # samples
         self.newest = np.full(len(_COLUMNS), np.nan)
-        self.heard_s = time.monotonic()  # when the last sample came
+        self.heard_s = time.monotonic()  # when the last sample arrived
         self.points = 0
         self._recent: deque[np.ndarray] = deque(maxlen=_RECENT_POINTS)
         self._whole = np.empty((0, len(_COLUMNS)))
@@ -100,7 +100,7 @@ class Bench:
         return float(self.newest[COLUMNS.index(column)])
 
     def poll(self) -> list[Event]:
-        """Take in new rows and events, and return the new events."""
+        """Read new rows and events, and return the new events."""
         rows, self._cursor, _ = self.rows.read(self._cursor)
         if len(rows):
             self.heard_s = time.monotonic()
@@ -125,7 +125,7 @@ class Bench:
         return self._whole
 
     def _take(self, rows: np.ndarray) -> None:
-        """Take in rows, shape (n, columns): make pairs of those periods that are complete."""
+        """Process rows of shape (n, columns): reduce each complete period to a pair of points."""
         self.newest = rows[-1]
         rows = np.vstack([self._pending, rows])
         period = np.floor(rows[:, 0] / PERIOD_S + 1e-6)
@@ -135,6 +135,8 @@ class Bench:
         period = period[complete]
         if not len(rows):
             return
+
+        # the first row of each period; then the extremes between two of these rows
         first = np.flatnonzero(np.diff(period, prepend=-1.0))
         least = np.minimum.reduceat(rows, first)
         largest = np.maximum.reduceat(rows, first)
@@ -178,7 +180,8 @@ def find(but_not: str = "", among: Collection[int] | None = None) -> Bench | Non
         name = _RING_NAME.fullmatch(path.name)
         if name is None:
             continue
-        pid, created_ns = int(name[1]), int(name[2])
+        pid = int(name[1])
+        created_ns = int(name[2])
         if among is None or pid in among:
             candidates[created_ns] = path, pid
 
@@ -189,7 +192,7 @@ def find(but_not: str = "", among: Collection[int] | None = None) -> Bench | Non
             events = Ring(_event_ring_path(path, pid, created_ns), np.int64)
             bench = Bench(pid, rows, events)
         except (OSError, ValueError, RollerrigError):
-            continue  # the bench is just ending, or just starting
+            continue  # the bench is starting or stopping now
         if bench.key != but_not and not bench.ended:
             return bench
     return None
@@ -206,5 +209,5 @@ def _event_ring_path(rows: Path, pid: int, created_ns: int) -> Path:
         if event_ring_ns > created_ns:
             later.append((event_ring_ns, path))
     if not later:
-        raise FileNotFoundError(f"{rows}: no ring of events beside it")
+        raise FileNotFoundError(f"{rows}: no ring of events belongs to it")
     return min(later)[1]

@@ -8,8 +8,8 @@ Three rings belong to a run: `rows` (float64, one row of all signals a sample), 
 time in ns, identifier and flags, length, data as 8 little-endian bytes) and `events` (int64: time
 in ns, then code and fields as JSON).
 
-The writer holds a lock on the file as long as it runs; the kernel releases the lock however the
-writer ends.
+The writer holds a lock on the file as long as it runs. The operating system releases the lock when
+the writer exits or is killed.
 """
 
 import fcntl
@@ -126,7 +126,8 @@ class Ring:
             self.header[WIDTH] = width
             self.header[WRITER_PID] = os.getpid()
             self.header[CREATED_NS] = time.monotonic_ns()
-        rows_in_file, items_in_row = int(self.header[CAPACITY]), int(self.header[WIDTH])
+        rows_in_file = int(self.header[CAPACITY])
+        items_in_row = int(self.header[WIDTH])
         if 8 * (_HEADER + rows_in_file * items_in_row) != size:
             raise RollerrigError(
                 f"{self.path}: not a ring ({rows_in_file} rows of {items_in_row} items in {size} bytes)"
@@ -225,12 +226,15 @@ def _event_bytes(event: Event) -> bytes:
     """Return code and fields as JSON that fits into a row."""
     fields = dict(event.fields)
     body = json.dumps([event.code, fields], ensure_ascii=False).encode()
-    while (excess := len(body) - 8 * (EVENT_WORDS - 1)) > 0:
+    room = 8 * (EVENT_WORDS - 1)
+    while len(body) > room:
+        excess = len(body) - room
         texts = [name for name, value in fields.items() if isinstance(value, str)]
         longest = max(texts, key=lambda name: len(fields[name]))
         # a character may take several bytes, so the text may be cut more than once
         characters = len(fields[longest])
-        fields[longest] = fields[longest][: characters - max(excess // _BYTES_PER_CHARACTER, 1)]
+        surplus = max(excess // _BYTES_PER_CHARACTER, 1)
+        fields[longest] = fields[longest][: characters - surplus]
         body = json.dumps([event.code, fields], ensure_ascii=False).encode()
     return body
 
