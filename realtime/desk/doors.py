@@ -69,7 +69,9 @@ class Doors:
     @property
     def state(self) -> State | None:
         """The state of the rig; None if Modbus does not report it."""
-        return State(int(self.values["state"])) if "state" in self.values else None
+        if "state" not in self.values:
+            return None
+        return State(int(self.values["state"]))
 
     # -- Modbus
 
@@ -88,7 +90,7 @@ class Doors:
                 values = {}
                 unanswered = True
                 why = f"{host}:{port} does not answer: {error}"
-        # together, because the lights are drawn while this function waits
+        # all three together here, because the lights are drawn while this function waits
         self.values = values
         self.why = why
         self.unanswered = unanswered
@@ -107,7 +109,7 @@ class Doors:
         return "this run has none (only wall pacing has)"
 
     async def write(self, name: str, value: float) -> None:
-        """Write a register or coil by its name, in its unit. NaN takes a demand back.
+        """Write a register or coil by its name, in its unit. NaN withdraws a demand.
 
         Raises BusError if there is no Modbus or if the bench refuses.
         """
@@ -131,10 +133,9 @@ class Doors:
             code = answer.exception_code
             refusals = (Code.FAULT_REFUSED, Code.SCENARIO_REFUSED)
             reason = await self._reason(refusals, events_before)
-            raise BusError(
-                f"the bench refuses {name} = {value:g} (exception {code:02X}): "
-                f"{reason or _WHY.get(code, 'it gives no reason')}"
-            )
+            if not reason:
+                reason = _WHY.get(code, "it gives no reason")
+            raise BusError(f"the bench refuses {name} = {value:g} (exception {code:02X}): {reason}")
 
     async def _connected(self, host: str, port: int) -> AsyncModbusTcpClient:
         if self._client is None:
@@ -182,7 +183,7 @@ class Doors:
         if not self.why:
             await self.write("brake_demand_set_point", pressure_Pa)
         elif math.isnan(pressure_Pa):
-            raise BusError(f"only Modbus can take a demand back, and {self.why}")
+            raise BusError(f"only Modbus can withdraw a demand, and {self.why}")
         else:
             await self.ask(lambda harness: harness.brake(pressure_Pa))
 

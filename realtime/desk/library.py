@@ -43,11 +43,11 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def _changed_s(run: Path) -> float:
-    """When a run was begun, in s since 1970."""
+    """The time at which a run began, in s since 1970."""
     try:
         return (run / run_folder.SCENARIO).stat().st_mtime
     except OSError:
-        return 0.0  # somebody has removed it meanwhile
+        return 0.0  # the run was removed in the meantime
 
 
 def _row(folder: Path, run: Path) -> dict[str, Any]:
@@ -73,7 +73,7 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
 
 
 def note(run: Path) -> str:
-    """The note that is kept in the folder of a run; empty if there is none."""
+    """The note in the folder of a run; empty if there is none."""
     try:
         return (run / NOTE).read_text(encoding="utf-8").strip()
     except (OSError, UnicodeDecodeError):
@@ -81,9 +81,9 @@ def note(run: Path) -> str:
 
 
 def write_note(run: Path, text: str) -> None:
-    """Keep a note in the folder of a run.
+    """Write a note into the folder of a run.
 
-    Raises ConfigError if it cannot be written; the old note is kept then.
+    Raises ConfigError if this is not possible; the old note is kept then.
     """
     with writing(run / NOTE, "make room; the old note is kept"), replaced(run / NOTE) as new:
         new.write_text(text.strip() + "\n", encoding="utf-8")

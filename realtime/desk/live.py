@@ -89,7 +89,8 @@ def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any
 
     `bench_key` is the bench that the page knows; if another one runs now, the reply has all its rows.
     """
-    bench, doors = desk.bench, desk.doors
+    bench = desk.bench
+    doors = desk.doors
     if bench is None or doors is None:
         return {"bench": "", "points": 0, "rows": [], "newest": None, "held_m_s": None}
     if whole:

@@ -113,7 +113,8 @@ def _bench_sentence(desk: Desk) -> str:
     preparing = any(
         program.words[0] == "run" and program.status is None for program in desk.programs
     )
-    bench, doors = desk.bench, desk.doors
+    bench = desk.bench
+    doors = desk.doors
     if bench is None or doors is None:
         if preparing:
             return "the bench is being prepared: kernels, bus, unit ..."

@@ -1,4 +1,4 @@
-"""Programs that the desk has started: each is a `rollerrig` command line, as anybody could type it.
+"""Programs that the desk has started: each is a `rollerrig` command line that a user could type.
 
 A program has a separate session, so it continues when the desk exits. Its messages go to a temporary
 file, whose lines the page shows. Its result is the JSON object that `--json` prints.
@@ -101,8 +101,9 @@ class Program:
         for line in reversed(self.lines):
             progress = _DONE_OF_ALL.search(line)
             if progress:
-                done, all_of_them = int(progress[1]), int(progress[2])
-                return done / all_of_them if all_of_them else None
+                done = int(progress[1])
+                total = int(progress[2])
+                return done / total if total else None
         return None
 
     def stop(self) -> None:

@@ -32,8 +32,8 @@ def wall(machine, begin_ns, sync_ticks=10):
     """Run the loop to its end; return its histogram, and how often it woke the bus thread."""
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     descriptor = clock.eventfd()
-    stalls = np.zeros(3, dtype=np.int64)
-    loop.wall(machine, MS, sync_ticks, descriptor, histogram, stalls, begin_ns)
+    scratch = np.zeros(3, dtype=np.int64)
+    loop.wall(machine, MS, sync_ticks, descriptor, histogram, scratch, begin_ns)
     calls = int.from_bytes(os.read(descriptor, 8), "little")
     os.close(descriptor)
     return histogram, calls
