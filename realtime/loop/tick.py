@@ -53,40 +53,38 @@ SLOTS_OF_CONTROL = 11
 class TickData(NamedTuple):
     """Everything that a tick reads or writes.
 
-    `gather` (n,) holds, for each column of a row, the slot of the state that is copied into it.
-    `virtual` is 1 with a virtual track: the state is then that of the virtual vehicle, and the real
-    wheelsets and rollers are a second plant, whose slots `gather_rollers` (n,) are copied. Without
-    a virtual track the roller fields are those of the plant itself. `answer` (3,) int64, for runs
-    without a bus (`wire_delay`): ticks from a SYNC until the answer of the unit acts in an ordinary
-    cycle, the same in every n-th cycle, and n. `hold` (1,) is the speed in m/s at which a held rig
-    rolls, `pulses` the memory of the sensors.
+    With a virtual track there are two plants: `state` is that of the virtual vehicle, and the fields
+    `roller_...` are those of the real wheelsets and rollers. Without it, the roller fields are those
+    of the only plant.
     """
 
     params: Params
     state: State
-    buffer: np.ndarray
-    delay: np.ndarray
-    control: np.ndarray
-    commands: Mailbox
-    command: np.ndarray
-    published: Mailbox
-    row: np.ndarray
-    gather: np.ndarray
-    ring_header: np.ndarray
+    buffer: np.ndarray  # the memory of the state, float64
+    delay: np.ndarray  # (dead time in ticks + 1, axles): the magnets of the last ticks
+    control: np.ndarray  # int64; its slots are above
+    commands: Mailbox  # rows of commands for the tick
+    command: np.ndarray  # the command row that acts now; its places are above
+    published: Mailbox  # rows of all signals from the tick
+    row: np.ndarray  # the row of all signals
+    gather: np.ndarray  # (columns of a row,): the slot of `buffer` to copy, or -1
+    ring_header: np.ndarray  # of the ring of samples
     ring_rows: np.ndarray
-    virtual: int
+    virtual: int  # 1 with a virtual track, else 0
     roller_params: Params
     roller_state: State
     roller_buffer: np.ndarray
     roller_delay: np.ndarray
-    gather_rollers: np.ndarray
-    record_ticks: int
-    end_tick: int
-    stand_ticks: int
-    hold: np.ndarray
+    gather_rollers: np.ndarray  # like `gather`, for `roller_buffer`
+    record_ticks: int  # ticks from one sample to the next
+    end_tick: int  # the run is done at this tick
+    stand_ticks: int  # the run is done after more ticks at standstill than these
+    hold: np.ndarray  # (1,): the speed in m/s at which a held rig rolls
+    # (3,) int64, for runs without a bus (`wire_delay`): ticks from a SYNC until the answer of the
+    # unit acts in an ordinary cycle, the same in every n-th cycle, and n
     answer: np.ndarray
     sensor: pole_wheel.Sensor
-    pulses: np.ndarray
+    pulses: np.ndarray  # the memory of the sensors
 
 
 # columns of the row of all signals
