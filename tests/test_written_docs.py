@@ -66,7 +66,7 @@ def without_indent(block):
 
 def test_the_registers_on_the_page_of_modbus_are_those_of_the_map(docs):
     text = read(docs / "modbus.md")
-    at = {row.name: row.at for row in (*map.BITS, *map.WORDS)}
+    at = {row.name: row.address for row in (*map.BITS, *map.WORDS)}
     # a row of the table of steps, the text of its register or bit, and the name in the map
     for step, register, name in (
         ("choose a scenario", "register {}:", "scenario"),

@@ -1,1 +1,1 @@
-"""The bench as a Modbus server: map, process image, TCP, RTU and TLS."""
+"""The bench as a Modbus server: the map of registers, the units, and TCP, RTU and TLS."""

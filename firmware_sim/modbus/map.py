@@ -1,9 +1,10 @@
 """The Modbus map: every bit and register of the supervisory PLC and of the drives, one row each.
 
-Unit 1 is the rig as a plant's control room sees it, units 11 to 14 are the roller drives with what stands in their
-object dictionaries. A unit has one space of bits and one of registers: coils and discrete inputs read the same bits,
-holding and input registers the same registers, and what can be written says so. Rows that carry a signal or an object
-take its name, unit, scale and meaning from there; values of two registers have the higher one first.
+Unit 1 is the rig as the control room of a plant sees it. Units 11 to 14 are the roller drives, whose
+registers are objects of their dictionaries. A unit has one space of bits and one of registers: coils
+and discrete inputs read the same bits, holding and input registers the same registers, and the row
+gives whether a client can write it. A row that carries a signal or an object takes its name, unit,
+scale and meaning from there. A value of two registers has the higher one first.
 """
 
 import csv
@@ -20,18 +21,21 @@ from rollerrig.wsp_interface import signals
 
 PLC_UNIT = 1
 FIRST_DRIVE_UNIT = 11
-# the unit of the drive at a node
+# the unit of the drive, by the number of its node
 DRIVE_UNITS = {node: FIRST_DRIVE_UNIT + at for at, node in enumerate(signals.DRIVE_NODES)}
+
 BIT = "BIT"
-READ, WRITE = "ro", "rw"
-# a brake demand that leaves the brakes to node 17 and the scenario's programme
+READ = "ro"
+WRITE = "rw"
+
+# a brake demand that leaves the brakes to node 17 and to the programme of the scenario
 NO_DEMAND = -1
-# NMT state of a node that has never been heard
+# NMT state of a node that the bench has never heard
 UNHEARD = 0xFFFF
 
 
 class State(IntEnum):
-    """What the rig does, register 100 of the PLC."""
+    """The state of the rig, register 100 of the PLC."""
 
     STARTING = 0
     HELD = 1
@@ -40,28 +44,28 @@ class State(IntEnum):
 
 
 class Register(NamedTuple):
-    """One row. `at` counts from 0, as on the wire; `scale` is the unit per count.
+    """One row of the map: a bit, or a value of one or two registers.
 
-    `signal` and `axle` say which column of the live row it is; `od_index` which object of
-    the drive; neither: a value of the bench. `wraps`: a counter, which begins again at its bound.
+    A row has either a signal (a column of the live row), or an object of the drive, or neither: then
+    it is a value of the bench.
     """
 
-    at: int
+    address: int  # counts from 0, as on the wire
     name: str
-    kind: str
-    text: str
+    kind: str  # BIT, or an integer type of one or two registers
+    text: str  # meaning
     unit: str = ""
-    scale: float = 1.0
+    scale: float = 1.0  # value of one count, in the unit
     access: str = READ
-    wraps: bool = False
+    wraps: bool = False  # a counter wraps round; other values saturate
     signal: str = ""
-    axle: int = 1
-    of: str = ""
-    od_index: int = 0
+    axle: int = 1  # the axle of the signal
+    of: str = ""  # name of a parameter whose value multiplies the scale
+    od_index: int = 0  # index of the object, 0 for none
 
     @property
     def width(self) -> int:
-        """How many bits or registers it takes."""
+        """The number of bits or registers of the row."""
         return 2 if self.kind in ("U32", "I32") else 1
 
 
@@ -72,67 +76,79 @@ BITS: tuple[Register, ...] = (
         2,
         "emergency_stop",
         BIT,
-        "1 applies the emergency brake, whatever else is asked, and "
-        "makes a quick stop of every drive; stays until 0 is written",
+        "1 applies the emergency brake, which has priority over every other demand, and makes a "
+        "quick stop of every drive; it stays until 0 is written",
         access=WRITE,
     ),
-    Register(3, "held", BIT, "the rig rolls at its set speed and waits for run"),
-    Register(4, "at_set_speed", BIT, "a held rig rolls at its speed set-point"),
-    Register(5, "standing", BIT, "the vehicle stands"),
-    Register(6, "wsp_unit_operational", BIT, "the WSP unit's heartbeat says OPERATIONAL"),
-    Register(7, "nodes_operational", BIT, "drives, speed unit and brake I/O are OPERATIONAL"),
+    Register(3, "held", BIT, "1 while the rig rolls at its set speed and waits for run"),
+    Register(4, "at_set_speed", BIT, "1 when a held rig rolls at its speed set-point"),
+    Register(5, "standing", BIT, "1 while the vehicle stands"),
+    Register(6, "wsp_unit_operational", BIT, "1 while the WSP unit reports OPERATIONAL"),
+    Register(
+        7, "nodes_operational", BIT, "1 while drives, speed unit and brake I/O are OPERATIONAL"
+    ),
     Register(
         16,
         "inject_fault",
         BIT,
-        "writing 1 injects the fault chosen in registers 20 to 22; 1 while any is active",
+        "writing 1 injects the fault that registers 20 to 22 select; 1 while a fault is active",
         access=WRITE,
     ),
     Register(17, "lift_faults", BIT, "writing 1 lifts every active fault", access=WRITE),
 )
 
-# set-points, faults and states, which stand before what is measured
-_ASKED = (
+# set-points, faults and states, in front of the measured values
+_COMMANDS_AND_STATES = (
     Register(
         0,
         "scenario",
         "U16",
-        "number of the packaged scenario, see the list; while the rig is held",
+        "number of the packaged scenario, see the list; can be written while the rig is held",
         access=WRITE,
     ),
     Register(
         1,
         "speed_set_point",
         "U16",
-        "speed at which a held rig rolls and begins; while the rig is held",
-        "m_s",
-        0.01,
-        WRITE,
+        "speed at which a held rig rolls and the run begins; can be written while the rig is held",
+        unit="m_s",
+        scale=0.01,
+        access=WRITE,
     ),
     Register(
         2,
         "brake_demand_set_point",
         "I16",
-        "brake cylinder pressure asked for; -1: node 17 or the scenario decides",
-        "Pa",
-        signals.BY_NAME["brake_demand"].places[0].scale,
-        WRITE,
+        "demanded brake cylinder pressure; -1: node 17 or the scenario decides",
+        unit="Pa",
+        scale=signals.BY_NAME["brake_demand"].places[0].scale,
+        access=WRITE,
     ),
     Register(
         20,
         "fault",
         "U16",
-        "number of a fault, see the list; its other parameters take their defaults",
+        "number of a fault, see the list; parameters without a register have their defaults",
         access=WRITE,
     ),
     Register(
-        21, "fault_target", "U16", "its axle, node or identifier; 0: the default", access=WRITE
+        21,
+        "fault_target",
+        "U16",
+        "axle, node or identifier of the fault; 0: the default",
+        access=WRITE,
     ),
     Register(
-        22, "fault_duration", "U16", "how long it holds; 0: until it is lifted", "s", 0.1, WRITE
+        22,
+        "fault_duration",
+        "U16",
+        "how long the fault lasts; 0: until it is lifted",
+        unit="s",
+        scale=0.1,
+        access=WRITE,
     ),
     Register(100, "state", "U16", "0 starting, 1 held, 2 running, 3 ended"),
-    Register(101, "scenarios", "U16", "how many packaged scenarios there are"),
+    Register(101, "scenarios", "U16", "number of packaged scenarios"),
     Register(
         102,
         "wsp_unit_state",
@@ -145,115 +161,146 @@ _ASKED = (
         for at, node in enumerate(signals.RIG_NODES)
     ),
 )
+# the state of loop, bus and PLC, behind the measured values
 _HEALTH = (
-    Register(300, "ticks", "U32", "ticks of the run", wraps=True),
-    Register(302, "lateness_p50", "U32", "lateness of half of the ticks", "us"),
-    Register(304, "lateness_p99", "U32", "lateness of 99 % of the ticks", "us"),
-    Register(306, "lateness_max", "U32", "latest tick of the run", "us"),
+    Register(300, "ticks", "U32", "number of ticks of the run", wraps=True),
+    Register(302, "lateness_p50", "U32", "median lateness of the ticks", unit="us"),
+    Register(304, "lateness_p99", "U32", "99th percentile of the lateness", unit="us"),
+    Register(306, "lateness_max", "U32", "largest lateness of the run", unit="us"),
     Register(308, "events_info", "U32", "events of the run: information", wraps=True),
     Register(310, "events_warning", "U32", "events of the run: warnings", wraps=True),
     Register(312, "events_error", "U32", "events of the run: errors", wraps=True),
     Register(314, "bus_frames", "U32", "frames on the CAN bus", wraps=True),
-    Register(316, "bus_frames_dropped", "U32", "frames that a slow client did not get", wraps=True),
-    Register(318, "bus_load", "U16", "load of the CAN bus", "percent", 0.1),
-    Register(319, "modbus_clients", "U16", "connected Modbus clients"),
-    Register(320, "modbus_requests", "U32", "Modbus requests answered", wraps=True),
-    Register(322, "modbus_exceptions", "U32", "of these with an exception", wraps=True),
+    Register(316, "bus_frames_dropped", "U32", "frames that slow clients missed", wraps=True),
+    Register(318, "bus_load", "U16", "load of the CAN bus", unit="percent", scale=0.1),
+    Register(319, "modbus_clients", "U16", "number of connected Modbus clients"),
+    Register(320, "modbus_requests", "U32", "answered Modbus requests", wraps=True),
+    Register(322, "modbus_exceptions", "U32", "requests answered with an exception", wraps=True),
     Register(
         324,
         "modbus_malformed",
         "U32",
-        "connections closed, or serial frames ignored, for malformed framing",
+        "connections closed, or serial frames ignored, because of wrong framing",
         wraps=True,
     ),
-    Register(326, "faults_active", "U16", "faults that are active"),
+    Register(326, "faults_active", "U16", "number of active faults"),
 )
 
-# first register, signal, and kind and scale where the CAN bus does not give them
-_MEASURED: tuple[tuple[int, str, str, float], ...] = (
-    (200, "time", "U32", 1e-3),
-    (202, "vehicle_speed", "I16", 0.01),
-    (203, "position", "U32", 0.01),
-    (205, "vehicle_acceleration", "I16", 1e-3),
-    (206, "brake_demand", "", 0.0),
-    (207, "wsp_reference_speed", "", 0.0),
-    (208, "measured_speed", "", 0.0),
-    (212, "wheel_circumferential_speed", "I16", 0.01),
-    (216, "sliding", "I16", 0.01),
-    (220, "cylinder_pressure", "", 0.0),
-    (224, "valve", "U16", 1.0),
-    (228, "magnets", "U16", 1.0),
-    (232, "roller_speed", "", 0.0),
-    (240, "motor_torque", "", 0.0),
-    (244, "brake_torque", "I16", 1.0),
-    (248, "adhesion", "U16", 1e-4),
-    (252, "tooth_frequency", "", 0.0),
-    (260, "pulse_count", "", 0.0),
-    (268, "vents", "U16", 1.0),
-    (272, "wheel_load", "U32", 1.0),
-    (280, "longest_lock", "U16", 1e-3),
-    (284, "air_consumption", "U32", 0.1),
-    (286, "tick_lateness", "U32", 1.0),
-    (288, "tick_duration", "U32", 1.0),
-    (290, "ticks_missed", "U32", 1.0),
-    (400, "disc_temperature", "", 0.0),
-    (404, "motor_temperature", "", 0.0),
+
+class Measured(NamedTuple):
+    """The first register of a signal, whose axles follow one another.
+
+    A signal without a kind has the kind and the scale of its first place on the CAN bus.
+    """
+
+    address: int
+    signal: str
+    kind: str = ""
+    scale: float = 0.0
+
+
+_MEASURED = (
+    Measured(200, "time", "U32", 1e-3),
+    Measured(202, "vehicle_speed", "I16", 0.01),
+    Measured(203, "position", "U32", 0.01),
+    Measured(205, "vehicle_acceleration", "I16", 1e-3),
+    Measured(206, "brake_demand"),
+    Measured(207, "wsp_reference_speed"),
+    Measured(208, "measured_speed"),
+    Measured(212, "wheel_circumferential_speed", "I16", 0.01),
+    Measured(216, "sliding", "I16", 0.01),
+    Measured(220, "cylinder_pressure"),
+    Measured(224, "valve", "U16", 1.0),
+    Measured(228, "magnets", "U16", 1.0),
+    Measured(232, "roller_speed"),
+    Measured(240, "motor_torque"),
+    Measured(244, "brake_torque", "I16", 1.0),
+    Measured(248, "adhesion", "U16", 1e-4),
+    Measured(252, "tooth_frequency"),
+    Measured(260, "pulse_count"),
+    Measured(268, "vents", "U16", 1.0),
+    Measured(272, "wheel_load", "U32", 1.0),
+    Measured(280, "longest_lock", "U16", 1e-3),
+    Measured(284, "air_consumption", "U32", 0.1),
+    Measured(286, "tick_lateness", "U32", 1.0),
+    Measured(288, "tick_duration", "U32", 1.0),
+    Measured(290, "ticks_missed", "U32", 1.0),
+    Measured(400, "disc_temperature"),
+    Measured(404, "motor_temperature"),
 )
 
 
 def _measured() -> Iterator[Register]:
-    for first, name, kind, scale in _MEASURED:
+    """Yield the rows of the measured values."""
+    for first_address, name, kind, scale in _MEASURED:
         signal = signals.BY_NAME[name]
-        place = signal.places[0] if signal.places and not kind else None
-        kind, scale = (place.kind, place.scale) if place else (kind, scale)
+        wraps = False
+        parameter = ""
+        if not kind and signal.places:
+            place = signal.places[0]
+            kind = place.kind
+            scale = place.scale
+            wraps = place.wraps
+            parameter = place.of
         for axle, column in enumerate(signals.columns(signal), start=1):
             row = Register(
-                at=first,
+                address=first_address,
                 name=column.removesuffix(f"_{signal.unit}"),
                 kind=kind,
                 text=signal.text,
                 unit=signal.unit,
                 scale=scale,
-                wraps=bool(place and place.wraps),
+                wraps=wraps,
                 signal=name,
                 axle=axle,
-                of=place.of if place else "",
+                of=parameter,
             )
-            yield row._replace(at=first + (axle - 1) * row.width)
+            yield row._replace(address=first_address + (axle - 1) * row.width)
 
 
-WORDS: tuple[Register, ...] = (*_ASKED, *_measured(), *_HEALTH)
+WORDS: tuple[Register, ...] = (*_COMMANDS_AND_STATES, *_measured(), *_HEALTH)
 
-# a drive's registers: (first register, index), written and read, then read only
+
+class _DriveObject(NamedTuple):
+    """The first register of an object of a drive."""
+
+    address: int
+    od_index: int
+
+
+# the objects that a client writes and reads
 _COMMANDED = (
-    (0, 0x6040),
-    (1, 0x6060),
-    (2, 0x60FF),
-    (4, 0x6071),
-    (5, 0x6072),
-    (6, 0x6083),
-    (8, 0x6084),
-    (10, 0x6085),
-    (12, 0x6087),
-    (14, 0x6081),
-    (16, 0x605A),
-    (17, 0x605E),
+    _DriveObject(0, 0x6040),  # controlword
+    _DriveObject(1, 0x6060),  # modes of operation
+    _DriveObject(2, 0x60FF),  # target velocity
+    _DriveObject(4, 0x6071),  # target torque
+    _DriveObject(5, 0x6072),  # max torque
+    _DriveObject(6, 0x6083),  # profile acceleration
+    _DriveObject(8, 0x6084),  # profile deceleration
+    _DriveObject(10, 0x6085),  # quick stop deceleration
+    _DriveObject(12, 0x6087),  # torque slope
+    _DriveObject(14, 0x6081),  # profile velocity
+    _DriveObject(16, 0x605A),  # quick stop option code
+    _DriveObject(17, 0x605E),  # fault reaction option code
 )
-_TOLD = (
-    (100, 0x6041),
-    (101, 0x6061),
-    (102, 0x606C),
-    (104, 0x6064),
-    (106, 0x6077),
-    (107, 0x6078),
-    (108, 0x6079),
-    (110, 0x603F),
-    (111, 0x606B),
-    (113, 0x6074),
-    (114, 0x6076),
-    (116, 0x6502),
+# the objects that a client only reads
+_READ_ONLY = (
+    _DriveObject(100, 0x6041),  # statusword
+    _DriveObject(101, 0x6061),  # modes of operation display
+    _DriveObject(102, 0x606C),  # velocity actual value
+    _DriveObject(104, 0x6064),  # position actual value
+    _DriveObject(106, 0x6077),  # torque actual value
+    _DriveObject(107, 0x6078),  # current actual value
+    _DriveObject(108, 0x6079),  # DC link circuit voltage
+    _DriveObject(110, 0x603F),  # error code
+    _DriveObject(111, 0x606B),  # velocity demand value
+    _DriveObject(113, 0x6074),  # torque demand
+    _DriveObject(114, 0x6076),  # motor rated torque
+    _DriveObject(116, 0x6502),  # supported drive modes
 )
-_TYPES = {
+
+# a register has at least 16 bits
+_KINDS = {
     datatypes.UNSIGNED8: "U16",
     datatypes.INTEGER8: "I16",
     datatypes.UNSIGNED16: "U16",
@@ -263,119 +310,136 @@ _TYPES = {
 }
 
 
-def drive_words(dictionary: ObjectDictionary) -> tuple[Register, ...]:
-    """The registers of a drive, from its object dictionary."""
-    found = []
-    for access, rows in ((WRITE, _COMMANDED), (READ, _TOLD)):
-        for at, index in rows:
-            one = cast(ODVariable, dictionary[index])
-            name = one.name.lower().replace(" ", "_").replace("-", "_")
-            found.append(
-                Register(
-                    at=at,
-                    name=name,
-                    kind=_TYPES[cast(int, one.data_type)],
-                    text=f"{index:04X}h {one.name}",
-                    unit=one.unit.replace("/", "_"),
-                    scale=one.factor,
-                    access=access,
-                    od_index=index,
-                )
-            )
-    return tuple(found)
+def drive_registers(dictionary: ObjectDictionary) -> tuple[Register, ...]:
+    """Return the registers of a drive, from its object dictionary."""
+    commanded = [_drive_register(dictionary, place, WRITE) for place in _COMMANDED]
+    read_only = [_drive_register(dictionary, place, READ) for place in _READ_ONLY]
+    return (*commanded, *read_only)
 
 
-HEAD = (
-    "unit",
-    "space",
-    "register",
-    "reference",
-    "name",
-    "kind",
-    "unit_of_value",
-    "scale",
-    "access",
-    "meaning",
-)
+def _drive_register(dictionary: ObjectDictionary, place: _DriveObject, access: str) -> Register:
+    variable = cast(ODVariable, dictionary[place.od_index])
+    return Register(
+        address=place.address,
+        name=variable.name.lower().replace(" ", "_").replace("-", "_"),
+        kind=_KINDS[cast(int, variable.data_type)],
+        text=f"{place.od_index:04X}h {variable.name}",
+        unit=variable.unit.replace("/", "_"),
+        scale=variable.factor,
+        access=access,
+        od_index=place.od_index,
+    )
+
+
+# -- the map as documents
+
+
+class Line(NamedTuple):
+    """One row of the map as text; the names of the fields are the heads of the columns."""
+
+    unit: str
+    space: str
+    register: str
+    reference: str
+    name: str
+    kind: str
+    unit_of_value: str
+    scale: str
+    access: str
+    meaning: str
+
+
+# references of Modicon count from 1, and their leading digit gives the table
+_COILS = 1
+_DISCRETE_INPUTS = 10001
+_HOLDING_REGISTERS = 40001
+_INPUT_REGISTERS = 30001
+
 _INTRODUCTION = """# Modbus map
 
-Addresses count from 0, as on the wire; the references of other tools count from 1 and are
-given beside them. Functions 1 and 2 read the same bits, 3 and 4 the same registers; only
+Addresses count from 0, as on the wire. The references of other tools count from 1 and are
+given beside them. Functions 1 and 2 read the same bits, 3 and 4 the same registers. Only
 rows marked rw can be written (5, 6, 15, 16, 22, 23). A value of two registers has the
-higher one first and is written whole. Value = count x scale; a quantity that is not known
-is the lowest count of its kind.
+higher one first and is written whole. Value = count x scale. If a quantity is not known,
+its count is the lowest of its kind.
 """
 
 
-def table(drives: Mapping[int, ObjectDictionary]) -> list[tuple[str, ...]]:
-    """All rows as text, in the order of `HEAD`; `drives` are the drives' dictionaries by node."""
-    found: list[tuple[str, ...]] = []
-    units = (
-        (PLC_UNIT, BITS, WORDS),
-        *((DRIVE_UNITS[node], (), drive_words(one)) for node, one in drives.items()),
+def table(drives: Mapping[int, ObjectDictionary]) -> list[Line]:
+    """Return all rows of all units as text; `drives` are the dictionaries of the drives by node."""
+    lines: list[Line] = []
+    for row in BITS:
+        first_reference = _COILS if row.access == WRITE else _DISCRETE_INPUTS
+        lines.append(_line(PLC_UNIT, "bits", row, first_reference))
+    lines += _register_lines(PLC_UNIT, WORDS)
+    for node, dictionary in drives.items():
+        lines += _register_lines(DRIVE_UNITS[node], drive_registers(dictionary))
+    return lines
+
+
+def _register_lines(unit: int, rows: Iterable[Register]) -> Iterator[Line]:
+    for row in rows:
+        first_reference = _HOLDING_REGISTERS if row.access == WRITE else _INPUT_REGISTERS
+        yield _line(unit, "registers", row, first_reference)
+
+
+def _line(unit: int, space: str, row: Register, first_reference: int) -> Line:
+    register = str(row.address)
+    if row.width > 1:
+        register += f"..{row.address + row.width - 1}"
+    scale = f"{row.scale:.6g}"
+    if row.of:
+        scale += f" x {row.of}"
+    return Line(
+        unit=str(unit),
+        space=space,
+        register=register,
+        reference=f"{row.address + first_reference:05d}",
+        name=row.name,
+        kind=row.kind,
+        unit_of_value=row.unit.replace("_", "/"),
+        scale=scale,
+        access=row.access,
+        meaning=row.text,
     )
-    for unit, bits, words in units:
-        # the references of Modicon count from 1 and tell the table in front
-        for space, rows, written, read in (
-            ("bits", bits, 1, 10001),
-            ("registers", words, 40001, 30001),
-        ):
-            for row in rows:
-                last = f"..{row.at + row.width - 1}" if row.width > 1 else ""
-                scale = f"{row.scale:.6g}" + (f" x {row.of}" if row.of else "")
-                reference = f"{row.at + (written if row.access == WRITE else read):05d}"
-                found.append(
-                    (
-                        str(unit),
-                        space,
-                        f"{row.at}{last}",
-                        reference,
-                        row.name,
-                        row.kind,
-                        row.unit.replace("_", "/"),
-                        scale,
-                        row.access,
-                        row.text,
-                    )
-                )
-    return found
 
 
 def markdown(drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()) -> str:
-    """The map as a document. `scenarios`: their names, in the order of their numbers."""
+    """Return the map as a document. `scenarios`: names in the order of their numbers."""
     lines = [_INTRODUCTION]
-    for unit, rows in itertools.groupby(table(drives), key=lambda row: int(row[0])):
-        what = "the rig" if unit == PLC_UNIT else f"roller drive {unit - FIRST_DRIVE_UNIT + 1}"
-        lines += [f"## Unit {unit}: {what}", "", *_lines(HEAD[1:], (row[1:] for row in rows)), ""]
+    heads = Line._fields[1:]
+    for unit, rows in itertools.groupby(table(drives), key=lambda line: int(line.unit)):
+        device = "the rig" if unit == PLC_UNIT else f"roller drive {unit - FIRST_DRIVE_UNIT + 1}"
+        lines += [f"## Unit {unit}: {device}", ""]
+        # the unit is in the heading
+        lines += _markdown_table(heads, (line[1:] for line in rows))
+        lines.append("")
     if scenarios:
-        lines += [
-            "## Scenarios, register 0 of unit 1",
-            "",
-            *_lines(("number", "scenario"), enumerate(scenarios)),
-        ]
-    faults = ((kind.number, kind.name, kind.text) for kind in CATALOGUE)
-    lines += [
-        "",
-        "## Faults, register 20 of unit 1",
-        "",
-        *_lines(("number", "fault", "what it does"), faults),
-    ]
+        lines += ["## Scenarios, register 0 of unit 1", ""]
+        lines += _markdown_table(("number", "scenario"), enumerate(scenarios))
+    lines += ["", "## Faults, register 20 of unit 1", ""]
+    faults = [(kind.number, kind.name, kind.text) for kind in CATALOGUE]
+    lines += _markdown_table(("number", "fault", "what it does"), faults)
     return "\n".join(lines) + "\n"
 
 
-def _lines(heads: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
+def _markdown_table(heads: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
     yield f"| {' | '.join(heads)} |"
     yield "|" + "---|" * len(heads)
-    yield from (f"| {' | '.join(map(str, row))} |" for row in rows)
+    for row in rows:
+        yield f"| {' | '.join(map(str, row))} |"
 
 
 def write(
     folder: Path, drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()
 ) -> list[Path]:
-    """Write `modbus.md` and `modbus.csv` into a folder; what was written."""
+    """Write `modbus.md` and `modbus.csv` into a folder, and return the two files."""
     folder.mkdir(parents=True, exist_ok=True)
-    document, sheet = folder / "modbus.md", folder / "modbus.csv"
+    document = folder / "modbus.md"
+    sheet = folder / "modbus.csv"
     document.write_text(markdown(drives, scenarios), encoding="utf-8")
     with sheet.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([HEAD, *table(drives)])
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Line._fields)
+        writer.writerows(table(drives))
     return [document, sheet]

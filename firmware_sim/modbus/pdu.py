@@ -1,8 +1,15 @@
-"""Modbus requests, decoded and executed by pymodbus, and strict where pymodbus is not.
+"""Modbus requests: pymodbus decodes and executes them, and this module is strict where it is not.
 
-pymodbus 3.16 reads over bytes that are too many, takes any coil value but 0 for ON, writes 2000 coils at once, answers
-a single write with what is read back and not with its echo, and writes before it knows whether an exchange (23) can be
-read. A refused request changes nothing. Source: MODBUS Application Protocol Specification V1.1b3, section 6.
+pymodbus 3.16 differs from the standard in five places:
+
+- It ignores surplus bytes of a request.
+- It takes every coil value except 0 for ON.
+- It writes up to 2000 coils in one request.
+- It answers a single write with the value that it reads back, not with the echo of the request.
+- It executes the write of an exchange (23) before it knows whether the read is possible.
+
+Here a refused request changes nothing.
+Source: MODBUS Application Protocol Specification V1.1b3, section 6.
 """
 
 from collections.abc import Mapping
@@ -16,22 +23,25 @@ from pymodbus.pdu import register_message as words
 from pymodbus.pdu.device import ModbusControlBlock
 from pymodbus.pdu.mei_message import ReadDeviceInformationRequest
 
-# what function 43/14 tells; pymodbus knows one identity a process
+# the objects that function 43/14 reports; pymodbus has one identity in a process
 ModbusControlBlock().Identity.update(
     {
-        0: "rollerrig",
-        1: "roller rig",
-        2: metadata.version("rollerrig"),
-        4: "rollerrig",
-        5: "roller-rig emulator for wheel slide protection",
+        0: "rollerrig",  # vendor name
+        1: "roller rig",  # product code
+        2: metadata.version("rollerrig"),  # revision
+        4: "rollerrig",  # product name
+        5: "roller-rig emulator for wheel slide protection",  # model name
     }
 )
 _REGULAR_CONFORMITY = 0x82  # basic and regular objects, as a stream and one by one
-EXCEPTION = 0x80
+_LAST_BASIC_OBJECT = 2
+
+# this bit in the function code of an answer marks an exception
+EXCEPTION_BIT = 0x80
 
 
 class RefusedError(Exception):
-    """A request that cannot be served; `code` is what the client is told."""
+    """A request that cannot be served; `code` is the exception code that the client receives."""
 
     def __init__(self, code: ExcCodes) -> None:
         super().__init__(code.name)
@@ -39,21 +49,21 @@ class RefusedError(Exception):
 
 
 class _Echoed(ModbusPDU):
-    """A write that is its own answer."""
+    """A write whose answer is the request."""
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
-        await context.async_setValues(
-            device_id, self.function_code, self.address, self.bits or self.registers
-        )
+        values = self.bits or self.registers
+        await context.async_setValues(device_id, self.function_code, self.address, values)
         return self
 
 
 class WriteCoil(_Echoed, bits.WriteSingleCoilRequest):
-    """Function 5, with two values only."""
+    """Function 5, which allows two values only."""
 
     def decode(self, data: bytes) -> None:
         super().decode(data)
-        if int.from_bytes(data[2:], "big") not in (ModbusStatus.ON, ModbusStatus.OFF):
+        value = int.from_bytes(data[2:], "big")
+        if value not in (ModbusStatus.ON, ModbusStatus.OFF):
             raise ValueError(data)
 
 
@@ -62,15 +72,16 @@ class WriteRegister(_Echoed, words.WriteSingleRegisterRequest):
 
 
 class WriteCoils(bits.WriteMultipleCoilsRequest):
-    """Function 15, with the standard's limit."""
+    """Function 15, with the limit of the standard."""
 
     MAX_COUNT = 1968
 
 
 class Exchange(words.ReadWriteMultipleRegistersRequest):
-    """Function 23: where nothing can be read, nothing is written."""
+    """Function 23, which writes nothing if the read is not possible."""
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
+        # a trial read, which raises RefusedError before anything is written
         await context.async_getValues(
             device_id, self.function_code, self.read_address, self.read_count
         )
@@ -78,11 +89,12 @@ class Exchange(words.ReadWriteMultipleRegistersRequest):
 
 
 class Identify(ReadDeviceInformationRequest):
-    """Function 43/14: an unknown first object means the beginning."""
+    """Function 43/14, which starts from the first object if the requested one is unknown."""
 
     def decode(self, data: bytes) -> None:
         super().decode(data)
-        if DeviceInformation(self.read_code) is DeviceInformation.BASIC and self.object_id > 2:
+        basic = DeviceInformation(self.read_code) is DeviceInformation.BASIC
+        if basic and self.object_id > _LAST_BASIC_OBJECT:
             self.object_id = 0
 
     async def datastore_update(self, context: Any, device_id: int) -> ModbusPDU:
@@ -91,44 +103,48 @@ class Identify(ReadDeviceInformationRequest):
         return reply
 
 
-FUNCTIONS: dict[int, type[ModbusPDU]] = {
-    kind.function_code: kind
-    for kind in (
-        bits.ReadCoilsRequest,
-        bits.ReadDiscreteInputsRequest,
-        words.ReadHoldingRegistersRequest,
-        words.ReadInputRegistersRequest,
-        WriteCoil,
-        WriteRegister,
-        WriteCoils,
-        words.WriteMultipleRegistersRequest,
-        words.MaskWriteRegisterRequest,
-        Exchange,
-        Identify,
-    )
-}
-BITS, WRITES = (1, 2, 5, 15), (5, 6, 15, 16, 22, 23)
+_REQUESTS: tuple[type[ModbusPDU], ...] = (
+    bits.ReadCoilsRequest,
+    bits.ReadDiscreteInputsRequest,
+    words.ReadHoldingRegistersRequest,
+    words.ReadInputRegistersRequest,
+    WriteCoil,
+    WriteRegister,
+    WriteCoils,
+    words.WriteMultipleRegistersRequest,
+    words.MaskWriteRegisterRequest,
+    Exchange,
+    Identify,
+)
+FUNCTIONS: dict[int, type[ModbusPDU]] = {request.function_code: request for request in _REQUESTS}
+# function codes that read or write bits; all others are for registers
+BIT_FUNCTIONS = (1, 2, 5, 15)
+WRITE_FUNCTIONS = (5, 6, 15, 16, 22, 23)
 
 
 class Decoder(DecodePDU):
-    """Tells pymodbus' framers, and `answer`, of which class a request is."""
+    """Finds the class of a request, for the framers of pymodbus and for `answer`."""
 
     def lookupPduClass(self, data: bytes) -> type[ModbusPDU] | None:
-        """The class of the request behind a unit; None: it is not served."""
-        kind = FUNCTIONS.get(data[1])
-        return (
-            None if kind is Identify and data[2:3] != bytes((Identify.sub_function_code,)) else kind
-        )
+        """Return the class of a request, or None if it is not served.
+
+        `data`: unit, function code and the data of the function.
+        """
+        request = FUNCTIONS.get(data[1])
+        if request is Identify and data[2:3] != bytes((Identify.sub_function_code,)):
+            # another encapsulated interface
+            return None
+        return request
 
 
 DECODER = Decoder(True)
 
 
 def answer(units: Mapping[int, Any], unit: int, request: bytes) -> bytes:
-    """The answer of a unit to a request (function code and data, at least one byte).
+    """Return the answer of a unit to a request (function code and data, at least one byte).
 
-    A unit has pymodbus' `async_getValues` and `async_setValues`, which never wait and raise
-    RefusedError. Never raises: what fails inside is exception 04.
+    A unit has the methods `async_getValues` and `async_setValues` of pymodbus. They never wait, and
+    they raise RefusedError. This function never raises: an internal failure becomes exception 04.
     """
     try:
         reply = _execute(units, unit, bytes((unit,)) + request)
@@ -138,26 +154,30 @@ def answer(units: Mapping[int, Any], unit: int, request: bytes) -> bytes:
     except Exception:
         # a fault in a reader or a writer must not end the connection, let alone the bench
         code = ExcCodes.DEVICE_FAILURE
-    return bytes((request[0] | EXCEPTION,)) + ExceptionResponse(request[0], code).encode()
+    function = request[0]
+    return bytes((function | EXCEPTION_BIT,)) + ExceptionResponse(function, code).encode()
 
 
 def _execute(units: Mapping[int, Any], unit: int, frame: bytes) -> ModbusPDU:
+    """Execute a request and return its answer. `frame`: unit, function code and data."""
     if unit not in units:
         raise RefusedError(ExcCodes.GATEWAY_NO_RESPONSE)
     kind = DECODER.lookupPduClass(frame)
     if kind is None:
         raise RefusedError(ExcCodes.ILLEGAL_FUNCTION)
+
     request = kind()
     try:
-        # a frame of RTU has two bytes more
+        # a frame of RTU is two bytes longer, because of its checksum
         if kind.calculateRtuFrameSize(frame) != len(frame) + 2:
             raise ValueError(frame)
         request.decode(frame[2:])
     except ValueError:
         raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
+
     try:
-        # the first step of a coroutine that never waits is its last
+        # a coroutine that never waits returns in its first step
         request.datastore_update(units[unit], unit).send(None)
     except StopIteration as done:
         return done.value
-    raise RuntimeError("a unit has waited")
+    raise RuntimeError("a unit has waited; its methods must return without waiting")

@@ -1,10 +1,11 @@
 """Modbus RTU on a serial port or a pseudo-terminal: framing by length and checksum, and by silence.
 
-Checksums are pymodbus'. Its framer drops what follows a frame and its transport needs pyserial; here
-a frame is whole when its function tells its length and the checksum fits, and the line is an asyncio
-pipe. Whatever else comes is thrown away at the next silence, unless it is a sound frame of a function
-that this device has not: that is answered. Other units on the line are let be, and unit 0 is
-everybody: it is obeyed and not answered. Source: MODBUS over Serial Line V1.02, section 2.
+The checksums are those of pymodbus. Its framer drops what follows a frame, and its transport needs
+pyserial. Here a frame is complete when its function gives its length and the checksum is right, and
+the line is a pair of asyncio pipes. Other data are dropped at the next silence, except a correct
+frame of a function that this device does not have: that is answered with an exception. Frames for
+other units on the line are ignored. Unit 0 is a broadcast: all units execute it, and none answers.
+Source: MODBUS over Serial Line V1.02, section 2.
 """
 
 import asyncio
@@ -24,35 +25,55 @@ from rollerrig.wsp_interface.events import Code, OnEvent
 BROADCAST = 0
 LARGEST_FRAME = 256
 PSEUDO = "pty"
-# silence that ends a frame: 3.5 characters, but no less than serial adapters pause inside a frame
-CHARACTERS, SILENCE_MIN_S = 3.5, 0.02
+
+# silence that ends a frame: 3.5 characters, but at least as long as serial adapters pause in a frame
+CHARACTERS = 3.5
+SILENCE_MIN_S = 0.02
 _BITS_PER_CHARACTER = 11
-_UNSENT_BYTES = 1024
-_REOPEN_S = 1.0
+
+_CRC_BYTES = 2
+_UNSENT_BYTES = 1024  # answers beyond this are lost
+_REOPEN_S = 1.0  # pause between two attempts to open a lost line
+
+# places in the list of termios.tcgetattr
+_CONTROL_FLAGS = 2
+_INPUT_SPEED = 4
+_OUTPUT_SPEED = 5
+
+# the answer of the framer where there is no frame
+_NO_FRAME = (0, 0, 0, b"")
 
 
 class Frame(FramerRTU):
-    """A frame with its checksum, and not a byte of what follows it."""
+    """A frame with its checksum, without any byte of what follows it."""
 
     def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
-        """Bytes used (0: no whole sound request), unit, 0 and request."""
+        """Return the number of bytes used, the unit, 0 and the request at the beginning of `data`.
+
+        The number of bytes is 0 if there is no complete and correct request.
+        """
         kind = self.decoder.lookupPduClass(data) if len(data) >= self.MIN_SIZE else None
         size = kind.calculateRtuFrameSize(data) if kind else 0
-        return self.sound(data[:size]) if size <= len(data) else (0, 0, 0, b"")
+        if size > len(data):
+            return _NO_FRAME
+        return self.decode_whole(data[:size])
 
-    def sound(self, frame: bytes) -> tuple[int, int, int, bytes]:
-        """As `decode`, of bytes that the silence has ended."""
-        whole = self.MIN_SIZE <= len(frame) <= LARGEST_FRAME and self.check_CRC(
-            frame[:-2], int.from_bytes(frame[-2:], "big")
-        )
-        return (len(frame), frame[0], 0, frame[1:-2]) if whole else (0, 0, 0, b"")
+    def decode_whole(self, frame: bytes) -> tuple[int, int, int, bytes]:
+        """As `decode`, if all bytes must be one frame: a silence has ended it, or its length is known."""
+        if not self.MIN_SIZE <= len(frame) <= LARGEST_FRAME:
+            return _NO_FRAME
+        content = frame[:-_CRC_BYTES]
+        checksum = int.from_bytes(frame[-_CRC_BYTES:], "big")
+        if not self.check_CRC(content, checksum):
+            return _NO_FRAME
+        return len(frame), content[0], 0, content[1:]
 
 
 class SerialLine(asyncio.Protocol):
-    """A server's units on a serial line; all in the running loop.
+    """The units of a server on a serial line; everything runs in the running loop.
 
-    `port` is a device, or "pty" for a new pseudo-terminal; `on_event(code, **fields)` hears when the
-    line is lost and when it is back.
+    `port` is a device, or "pty" for a new pseudo-terminal. `on_event(code, **fields)` is called when
+    the line is lost and when it is back.
     """
 
     def __init__(
@@ -63,18 +84,23 @@ class SerialLine(asyncio.Protocol):
         parity: str = "even",
         on_event: OnEvent = events.ignore,
     ) -> None:
-        self.server, self.port, self.on_event = server, port, on_event
-        self.baud_rate, self.parity = baud_rate, parity
+        self.server = server
+        self.port = port
+        self.baud_rate = baud_rate
+        self.parity = parity
+        self.on_event = on_event
         self.silence_s = max(CHARACTERS * _BITS_PER_CHARACTER / baud_rate, SILENCE_MIN_S)
         self._frame = Frame(pdu.DECODER)
         self._received = b""
-        self._ends: tuple[asyncio.ReadTransport, asyncio.WriteTransport] | None = None
-        self._other = -1
-        self._quiet: asyncio.TimerHandle | None = None
+        # both are there while the line is open
+        self._reading: asyncio.ReadTransport | None = None
+        self._writing: asyncio.WriteTransport | None = None
+        self._client_end = -1  # descriptor of the other side of a pseudo-terminal
+        self._silence_timer: asyncio.TimerHandle | None = None
         self._reopening: asyncio.Task[None] | None = None
 
     async def open(self) -> str:
-        """Open the line; returns the device that a client opens. Raises BusError."""
+        """Open the line, and return the device that a client opens. Raises BusError."""
         running = asyncio.get_running_loop()
         try:
             name, line = self._open()
@@ -88,15 +114,17 @@ class SerialLine(asyncio.Protocol):
                 f"[modbus] serial = '{self.port}' at {self.baud_rate} baud: {reason}; "
                 'give a serial device, "pty", or "" for none'
             ) from None
-        self._ends = reading, writing
+        self._reading = reading
+        self._writing = writing
         return name
 
     def _open(self) -> tuple[str, int]:
+        """Open the device; returns the device of a client and the descriptor of the line."""
         if self.port == PSEUDO:
-            line, self._other = os.openpty()
-            # the other side stays open here, else the line would hang up between two clients
-            tty.setraw(self._other)
-            return os.ttyname(self._other), line
+            line, self._client_end = os.openpty()
+            # the side of the client stays open here, or the line would hang up between two clients
+            tty.setraw(self._client_end)
+            return os.ttyname(self._client_end), line
         line = os.open(self.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         try:
             _set_up(line, self.baud_rate, self.parity)
@@ -106,54 +134,70 @@ class SerialLine(asyncio.Protocol):
         return self.port, line
 
     def close(self) -> None:
-        """Let the line go."""
-        for waiting in (self._quiet, self._reopening):
-            if waiting:
-                waiting.cancel()
-        if self._ends:
-            self._ends[0].close()
-            self._ends[1].abort()
-            self._ends = None
-        if self._other >= 0:
-            os.close(self._other)
-            self._other = -1
+        """Close the line."""
+        if self._silence_timer:
+            self._silence_timer.cancel()
+        if self._reopening:
+            self._reopening.cancel()
+        if self._reading and self._writing:
+            self._reading.close()
+            self._writing.abort()
+        self._reading = None
+        self._writing = None
+        if self._client_end >= 0:
+            os.close(self._client_end)
+            self._client_end = -1
 
     def data_received(self, data: bytes) -> None:
-        if self._quiet:
-            self._quiet.cancel()
+        if self._silence_timer:
+            self._silence_timer.cancel()
         self._received += data
-        while self._obey(*self._frame.decode(self._received)):
-            pass
+
+        used = True
+        while used:
+            used = self._execute(*self._frame.decode(self._received))
+
         if self._received:
-            self._quiet = asyncio.get_running_loop().call_later(self.silence_s, self._on_silence)
-            # more than any frame: only its end is still of interest
+            self._silence_timer = asyncio.get_running_loop().call_later(
+                self.silence_s, self._on_silence
+            )
+            # of data longer than any frame, only the end still matters
             self._received = self._received[-LARGEST_FRAME - 1 :]
 
     def _on_silence(self) -> None:
-        self.server.counters.malformed += not self._obey(*self._frame.sound(self._received))
+        """Execute what has been received if it is a frame, and drop it in any case."""
+        if not self._execute(*self._frame.decode_whole(self._received)):
+            self.server.counters.malformed += 1
         self._received = b""
 
-    def _obey(self, used: int, unit: int, _: int, request: bytes) -> bool:
-        """Take a frame from what has come, and answer it; False if there is none."""
+    def _execute(self, used: int, unit: int, number: int, request: bytes) -> bool:
+        """Take a frame from the received bytes, execute and answer it; returns False if there is none.
+
+        The arguments are what `Frame.decode` returns.
+        """
+        if not used:
+            return False
         self._received = self._received[used:]
-        if used and unit == BROADCAST:
-            for one in self.server.units if request[0] in pdu.WRITES else ():
-                self.server.answer(one, request)
-        elif used and unit in self.server.units and request[0] < pdu.EXCEPTION and self._ends:
+        function = request[0]
+        if unit == BROADCAST:
+            if function in pdu.WRITE_FUNCTIONS:
+                for each_unit in self.server.units:
+                    self.server.answer(each_unit, request)
+        elif unit in self.server.units and function < pdu.EXCEPTION_BIT and self._writing:
             reply = self._frame.encode(self.server.answer(unit, request), unit, 0)
-            # what a client does not read is lost, as on a wire
-            if self._ends[1].get_write_buffer_size() + len(reply) <= _UNSENT_BYTES:
-                self._ends[1].write(reply)
-        return bool(used)
+            # answers that a client does not read are lost, as on a wire
+            if self._writing.get_write_buffer_size() + len(reply) <= _UNSENT_BYTES:
+                self._writing.write(reply)
+        return True
 
     def connection_lost(self, exc: Exception | None) -> None:
-        if self._ends:
+        if self._writing:
             self.close()
             self.on_event(Code.MODBUS_SERIAL_LOST, device=self.port)
             self._reopening = asyncio.get_running_loop().create_task(self._reopen())
 
     async def _reopen(self) -> None:
-        while self._ends is None:
+        while self._writing is None:
             await asyncio.sleep(_REOPEN_S)
             with contextlib.suppress(BusError):
                 await self.open()
@@ -161,18 +205,27 @@ class SerialLine(asyncio.Protocol):
 
 
 def _set_up(line: int, baud_rate: int, parity: str) -> None:
-    """Raw bytes, eight data bits; two stop bits where there is no parity, as the standard wants."""
+    """Set a line to raw bytes with eight data bits. Raises OSError.
+
+    Without parity there are two stop bits, as the standard requires.
+    """
     speed = getattr(termios, f"B{baud_rate}", None)
     if speed is None:
         raise OSError(f"no such baud rate: {baud_rate}")
     tty.setraw(line)
     mode = termios.tcgetattr(line)
-    mode[2] &= ~(termios.PARENB | termios.PARODD | termios.CSTOPB | termios.CRTSCTS)
-    mode[2] |= termios.CLOCAL | termios.CREAD
-    mode[2] |= {
+
+    flags = mode[_CONTROL_FLAGS]
+    flags &= ~(termios.PARENB | termios.PARODD | termios.CSTOPB | termios.CRTSCTS)
+    flags |= termios.CLOCAL | termios.CREAD
+    parity_flags = {
         "none": termios.CSTOPB,
         "even": termios.PARENB,
         "odd": termios.PARENB | termios.PARODD,
-    }[parity]
-    mode[4] = mode[5] = speed
+    }
+    flags |= parity_flags[parity]
+
+    mode[_CONTROL_FLAGS] = flags
+    mode[_INPUT_SPEED] = speed
+    mode[_OUTPUT_SPEED] = speed
     termios.tcsetattr(line, termios.TCSANOW, mode)

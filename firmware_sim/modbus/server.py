@@ -1,10 +1,15 @@
 """Modbus TCP, and Modbus over TLS with client certificates: connections, limits, counters.
 
-The header is pymodbus', the connections are ours: its own server answers one of several requests in a
-segment, forgets what is long and hides why it cannot listen. What cannot be a Modbus header closes the
-connection. A client that floods takes turns with everybody else, one that does not read its answers is
-not read either, and when all places are taken the connection that has been idle longest gives way.
-Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3 and 4; MODBUS/TCP Security v2.1.
+The header is that of pymodbus. The connections are separate code, because the server of pymodbus
+answers only one of several requests in a segment, forgets long data, and hides why it cannot listen.
+
+- A header that cannot be Modbus closes the connection.
+- A client that sends many requests takes turns with the others.
+- A client that does not read its answers is not read either.
+- If all places are taken, the connection that has been idle longest is closed for a new one.
+
+Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3 and 4; MODBUS/TCP Security
+v2.1.
 """
 
 import asyncio
@@ -21,11 +26,14 @@ from rollerrig.firmware_sim.modbus import pdu
 from rollerrig.firmware_sim.modbus.access import Counters
 from rollerrig.firmware_sim.modbus.unit import Unit
 
-# the length in the header counts the unit and the request: at least a function code
-SHORTEST, LONGEST = 2, 254
+# bytes before the unit: transaction number, protocol and length, two bytes each
+_PREFIX_BYTES = 6
+# the length in the header counts the unit and the request, which has at least a function code
+SHORTEST = 2
+LONGEST = 254
 CLIENTS_MAX = 32
-BURST = 16  # requests answered before others have their turn: less than half a millisecond
-_PORTION_BYTES = 4096
+BURST = 16  # requests answered before the other clients have their turn: less than 0.5 ms
+_BUFFER_BYTES = 4096
 _HANDSHAKE_S = 5.0
 # a client that has vanished is noticed after about half a minute
 _KEEPALIVE = (
@@ -37,28 +45,38 @@ _KEEPALIVE = (
 
 
 class Header(FramerSocket):
-    """The header of Modbus TCP, checked as soon as it can be."""
+    """The header of Modbus TCP, checked as soon as its bytes have arrived."""
 
     def decode(self, data: bytes) -> tuple[int, int, int, bytes]:
-        """Bytes used (0: not all there), unit, number and request. Raises ValueError: not Modbus."""
-        length = int.from_bytes(data[4:6], "big")
-        if any(data[2:4]) or (len(data) >= 6 and not SHORTEST <= length <= LONGEST):
-            raise ValueError(data[:6].hex())
-        # pymodbus takes a byte behind the shortest request for part of it
-        return super().decode(data[: 6 + length])
+        """Return the number of bytes used, the unit, the transaction number and the request.
+
+        The number of bytes is 0 while the request is not complete. Raises ValueError if the data
+        cannot be Modbus.
+        """
+        wrong_protocol = any(data[2:4])
+        length = int.from_bytes(data[4:_PREFIX_BYTES], "big")
+        length_known = len(data) >= _PREFIX_BYTES
+        if wrong_protocol or (length_known and not SHORTEST <= length <= LONGEST):
+            raise ValueError(data[:_PREFIX_BYTES].hex())
+        # without the limit, pymodbus would add a byte behind the shortest request to that request
+        return super().decode(data[: _PREFIX_BYTES + length])
 
 
 class Server:
-    """Units behind sockets, or a serial line; all in the running loop."""
+    """Units behind sockets or a serial line; everything runs in the running loop."""
 
     def __init__(self, units: Mapping[int, Unit], counters: Counters | None = None) -> None:
-        self.units, self.counters = units, counters or Counters()
+        self.units = units
+        self.counters = counters or Counters()
         self.header = Header(pdu.DECODER)
         self.connections: set[Connection] = set()
         self._listener: asyncio.Server | None = None
 
     async def listen(self, host: str, port: int, context: ssl.SSLContext | None = None) -> int:
-        """Take clients at an address; returns the port (0 takes a free one). Raises BusError."""
+        """Accept clients at an address, and return the port. Raises BusError.
+
+        `port`: 0 takes a free one; `context`: for TLS.
+        """
         try:
             self._listener = await asyncio.get_running_loop().create_server(
                 lambda: Connection(self),
@@ -71,56 +89,60 @@ class Server:
         except OSError as error:
             raise BusError(
                 f"Modbus: cannot listen on {host}:{port} ({error.strerror or error}); another bench "
-                "may be running: stop it, take another port with --set modbus.port=N (0: a free "
+                "may be running. Stop it, take another port with --set modbus.port=N (0: a free "
                 "one), or switch Modbus off with --set modbus.enabled=false"
             ) from None
         return int(self._listener.sockets[0].getsockname()[1])
 
     async def close(self) -> None:
-        """End all connections and listen no more."""
-        if self._listener:
-            self._listener.close()
-            for connection in self.connections:
-                connection.transport.abort()
-            # they hear of it in the next turn of the loop
-            await asyncio.sleep(0)
-            await self._listener.wait_closed()
+        """Close all connections and stop listening."""
+        if not self._listener:
+            return
+        self._listener.close()
+        for connection in self.connections:
+            connection.transport.abort()
+        # the connections are notified in the next cycle of the loop
+        await asyncio.sleep(0)
+        await self._listener.wait_closed()
 
     def answer(self, unit: int, request: bytes) -> bytes:
-        """The answer to a request, counted."""
+        """Return the answer to a request, and count it."""
         reply = pdu.answer(self.units, unit, request)
         self.counters.requests += 1
-        self.counters.exceptions += reply[0] >= pdu.EXCEPTION
+        if reply[0] >= pdu.EXCEPTION_BIT:
+            self.counters.exceptions += 1
         return reply
 
 
 class Connection(asyncio.BufferedProtocol):
-    """One client. asyncio's streams would take twice the time for a request."""
+    """One client. The streams of asyncio would take twice the time for a request."""
 
     transport: asyncio.Transport
 
     def __init__(self, server: Server) -> None:
         self.server = server
-        self.used_s = time.monotonic()
-        self._portion, self._received = bytearray(_PORTION_BYTES), b""
-        self._blocked = False
+        self.last_used_s = time.monotonic()
+        self._buffer = bytearray(_BUFFER_BYTES)
+        self._received = b""  # not yet answered
+        self._blocked = False  # the client does not read its answers
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
         for option in _KEEPALIVE:
             transport.get_extra_info("socket").setsockopt(*option)
-        others = self.server.connections
-        if len(others) >= CLIENTS_MAX:
-            idle = min(others, key=lambda one: one.used_s)
-            others.discard(idle)
+
+        connections = self.server.connections
+        if len(connections) >= CLIENTS_MAX:
+            idle = min(connections, key=lambda connection: connection.last_used_s)
+            connections.discard(idle)
             idle.transport.abort()
-        others.add(self)
+        connections.add(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self.server.connections.discard(self)
 
     def pause_writing(self) -> None:
-        # its answers are not read: its requests have to wait
+        # the client does not read its answers, so its requests have to wait
         self._blocked = True
         self.transport.pause_reading()
 
@@ -129,16 +151,17 @@ class Connection(asyncio.BufferedProtocol):
         self._serve()
 
     def get_buffer(self, sizehint: int) -> bytearray:
-        return self._portion
+        return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        self._received += self._portion[:nbytes]
-        self.used_s = time.monotonic()
+        self._received += self._buffer[:nbytes]
+        self.last_used_s = time.monotonic()
         self._serve()
 
     def _serve(self) -> None:
-        """Answer what has come in whole, at most a burst, and then let others have their turn."""
-        header, answers = self.server.header, 0
+        """Answer the complete requests, at most a burst, and then let the other clients go on."""
+        header = self.server.header
+        answers = 0
         try:
             while self._received and not (self._blocked or self.transport.is_closing()):
                 used, unit, number, request = header.decode(self._received)
@@ -149,7 +172,8 @@ class Connection(asyncio.BufferedProtocol):
                     asyncio.get_running_loop().call_soon(self._serve)
                     return
                 self._received = self._received[used:]
-                self.transport.write(header.encode(self.server.answer(unit, request), unit, number))
+                reply = self.server.answer(unit, request)
+                self.transport.write(header.encode(reply, unit, number))
                 answers += 1
         except ValueError:
             self.server.counters.malformed += 1

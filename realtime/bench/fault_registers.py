@@ -48,14 +48,14 @@ class FaultRegisters:
             writers[name] = partial(self._select, name)
         return writers
 
-    def _select(self, name: str, raw: int, only: bool) -> None:
+    def _select(self, name: str, raw: int, check_only: bool) -> None:
         if name == "fault" and raw not in BY_NUMBER:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
-        if not only:
+        if not check_only:
             self.selected[name] = raw
 
-    def _inject(self, raw: int, only: bool) -> None:
-        if not raw or only:
+    def _inject(self, raw: int, check_only: bool) -> None:
+        if not raw or check_only:
             return
         kind = BY_NUMBER[self.selected["fault"]]
         duration_s = self.selected["fault_duration"] * DURATION_UNIT_S
@@ -70,6 +70,6 @@ class FaultRegisters:
             self.on_event(Code.FAULT_REFUSED, reason=str(error))
             raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
 
-    def _lift(self, raw: int, only: bool) -> None:
-        if raw and not only:
+    def _lift(self, raw: int, check_only: bool) -> None:
+        if raw and not check_only:
             self.faults.clear()

@@ -233,15 +233,15 @@ class Plc:
         return round(self._percentiles_us[percentile])
 
     # -- what a client writes
-    # each writer is first called with only=True, and refuses there a value that it would not take
+    # each writer is first called with check_only=True, and then refuses a value that is not allowed
 
-    def _run(self, raw: int, only: bool) -> None:
+    def _run(self, raw: int, check_only: bool) -> None:
         if not raw or self.state is State.RUNNING:
             return
         if self.demand.emergency_stop:
             raise RefusedError(ExcCodes.DEVICE_BUSY)
         self._require_held()
-        if only:
+        if check_only:
             return
         data = self.rig.data
         self.rig.speed_m_s = round(float(data.state.vehicle_speed[0]), 6)
@@ -249,12 +249,12 @@ class Plc:
         data.control[HOLD] = RELEASED
         self.rig.event(Code.RUN_STARTED)
 
-    def _stop(self, raw: int, only: bool) -> None:
-        if raw and not only:
+    def _stop(self, raw: int, check_only: bool) -> None:
+        if raw and not check_only:
             self.rig.stop(Code.RUN_STOPPED)
 
-    def _emergency_stop(self, raw: int, only: bool) -> None:
-        if only or bool(raw) == self.demand.emergency_stop:
+    def _emergency_stop(self, raw: int, check_only: bool) -> None:
+        if check_only or bool(raw) == self.demand.emergency_stop:
             return
         self.demand.emergency_stop = bool(raw)
         self.rig.event(Code.EMERGENCY_STOP_SET if raw else Code.EMERGENCY_STOP_RESET)
@@ -263,7 +263,7 @@ class Plc:
             self.bus.nodes[node].device.emergency_stop(self.demand.emergency_stop)
         self.bus.post()
 
-    def _set_speed(self, raw: int, only: bool) -> None:
+    def _set_speed(self, raw: int, check_only: bool) -> None:
         speed_m_s = raw * _SPEED.scale
         bounds = next(row for row in scenario.HEAD if row.name == "initial_speed_m_s")
         drive, contact = self.rig.plan["drive"], self.rig.plan["contact"]
@@ -271,21 +271,21 @@ class Plc:
         if not bounds.low <= speed_m_s <= min(bounds.high, fastest_roller_m_s):
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         self._require_held()
-        if not only:
+        if not check_only:
             self.rig.speed_m_s = speed_m_s
             self.roll()
 
-    def _set_demand(self, raw: int, only: bool) -> None:
+    def _set_demand(self, raw: int, check_only: bool) -> None:
         pressure_Pa = raw * _DEMAND.scale
         if raw == NO_DEMAND:
             pressure_Pa = math.nan
         elif not 0 <= pressure_Pa <= _HIGHEST_DEMAND_Pa:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
-        if not only:
+        if not check_only:
             self.demand.set_point_Pa = pressure_Pa
             self.bus.post()
 
-    def _select_scenario(self, raw: int, only: bool) -> None:
+    def _select_scenario(self, raw: int, check_only: bool) -> None:
         if not 0 <= raw < len(self.scenarios):
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if raw == self._scenario_number():
@@ -297,7 +297,7 @@ class Plc:
         except RollerrigError as error:
             rig.event(Code.SCENARIO_REFUSED, reason=str(error))
             raise RefusedError(ExcCodes.ILLEGAL_VALUE) from None
-        if only:
+        if check_only:
             return
         rig.speed_m_s = float(plan["initial_speed_m_s"])
         # the real-time thread ends, and begins again with the next plan

@@ -40,15 +40,15 @@ def _blocks(rows: tuple[Register, ...]) -> list[list[Register]]:
     blocks: list[list[Register]] = []
     next_address = -1
     for row in rows:
-        if row.at == next_address:
+        if row.address == next_address:
             blocks[-1].append(row)
         else:
             blocks.append([row])
-        next_address = row.at + row.width
+        next_address = row.address + row.width
     return blocks
 
 
-_WORDS_READ = tuple(row for row in WORDS if row.at < _FIRST_UNREAD_WORD)
+_WORDS_READ = tuple(row for row in WORDS if row.address < _FIRST_UNREAD_WORD)
 _BLOCKS = _blocks(BITS) + _blocks(_WORDS_READ)
 
 
@@ -122,9 +122,9 @@ class Doors:
         try:
             client = await self._connected(*self.bench.modbus)
             if row.kind == BIT:
-                answer = await client.write_coil(row.at, bool(raw), device_id=PLC_UNIT)
+                answer = await client.write_coil(row.address, bool(raw), device_id=PLC_UNIT)
             else:
-                answer = await client.write_register(row.at, raw & 0xFFFF, device_id=PLC_UNIT)
+                answer = await client.write_register(row.address, raw & 0xFFFF, device_id=PLC_UNIT)
         except (ModbusException, OSError) as error:
             raise BusError(
                 f"{name} = {value:g}: the bench does not answer over Modbus: {error}"
@@ -199,8 +199,8 @@ class Doors:
 
 async def _read(client: AsyncModbusTcpClient, block: list[Register]) -> dict[str, float]:
     """The values of a block of registers by their names. Raises ModbusException."""
-    first = block[0].at
-    count = block[-1].at + block[-1].width - first
+    first = block[0].address
+    count = block[-1].address + block[-1].width - first
     answer: Any
     if block[0].kind == BIT:
         answer = await client.read_coils(first, count=count, device_id=PLC_UNIT)
@@ -209,7 +209,7 @@ async def _read(client: AsyncModbusTcpClient, block: list[Register]) -> dict[str
     if answer.isError():
         raise ModbusException(str(answer))
     raw: list[int] = answer.bits if block[0].kind == BIT else answer.registers
-    return {row.name: _value(row, raw, row.at - first) for row in block}
+    return {row.name: _value(row, raw, row.address - first) for row in block}
 
 
 def _value(row: Register, raw: list[int], at: int) -> float:

@@ -21,7 +21,7 @@ from rollerrig.wsp_interface import signals
 RATED_Nm = 15000.0
 HIGHEST_SPEED = 10000
 # the signal that a speed sensor tells stands in register 208
-MEASURED_SPEED = next(row.signal for row in WORDS if row.at == 208)
+MEASURED_SPEED = next(row.signal for row in WORDS if row.address == 208)
 
 
 def until(condition):
@@ -61,18 +61,18 @@ class Site:
         readers = {name: lambda name=name: self.values[name] for name in self.values}
         readers |= modbus_unit.signal_readers(WORDS, self.row, {"rated_torque_Nm": RATED_Nm})
         writers = {
-            row.name: lambda raw, only, name=row.name: self._take(name, raw, only)
+            row.name: lambda raw, check_only, name=row.name: self._take(name, raw, check_only)
             for row in (*BITS, *WORDS)
             if row.access == "rw"
         }
         return modbus_unit.Unit((*BITS, *WORDS), readers, writers)
 
-    def _take(self, name, raw, only):
+    def _take(self, name, raw, check_only):
         if name == "scenario" and raw == 666:
             raise RuntimeError("a writer that fails")
         if name == "speed_set_point" and raw > HIGHEST_SPEED:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
-        if not only:
+        if not check_only:
             self.values[name] = raw
             self.written.append((name, raw))
 

@@ -20,12 +20,12 @@ def drive():
 
 
 def spaces(drive):
-    return {"plc bits": BITS, "plc registers": WORDS, "drive": map.drive_words(drive)}
+    return {"plc bits": BITS, "plc registers": WORDS, "drive": map.drive_registers(drive)}
 
 
 def test_no_register_is_taken_twice_and_no_name_is_used_twice(drive):
     for rows in spaces(drive).values():
-        taken = [row.at + i for row in rows for i in range(row.width)]
+        taken = [row.address + i for row in rows for i in range(row.width)]
         assert len(taken) == len(set(taken))
         assert len({row.name for row in rows}) == len(rows)
     assert not {row.name for row in BITS} & {row.name for row in WORDS}
@@ -86,8 +86,8 @@ def test_measured_ranges_hold_what_the_rig_can_do():
 
 
 def test_a_drives_rows_are_those_of_its_dictionary(drive):
-    assert len(map.drive_words(drive)) > 20
-    for row in map.drive_words(drive):
+    assert len(map.drive_registers(drive)) > 20
+    for row in map.drive_registers(drive):
         variable = drive[row.od_index]
         assert row.scale == variable.factor
         assert row.access == "ro" or variable.writable
@@ -99,7 +99,7 @@ def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
     drives = dict.fromkeys(signals.DRIVE_NODES, drive)
     document, sheet = map.write(tmp_path, drives, ("dry_stop", "velim_a1"))
     lines = list(csv.DictReader(io.StringIO(sheet.read_text())))
-    assert len(lines) == len(BITS) + len(WORDS) + 4 * len(map.drive_words(drive))
+    assert len(lines) == len(BITS) + len(WORDS) + 4 * len(map.drive_registers(drive))
     found = {(line["unit"], line["space"], line["name"]): line for line in lines}
     speed = found["1", "registers", "speed_set_point"]
     assert (speed["register"], speed["scale"], speed["unit_of_value"]) == ("1", "0.01", "m/s")

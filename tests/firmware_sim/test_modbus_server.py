@@ -228,7 +228,7 @@ def test_a_drive_refuses_a_value_that_its_object_refuses(at, value, client, site
 @pytest.mark.conformance("Modbus", "every row of every unit is readable")
 def test_every_row_of_every_unit_is_readable(client):
     for row in WORDS:
-        assert len(client.words(row.at, row.width)) == row.width
+        assert len(client.words(row.address, row.width)) == row.width
     for unit in (11, 12, 13, 14):
         assert client.words(100, 18, unit)
         assert client.words(0, 18, unit)

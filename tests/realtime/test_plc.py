@@ -16,7 +16,7 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
-ADDRESS_OF = {row.name: row.at for row in (*BITS, *WORDS)}
+ADDRESS_OF = {row.name: row.address for row in (*BITS, *WORDS)}
 BIT_NAMES = {row.name for row in BITS}
 # time-outs of wall time, for a busy machine
 START_S = 240.0
