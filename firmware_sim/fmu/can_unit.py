@@ -1,14 +1,23 @@
-"""WSP units that are CAN nodes in FMUs: their frames to the bus of the rig, and those of the bus to them.
+"""WSP units that are CAN nodes in FMUs, and the bridge that exchanges their frames with the bus of the rig.
 
-After a SYNC and the pressures of node 17 the FMUs hear what the bus has carried since the last, and their time goes
-on by the SYNC period, in steps of their own, of the interval of their Tx_Clock, or of 1 ms. What they send on the way
-is confirmed to the sender and heard by the other FMUs, where several send at a time by their identifiers as in
-arbitration, and goes to the bus at the end of these steps; heartbeat and magnets last, since with them the bench goes
-on. So in lockstep a run repeats. Before the first SYNC their time goes on until the unit's heartbeat (720h), and with
-each NMT command to a unit that is not OPERATIONAL until it is, a second at most.
-Source: FMI 3.0.2, co-simulation with event mode and clocks; FMI-LS-BUS 1.0, importer with integrated bus simulation.
-Limits: confirmed is what has been handed to the bus; classical CAN, another frame is a Bus Error of form; error frames
-of the rig's bus are told without an Arbitration Lost, and with the identifier 0 where the bus does not say it.
+A cycle begins after a SYNC and the pressures of node 17. The FMUs receive what the bus has carried
+since the last cycle. Then their time advances by the SYNC period, in their internal steps, by the
+interval of their Tx_Clock, or by 1 ms.
+
+A frame that an FMU sends meanwhile is confirmed to the sender and received by the other FMUs. If
+several FMUs send at one time, the identifiers decide the order, as in arbitration. At the end of the
+cycle all frames go to the bus. Heartbeat and magnets are the last ones, because the bench continues
+when it has received them. So a run in lockstep is repeatable.
+
+Before the first SYNC, time advances until the heartbeat of the unit (720h). After an NMT command
+to the unit, time advances until the unit is OPERATIONAL, but by a second at most.
+
+Source: FMI 3.0.2, co-simulation with event mode and clocks; FMI-LS-BUS 1.0, importer with integrated
+bus simulation.
+
+Limits: a frame is confirmed when it has been handed over to the bus. The bus is classical CAN: any
+other frame is answered with a bus error (format). Error frames of the bus of the rig are reported
+without an Arbitration Lost, and with the identifier 0 if the bus does not give it.
 """
 
 import contextlib
@@ -17,16 +26,22 @@ import logging
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import can
 
 from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.fmu import ls_bus
-from rollerrig.firmware_sim.fmu.fmu_file import Fitted
+from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
 from rollerrig.firmware_sim.fmu.ls_bus import Code, Operation, Parameter
-from rollerrig.firmware_sim.fmu.signal_unit import Watch, initialising, open_fmu, print_at_once
-from rollerrig.firmware_sim.wsp import node as serving
+from rollerrig.firmware_sim.fmu.signal_unit import (
+    Watch,
+    flush_every_line,
+    initialisation_of,
+    open_fmu,
+)
+from rollerrig.firmware_sim.wsp import node as wsp_node
 from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.bus.plugin import frame_of, message_of
@@ -36,159 +51,240 @@ from rollerrig.wsp_interface.signals import WSP_NODE
 
 log = logging.getLogger(__name__)
 
-_STEP_NS, _QUIET_S, _BOOT_S, _ANSWER_S, _NEVER = 1_000_000, 0.1, 10.0, 1.0, 1 << 62
-# events at one time, and hands a frame goes through: more is a node that never rests
-_ROUNDS = 1000
-_LAST = {UNIT_HEARTBEAT_ID: 1, MAGNETS_ID: 2}
-_CHANGED, _SETTABLE, _ANNOUNCED = 2, ("fixed", "tunable"), ("changing", "countdown")
+_STEP_NS = 1_000_000  # step of an FMU whose Tx_Clock is triggered
+_QUIET_S = 0.1  # without a SYNC for so long, time advances by the wall clock
+_BOOT_S = 10.0  # time of the FMUs within which the unit must send a heartbeat
+_OPERATIONAL_S = 1.0  # time of the FMUs within which it follows an NMT command
+_NEVER_NS = 1 << 62
+_ROUNDS_MAX = 1000  # of events at one time; a node that needs more never comes to rest
+
+# frames that go to the bus after all others, in this order
+_LAST_FRAMES = {UNIT_HEARTBEAT_ID: 1, MAGNETS_ID: 2}
+_NMT_STATE_MASK = 0x7F  # in a heartbeat
+_ALL_NODES = 0  # in an NMT command
+_LOGGED_BYTES = 32  # of an operation that is not understood
+
+# fmi3IntervalQualifier: the interval has changed
+_INTERVAL_CHANGED = 2
+# variability of the interval of a Tx_Clock: the importer sets it, or the FMU announces it
+_SETTABLE = ("fixed", "tunable")
+_ANNOUNCED = ("changing", "countdown")
+
+# an error frame has eight bytes as in Linux can/error.h, then the identifier of the destroyed frame
+_PROTOCOL_BYTE = 2
+_ERROR_IN_TRANSMISSION = 0x80
+_DESTROYED_ID = slice(8, 12)
+
+
+class Interval(NamedTuple):
+    """The interval that an FMU announces for its Tx_Clock."""
+
+    ns: int
+    changed: bool
+
+
+class Offer(NamedTuple):
+    """A frame that a node wants to send, with the bytes of its operation."""
+
+    arbitration: int
+    node: "Node"
+    frame: Frame
+    raw: bytes
 
 
 class Node:
-    """An FMU with a CAN port. `received` is what it shall hear, `sent` what it has sent: bytes with their meaning."""
+    """An FMU with a CAN port.
 
-    def __init__(self, fitted: Fitted, folder: Path, watch: Watch) -> None:
-        """Load it, extracted into a folder. Raises ConfigError."""
-        assert fitted.terminal
-        self.name, self.terminal, self._watch = fitted.path.name, fitted.terminal, watch
-        self.step_ns = round(fitted.step_s * S_NS)
+    `received` is what the FMU will receive at its next event. `sent` is what it has sent: the bytes of
+    each operation, and the operation (None if it is corrupt).
+    """
+
+    def __init__(self, checked: CheckedFmu, folder: Path, watch: Watch) -> None:
+        """Extract the FMU into a folder and load it. Raises ConfigError."""
+        assert checked.terminal
+        self.name = checked.path.name
+        self.terminal = checked.terminal
+        self.step_ns = round(checked.step_s * S_NS)  # internal step, 0 for any
         self.received = b""
         self.sent: list[tuple[bytes, Operation | None]] = []
-        self.discards, self.last_sent = False, 0
-        self.next_ns, self.now_ns = _NEVER, 0
-        self._eventful = True
+        self.discards = False  # a frame that loses the arbitration is discarded
+        self.last_sent = 0  # identifier
+        self.next_ns = _NEVER_NS  # when the Tx_Clock ticks next
+        self.now_ns = 0
+        self._watch = watch
+        self._needs_event = True
         self._interval_ns = round((self.terminal.interval_s or 0.0) * S_NS) or _STEP_NS
-        self._fmu = open_fmu(fitted, folder)
+        self._fmu = open_fmu(checked, folder)
 
     def begin(self) -> None:
-        """Initialise it, up to its first event. Raises UnitError."""
-        fmu, terminal = self._fmu, self.terminal
-        with initialising(self.name), self._watch.over(0.0, self.name, "its initialisation"):
+        """Initialise the FMU, including its first event. Raises UnitError."""
+        fmu = self._fmu
+        terminal = self.terminal
+        with (
+            initialisation_of(self.name),
+            self._watch.call(0.0, self.name, "its initialisation"),
+        ):
             fmu.instantiate(eventModeUsed=True)
             if terminal.notify is not None:
-                with contextlib.ExitStack() as end:
-                    if terminal.structural:
-                        fmu.enterConfigurationMode()
-                        end.callback(fmu.exitConfigurationMode)
-                    fmu.setBoolean([terminal.notify], [True])
+                self._enable_notifications(terminal.notify)
             fmu.enterInitializationMode(startTime=0.0)
             if terminal.clock in _SETTABLE:
-                fmu.setIntervalDecimal(*_array(terminal.tx_clock, self._interval_ns / S_NS))
+                fmu.setIntervalDecimal(*_arrays(terminal.tx_clock, self._interval_ns / S_NS))
             fmu.exitInitializationMode()
             if terminal.clock == "calculated":
-                self._interval_ns = self._announced()[0]
+                self._interval_ns = self._announced_interval().ns
             if terminal.clock in _ANNOUNCED:
-                self._plan(True)
+                self._plan_tick(True)
             elif terminal.clock != "triggered":
                 self.next_ns = round(terminal.shift_s * S_NS)
             self._iterate()
 
+    def _enable_notifications(self, parameter: int) -> None:
+        """Set the parameter with which the FMU waits for confirmations."""
+        if self.terminal.structural:
+            self._fmu.enterConfigurationMode()
+        try:
+            self._fmu.setBoolean([parameter], [True])
+        finally:
+            if self.terminal.structural:
+                self._fmu.exitConfigurationMode()
+
     @property
     def due(self) -> bool:
         """Whether an event is due now."""
-        return bool(self.received) or self._eventful or self.next_ns <= self.now_ns
+        return bool(self.received) or self._needs_event or self.next_ns <= self.now_ns
 
     def advance(self, now_ns: int) -> None:
-        """Let its time go on. Raises UnitError."""
-        with self._watch.over(self.now_ns / S_NS, self.name):
-            eventful, ends, *_ = self._fmu.doStep(self.now_ns / S_NS, (now_ns - self.now_ns) / S_NS)
-        self.now_ns, self._eventful = now_ns, eventful
-        self._refuse_end(ends)
+        """Advance the time of the FMU. Raises UnitError."""
+        begin_s = self.now_ns / S_NS
+        with self._watch.call(begin_s, self.name):
+            needs_event, terminates, *_ = self._fmu.doStep(begin_s, (now_ns - self.now_ns) / S_NS)
+        self.now_ns = now_ns
+        self._needs_event = needs_event
+        self._refuse_termination(terminates)
 
     def event(self) -> None:
-        """Let it hear and speak. Raises UnitError."""
-        with self._watch.over(self.now_ns / S_NS, self.name, "its event"):
+        """Let the FMU receive and send. Raises UnitError."""
+        with self._watch.call(self.now_ns / S_NS, self.name, "its event"):
             self._fmu.enterEventMode()
             self._iterate()
 
     def close(self) -> None:
-        """Let it end in order, as far as it still can."""
-        with contextlib.suppress(Exception):  # its run is over, and what has failed has been told
+        """Terminate the FMU as far as possible."""
+        # the run is over, and a failure has been reported already
+        with contextlib.suppress(Exception):
             self._fmu.terminate()
             self._fmu.freeInstance()
 
     def _iterate(self) -> None:
-        fmu, terminal = self._fmu, self.terminal
-        for _ in range(_ROUNDS):
+        """Update the discrete states until the event is complete. Raises UnitError."""
+        fmu = self._fmu
+        terminal = self.terminal
+        for _ in range(_ROUNDS_MAX):
             ticks = self.next_ns <= self.now_ns
-            heard, self.received = self.received, b""
-            if active := [terminal.rx_clock] * bool(heard) + [terminal.tx_clock] * ticks:
-                fmu.setClock(active, [True] * len(active))
-            if heard:
-                fmu.setBinary([terminal.rx_data], [heard])
+            received = self.received
+            self.received = b""
+
+            active_clocks = []
+            if received:
+                active_clocks.append(terminal.rx_clock)
+            if ticks:
+                active_clocks.append(terminal.tx_clock)
+            if active_clocks:
+                fmu.setClock(active_clocks, [True] * len(active_clocks))
+            if received:
+                fmu.setBinary([terminal.rx_data], [received])
+
             if ticks or (terminal.clock == "triggered" and fmu.getClock([terminal.tx_clock])[0]):
                 self.sent += ls_bus.read(fmu.getBinary([terminal.tx_data])[0] or b"")
-            again, ends, *_ = fmu.updateDiscreteStates()
-            self._refuse_end(ends)
-            self._plan(ticks)
-            if not again and self.next_ns > self.now_ns:
-                self._eventful = False
+
+            needs_update, terminates, *_ = fmu.updateDiscreteStates()
+            self._refuse_termination(terminates)
+            self._plan_tick(ticks)
+            if not needs_update and self.next_ns > self.now_ns:
+                self._needs_event = False
                 fmu.enterStepMode()
                 return
         raise UnitError(
-            f"{self.name}: its events at {self.now_ns / S_NS:.3f} s do not end: fmi3UpdateDiscreteStates "
-            "asks for more, or its Tx_Clock for an interval of 0"
+            f"{self.name}: the events at {self.now_ns / S_NS:.3f} s never end: "
+            "fmi3UpdateDiscreteStates requests further updates, or the interval of Tx_Clock is 0"
         )
 
-    def _plan(self, ticked: bool) -> None:
-        """When its Tx_Clock ticks next."""
-        kind = self.terminal.clock
-        if kind == "countdown" or (kind == "changing" and ticked):
-            interval_ns, changed = self._announced()
-            if changed or kind == "changing":
-                self.next_ns = self.now_ns + interval_ns
+    def _plan_tick(self, ticked: bool) -> None:
+        """Plan the next tick of the Tx_Clock."""
+        clock = self.terminal.clock
+        if clock == "triggered":
+            return
+        if clock == "countdown":
+            interval = self._announced_interval()
+            if interval.changed:
+                self.next_ns = self.now_ns + interval.ns
             elif ticked:
-                self.next_ns = _NEVER
-        elif ticked and kind != "triggered":
+                self.next_ns = _NEVER_NS
+        elif clock == "changing":
+            if ticked:
+                self.next_ns = self.now_ns + self._announced_interval().ns
+        elif ticked:
             self.next_ns += self._interval_ns
 
-    def _announced(self) -> tuple[int, bool]:
-        """The interval that it tells in ns, and whether that is new."""
-        references, intervals = _array(self.terminal.tx_clock, 0.0)
+    def _announced_interval(self) -> Interval:
+        references, intervals_s = _arrays(self.terminal.tx_clock, 0.0)
         qualifiers = (ctypes.c_int * 1)()
-        self._fmu.getIntervalDecimal(references, intervals, qualifiers)
-        return round(intervals[0] * S_NS), qualifiers[0] == _CHANGED
+        self._fmu.getIntervalDecimal(references, intervals_s, qualifiers)
+        return Interval(round(intervals_s[0] * S_NS), qualifiers[0] == _INTERVAL_CHANGED)
 
-    def _refuse_end(self, ends: bool) -> None:
-        if ends:
-            raise UnitError(f"{self.name} asks to end at {self.now_ns / S_NS:.3f} s")
+    def _refuse_termination(self, terminates: bool) -> None:
+        if terminates:
+            raise UnitError(
+                f"{self.name} requests the end of the simulation at {self.now_ns / S_NS:.3f} s"
+            )
 
 
-def _array(
+def _arrays(
     reference: int, value: float
 ) -> tuple["ctypes.Array[ctypes.c_uint]", "ctypes.Array[ctypes.c_double]"]:
+    """Return a reference and a value as C arrays with one item each."""
     return (ctypes.c_uint * 1)(reference), (ctypes.c_double * 1)(value)
 
 
 class Bridge:
-    """The nodes of a unit on a bus of `bitrate` bit/s (0: any). `run` returns when the bus ends or after `stop`."""
+    """The nodes of a unit on a bus of `bitrate` bit/s (0: any). It is a `node.Serving`.
+
+    `period_s`: SYNC period. `run` returns when the bus ends or after `stop`.
+    """
 
     def __init__(
         self, bus: can.BusABC, nodes: list[Node], period_s: float, lockstep: bool, bitrate: int = 0
     ) -> None:
-        self._bus, self._nodes, self._lockstep, self._bitrate = bus, nodes, lockstep, bitrate
+        """Connect the nodes. Raises UnitError if their internal steps differ."""
+        self._bus = bus
+        self._nodes = nodes
+        self._lockstep = lockstep
+        self._bitrate = bitrate
         self._period_ns = round(period_s * S_NS)
-        steps = {one.step_ns for one in nodes if one.step_ns}
-        if len(steps) > 1:
-            raise UnitError(
-                "the FMUs have different steps of their own, "
-                f"{', '.join(f'{one / S_NS:g} s' for one in sorted(steps))}: export them with one"
-            )
-        # where all take any step, the ticks of their clocks come in between
-        self._fixed, self._grid_ns = bool(steps), min(steps, default=self._period_ns)
-        if (
-            not steps
-            and any(one.terminal.clock == "triggered" for one in nodes)
-            and not self._period_ns % _STEP_NS
-        ):
-            self._grid_ns = _STEP_NS
+        self._plan_steps()
         self._now_ns = 0
-        self._synced = self._awaiting = self._stopping = False
-        # the unit's, by its heartbeat
-        self._state = 0
-        # what goes to the bus at the end of the cycle
-        self._outgoing: list[Frame] = []
-        self._due_s = 0.0
-        self._told: set[str] = set()
+        self._synced = False  # a SYNC has been received
+        self._awaiting = False  # the cycle of the last SYNC has not been run
+        self._stopping = False
+        self._state = 0  # NMT state of the unit, from its heartbeat
+        self._outgoing: list[Frame] = []  # for the bus, at the end of the cycle
+        self._due_s = 0.0  # when a cycle is due without a SYNC
+        self._logged: set[str] = set()
+
+    def _plan_steps(self) -> None:
+        """Choose the grid of time on which all nodes step. Raises UnitError."""
+        steps_ns = {node.step_ns for node in self._nodes if node.step_ns}
+        if len(steps_ns) > 1:
+            steps = ", ".join(f"{step_ns / S_NS:g} s" for step_ns in sorted(steps_ns))
+            raise UnitError(
+                f"the FMUs have different internal steps: {steps}; export them with the same step"
+            )
+        self._fixed_steps = bool(steps_ns)
+        self._grid_ns = min(steps_ns, default=self._period_ns)
+        triggered = any(node.terminal.clock == "triggered" for node in self._nodes)
+        if not self._fixed_steps and triggered and self._period_ns % _STEP_NS == 0:
+            self._grid_ns = _STEP_NS
 
     def run(self) -> None:
         """Serve until the bus ends or `stop` is called. Raises UnitError."""
@@ -202,193 +298,241 @@ class Bridge:
             log.info("WSP unit: the bus has ended: %s", error)
 
     def stop(self) -> None:
-        """Ask `run` to end; it does within 0.1 s."""
+        """Request `run` to end; it does so within 0.1 s."""
         self._stopping = True
 
+    # -- time
+
+    def _boot(self) -> None:
+        """Advance time until the unit sends its heartbeat. Raises UnitError."""
+        self._advance_until((State.STOPPED, State.OPERATIONAL, State.PRE_OPERATIONAL), _BOOT_S)
+        if self._state:
+            return
+        names = ", ".join(node.name for node in self._nodes)
+        raise UnitError(
+            f"{names}: there is no heartbeat of the unit ({UNIT_HEARTBEAT_ID:X}h with a state other "
+            f"than 0) within {_BOOT_S:g} s of its time; a unit on the bus must send its state there, "
+            "see docs/units.md"
+        )
+
+    def _advance_until(self, states: tuple[State, ...], most_s: float) -> None:
+        """Advance time until the heartbeat of the unit has one of these states."""
+        cycles = max(round(most_s * S_NS / self._period_ns), 1)
+        for _ in range(cycles):
+            if self._state in states:
+                return
+            self._cycle()
+
     def _wait(self) -> None:
+        """Handle the next frame of the bus, or what is due without one."""
         rest_s = _QUIET_S if self._lockstep else max(self._due_s - time.monotonic(), 0.0)
         message = self._bus.recv(rest_s)
         if message is not None:
-            self._hear(message)
+            self._on_message(message)
         elif not self._lockstep:
-            # no SYNC comes: their time goes on by the clock
+            # there is no SYNC, so time advances by the wall clock
             for _ in range(max(round(_QUIET_S * S_NS / self._period_ns), 1)):
                 self._cycle()
 
-    def _hear(self, message: can.Message) -> None:
-        frame = frame_of(message)
-        if message.is_error_frame:
-            self._tell_error(bytes(message.data))
-        if frame is None:
-            return
-        plain = not (frame.extended or frame.remote)
-        if plain and frame.can_id == SYNC and self._awaiting:
-            self._cycle()
-        for node in self._nodes:
-            node.received += ls_bus.transmit(frame)
-        if plain and frame.can_id == SYNC:
-            self._synced = self._awaiting = True
-        elif plain and frame.can_id == PRESSURES.can_id and self._awaiting:
-            self._cycle()
-        elif (
-            plain
-            and frame.can_id == NMT
-            and frame.data[1:] in (b"\0", bytes([WSP_NODE]))
-            and not self._synced
-        ):
-            self._go_on(_ANSWER_S, (State.OPERATIONAL,))
-
-    def _go_on(self, most_s: float, wanted: tuple[State, ...]) -> None:
-        """Let time go on until the unit's heartbeat tells a state that is wanted."""
-        for _ in range(max(round(most_s * S_NS / self._period_ns), 1)):
-            if self._state not in wanted:
-                self._cycle()
-
-    def _boot(self) -> None:
-        """Let time go on until the unit is there. Raises UnitError."""
-        self._go_on(_BOOT_S, (State.STOPPED, State.OPERATIONAL, State.PRE_OPERATIONAL))
-        if self._state:
-            return
-        raise UnitError(
-            f"{', '.join(one.name for one in self._nodes)}: no heartbeat of the unit "
-            f"({UNIT_HEARTBEAT_ID:X}h, state other than 0) within {_BOOT_S:g} s of its time; a unit on "
-            "the bus tells its state there, see docs/units.md"
-        )
-
     def _cycle(self) -> None:
-        """A period of the SYNC: what has been heard, then steps."""
-        self._awaiting, self._due_s = False, time.monotonic() + _QUIET_S
+        """Deliver what has been received, step by a SYNC period, and send to the bus."""
+        self._awaiting = False
+        self._due_s = time.monotonic() + _QUIET_S
         self._exchange()
         end_ns = self._now_ns + self._period_ns
         while self._now_ns < end_ns:
-            begin_ns = self._now_ns
-            self._now_ns = begin_ns - begin_ns % self._grid_ns + self._grid_ns
-            if not self._fixed:
-                self._now_ns = min(self._now_ns, end_ns, *(one.next_ns for one in self._nodes))
+            self._now_ns = self._next_time_ns(end_ns)
             for node in self._nodes:
                 node.advance(self._now_ns)
             self._exchange()
-        outgoing, self._outgoing = self._outgoing, []
-        for frame in sorted(outgoing, key=lambda one: _LAST.get(one.can_id, 0)):
+
+        outgoing = sorted(self._outgoing, key=lambda frame: _LAST_FRAMES.get(frame.can_id, 0))
+        self._outgoing = []
+        for frame in outgoing:
             self._bus.send(message_of(frame))
 
+    def _next_time_ns(self, end_ns: int) -> int:
+        """Return the end of the next step: a point of the grid, or a tick of a clock before it."""
+        time_ns = self._now_ns - self._now_ns % self._grid_ns + self._grid_ns
+        if self._fixed_steps:
+            return time_ns
+        return min(time_ns, end_ns, *(node.next_ns for node in self._nodes))
+
+    # -- from the bus to the nodes
+
+    def _on_message(self, message: can.Message) -> None:
+        if message.is_error_frame:
+            self._on_error_frame(bytes(message.data))
+        frame = frame_of(message)
+        if frame is None:
+            return
+        can_id = None if frame.extended or frame.remote else frame.can_id
+
+        # the last SYNC had no pressures behind it
+        if can_id == SYNC and self._awaiting:
+            self._cycle()
+
+        for node in self._nodes:
+            node.received += ls_bus.transmit(frame)
+
+        if can_id == SYNC:
+            self._synced = True
+            self._awaiting = True
+        elif can_id == PRESSURES.can_id and self._awaiting:
+            self._cycle()
+        elif can_id == NMT and not self._synced:
+            addressed = frame.data[1:] in (bytes([_ALL_NODES]), bytes([WSP_NODE]))
+            if addressed:
+                self._advance_until((State.OPERATIONAL,), _OPERATIONAL_S)
+
+    def _on_error_frame(self, content: bytes) -> None:
+        """Report an error frame of the bus to the nodes."""
+        by_sender = len(content) > _PROTOCOL_BYTE and bool(
+            content[_PROTOCOL_BYTE] & _ERROR_IN_TRANSMISSION
+        )
+        can_id = int.from_bytes(content[_DESTROYED_ID], "little")
+        sender = None
+        for node in self._nodes:
+            if can_id and node.last_sent == can_id:
+                sender = node
+                break
+        error = ls_bus.BIT_ERROR if by_sender else ls_bus.STUFF_ERROR
+        self._report_bus_error(sender, can_id, error, not by_sender)
+
+    def _report_bus_error(
+        self, sender: Node | None, can_id: int, error: int, found_outside: bool
+    ) -> None:
+        """Report a bus error to all nodes. `found_outside`: another device than the sender found it."""
+        for node in self._nodes:
+            is_sender = node is sender
+            is_first = is_sender and not found_outside
+            rank = ls_bus.PRIMARY if is_first else ls_bus.SECONDARY
+            node.received += ls_bus.build(Code.BUS_ERROR, can_id, error, rank, is_sender)
+
+    # -- from the nodes to one another and to the bus
+
     def _exchange(self) -> None:
-        """All events of this time, and the frames that go round by them. Raises UnitError."""
-        for _ in range(_ROUNDS):
+        """Run all events of this time, and deliver the frames that they send. Raises UnitError."""
+        for _ in range(_ROUNDS_MAX):
             for node in self._nodes:
                 if node.due:
                     node.event()
             if not any(node.sent for node in self._nodes):
                 return
-            self._carry()
-        raise UnitError(f"the FMUs answer one another without end at {self._now_ns / S_NS:.3f} s")
+            self._deliver()
+        raise UnitError(f"the FMUs answer each other without end at {self._now_ns / S_NS:.3f} s")
 
-    def _carry(self) -> None:
-        offered: list[tuple[int, Node, Frame, bytes]] = []
+    def _deliver(self) -> None:
+        """Deliver what the nodes have sent: frames in the order of arbitration, other operations first."""
+        offers: list[Offer] = []
         for node in self._nodes:
-            sent, node.sent = node.sent, []
-            for raw, one in sent:
-                frame = one.frame if one and one.code == Code.TRANSMIT else None
-                if frame is not None:
-                    offered.append((arbitration_field(frame), node, frame, raw))
+            sent = node.sent
+            node.sent = []
+            for raw, operation in sent:
+                frame = None
+                if operation and operation.code == Code.TRANSMIT:
+                    frame = operation.frame
+                if frame is None:
+                    self._execute(node, raw, operation)
                 else:
-                    self._obey(node, raw, one)
-        for field, node, frame, raw in sorted(offered, key=lambda one: one[0]):
-            if node.discards and any(
-                other is not node and rival < field for rival, other, *_ in offered
-            ):
-                node.received += ls_bus.build(Code.ARBITRATION_LOST, frame.can_id)
-                continue
-            self._outgoing.append(frame)
-            node.last_sent = frame.can_id
-            if frame.can_id == UNIT_HEARTBEAT_ID and frame.data:
-                self._state = frame.data[0] & 0x7F
-            self._pass_on(node, raw)
-            if node.terminal.notify is not None:
-                node.received += ls_bus.build(Code.CONFIRM, frame.can_id)
+                    offers.append(Offer(arbitration_field(frame), node, frame, raw))
 
-    def _obey(self, node: Node, raw: bytes, one: Operation | None) -> None:
-        """What is no frame of classical CAN."""
-        if one is None or one.code == Code.TRANSMIT:
+        for offer in sorted(offers, key=lambda offer: offer.arbitration):
+            if offer.node.discards and _loses(offer, offers):
+                offer.node.received += ls_bus.build(Code.ARBITRATION_LOST, offer.frame.can_id)
+            else:
+                self._transmit(offer.node, offer.frame, offer.raw)
+
+    def _transmit(self, node: Node, frame: Frame, raw: bytes) -> None:
+        """Send a frame of a node to the other nodes and to the bus, and confirm it."""
+        self._outgoing.append(frame)
+        node.last_sent = frame.can_id
+        if frame.can_id == UNIT_HEARTBEAT_ID and frame.data:
+            self._state = frame.data[0] & _NMT_STATE_MASK
+        self._send_to_others(node, raw)
+        if node.terminal.notify is not None:
+            node.received += ls_bus.build(Code.CONFIRM, frame.can_id)
+
+    def _send_to_others(self, sender: Node, raw: bytes) -> None:
+        for node in self._nodes:
+            if node is not sender:
+                node.received += raw
+
+    def _execute(self, node: Node, raw: bytes, operation: Operation | None) -> None:
+        """Execute an operation that is not a frame of classical CAN. Raises UnitError."""
+        if operation is None or operation.code == Code.TRANSMIT:
             node.received += ls_bus.build(Code.FORMAT_ERROR, len(raw), data=raw)
-            self._say(
-                f"{node.name} has sent what is no operation of FMI-LS-BUS: {raw[:32].hex(' ')}"
+            self._log_once(
+                f"{node.name} has sent bytes that are not an operation of FMI-LS-BUS: "
+                f"{raw[:_LOGGED_BYTES].hex(' ')}"
             )
-        elif one.code in (Code.FD_TRANSMIT, Code.XL_TRANSMIT):
-            self._say(
-                f"{node.name} sends frames of CAN FD or XL, which are errors on the rig's bus of classical CAN"
+        elif operation.code in (Code.FD_TRANSMIT, Code.XL_TRANSMIT):
+            self._log_once(
+                f"{node.name} sends frames of CAN FD or XL, which are errors on the bus of the rig "
+                "(classical CAN)"
             )
-            self._bus_error(node, one.values[0], ls_bus.FORM_ERROR, False)
-        elif one.code == Code.CONFIGURATION:
-            self._configure(node, one.values[0], one.data)
-        elif one.code == Code.STATUS:
-            self._say(f"{node.name} is {ls_bus.STATES.get(one.values[0], one.values[0])}")
-        elif one.code == Code.WAKEUP:
-            self._pass_on(node, raw)
-        elif one.code == Code.FORMAT_ERROR:
-            self._say(f"{node.name} does not understand the operation {one.data[:32].hex(' ')}")
+            self._report_bus_error(node, operation.values[0], ls_bus.FORM_ERROR, False)
+        elif operation.code == Code.CONFIGURATION:
+            self._configure(node, operation.values[0], operation.data)
+        elif operation.code == Code.STATUS:
+            state = operation.values[0]
+            self._log_once(f"{node.name} is {ls_bus.STATES.get(state, state)}")
+        elif operation.code == Code.WAKEUP:
+            self._send_to_others(node, raw)
+        elif operation.code == Code.FORMAT_ERROR:
+            self._log_once(
+                f"{node.name} does not understand the operation "
+                f"{operation.data[:_LOGGED_BYTES].hex(' ')}"
+            )
 
     def _configure(self, node: Node, parameter: int, data: bytes) -> None:
+        """Set a parameter of a CAN controller. Raises UnitError for another bit rate."""
         value = int.from_bytes(data, "little")
         if parameter == Parameter.ARBITRATION_LOST_BEHAVIOUR:
             node.discards = value == ls_bus.DISCARD
         elif parameter == Parameter.BAUD_RATE and self._bitrate and value != self._bitrate:
             raise UnitError(
-                f"{node.name}: sets its CAN controller to {value} bit/s, and the bus of the rig has "
-                f"{self._bitrate} bit/s: change the FMU, or set bus.bitrate={value}"
+                f"{node.name} sets its CAN controller to {value} bit/s, and the bus of the rig has "
+                f"{self._bitrate} bit/s; change the FMU, or set bus.bitrate={value}"
             )
 
-    def _tell_error(self, state: bytes) -> None:
-        """An error frame of the bus: content as in Linux can/error.h, and behind it what it has destroyed."""
-        by_sender = len(state) > 2 and bool(state[2] & 0x80)
-        can_id = int.from_bytes(state[8:12], "little")
-        sender = next((one for one in self._nodes if can_id and one.last_sent == can_id), None)
-        self._bus_error(
-            sender, can_id, ls_bus.BIT_ERROR if by_sender else ls_bus.STUFF_ERROR, not by_sender
-        )
-
-    def _bus_error(self, sender: Node | None, can_id: int, code: int, found_outside: bool) -> None:
-        for node in self._nodes:
-            first = node is sender and not found_outside
-            node.received += ls_bus.build(
-                Code.BUS_ERROR,
-                can_id,
-                code,
-                ls_bus.PRIMARY if first else ls_bus.SECONDARY,
-                node is sender,
-            )
-
-    def _pass_on(self, sender: Node, raw: bytes) -> None:
-        for node in self._nodes:
-            if node is not sender:
-                node.received += raw
-
-    def _say(self, text: str) -> None:
-        """Into the unit's log, the same only once."""
-        if text not in self._told:
-            self._told.add(text)
+    def _log_once(self, text: str) -> None:
+        """Print a text into the log of the unit, but each text only once."""
+        if text not in self._logged:
+            self._logged.add(text)
             print(text, flush=True)
 
 
+def _loses(offer: Offer, offers: list[Offer]) -> bool:
+    """Return whether a frame loses the arbitration to the frame of another node."""
+    rivals = [rival for rival in offers if rival.node is not offer.node]
+    return any(rival.arbitration < offer.arbitration for rival in rivals)
+
+
 def main(
-    fitted: list[Fitted],
+    checked: list[CheckedFmu],
     bus_address: str,
     priority: int = 0,
     lockstep_s: float = 0.0,
     patience_s: float = 10.0,
     bitrate: int = 0,
 ) -> int:
-    """Run FMUs on a bus until that ends; as `node.main`. Raises ConfigError, BusError, UnitError."""
-    print_at_once()
+    """Run FMUs on a bus until the bus ends, as `node.main`. Returns 0.
+
+    Raises ConfigError, BusError, UnitError.
+    """
+    flush_every_line()
     watch = Watch(patience_s)
-    with contextlib.ExitStack() as ending:
+    with contextlib.ExitStack() as cleanup:
         nodes = []
-        for one in fitted:
-            folder = ending.enter_context(tempfile.TemporaryDirectory(prefix="rollerrig-fmu-"))
-            nodes.append(Node(one, Path(folder), watch))
-            ending.callback(nodes[-1].close)
-        return serving.serve(
-            lambda bus: Bridge(bus, nodes, fitted[0].period_s, bool(lockstep_s), bitrate),
+        for fmu in checked:
+            folder = cleanup.enter_context(tempfile.TemporaryDirectory(prefix="rollerrig-fmu-"))
+            node = Node(fmu, Path(folder), watch)
+            nodes.append(node)
+            cleanup.callback(node.close)
+        period_s = checked[0].period_s
+        return wsp_node.serve(
+            lambda bus: Bridge(bus, nodes, period_s, bool(lockstep_s), bitrate),
             bus_address,
             priority,
             lockstep_s,

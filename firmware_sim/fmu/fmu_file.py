@@ -1,9 +1,10 @@
-"""A WSP as an FMU: what the file holds and whether it fits the rig, asked before anything of it is run.
+"""A WSP as an FMU: what the file contains and whether it fits the rig, before any of it is run.
 
-Inputs `wheel_speed_1` to `_4` (rad/s) and, where it has them, `cylinder_pressure_1` to `_4` (Pa); outputs `hold_1` to
-`_4` and `vent_1` to `_4`, and where it tells it `reference_speed` (m/s). A unit that the FMU defines otherwise (bar,
-rpm) is converted; other names and scales come from a mapping (`wsp_interface.sequences.mapping`). An FMU that has a
-terminal with the media type of CAN is a node of the bus instead, and speaks as `wsp_interface.rig_objects` says.
+Inputs are `wheel_speed_1` to `_4` (rad/s) and optionally `cylinder_pressure_1` to `_4` (Pa). Outputs
+are `hold_1` to `_4` and `vent_1` to `_4`, and optionally `reference_speed` (m/s). A unit that the FMU
+defines (bar, rpm) is converted. Other names and scales come from a mapping
+(`wsp_interface.unit_map`). An FMU that has a terminal with the media type of CAN is a node of the bus
+instead, and sends and receives the frames of `wsp_interface.rig_objects`.
 Source: FMI 2.0.4 and 3.0.2, co-simulation; FMI-LS-BUS 1.0, bus terminal.
 """
 
@@ -22,29 +23,49 @@ from rollerrig.wsp_interface import unit_map
 from rollerrig.wsp_interface.signals import AXLES
 
 _AXLES = range(1, AXLES + 1)
-NAMES = unit_map.FmuMap(
-    {
-        **{f"wheel_speed_{axle}": (f"measured_speed_{axle}", 1.0) for axle in _AXLES},
-        **{f"cylinder_pressure_{axle}": (f"cylinder_pressure_{axle}", 1.0) for axle in _AXLES},
-    },
-    tuple(f"hold_{axle}" for axle in _AXLES),
-    tuple(f"vent_{axle}" for axle in _AXLES),
-    "reference_speed",
-    1.0,
-)
-# an FMU without a mapping may do without these
-_OPTIONAL = (*(name for name in NAMES.inputs if name.startswith("cylinder")), NAMES.reference)
-# base units (kg, m, s) and name of what the rig tells and hears; angles have none
-_SI = {
-    "measured": ((0, 0, -1), "rad/s"),
-    "cylinder": ((1, -1, -2), "Pa"),
-    "reference": ((0, 1, -1), "m/s"),
+_SPEED_INPUTS = {f"wheel_speed_{axle}": (f"measured_speed_{axle}", 1.0) for axle in _AXLES}
+_PRESSURE_INPUTS = {
+    f"cylinder_pressure_{axle}": (f"cylinder_pressure_{axle}", 1.0) for axle in _AXLES
 }
+# the variables of an FMU without a mapping
+NAMES = unit_map.FmuMap(
+    inputs=_SPEED_INPUTS | _PRESSURE_INPUTS,
+    hold=tuple(f"hold_{axle}" for axle in _AXLES),
+    vent=tuple(f"vent_{axle}" for axle in _AXLES),
+    reference="reference_speed",
+    reference_factor=1.0,
+)
+# an FMU without a mapping does not need these
+_OPTIONAL = (*_PRESSURE_INPUTS, NAMES.reference)
+
 _MAP = "give a mapping with --unit-map"
+_DESCRIPTION = "modelDescription.xml"
+_TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
+
+
+class _SiUnit(NamedTuple):
+    """A unit: its exponents of kilogram, metre and second. Angles have none."""
+
+    name: str
+    kg: int
+    m: int
+    s: int
+
+
+# by the first word of a quantity
+_SI_UNITS = {
+    "measured": _SiUnit("rad/s", 0, 0, -1),
+    "cylinder": _SiUnit("Pa", 1, -1, -2),
+    "reference": _SiUnit("m/s", 0, 1, -1),
+}
 
 
 class Finding(NamedTuple):
-    """One answer: what was looked at, whether it fits, what was found, and how to mend what does not fit."""
+    """One result of a check.
+
+    `name`: the checked part; `fits`: whether it fits; `found`: what the FMU has; `mend`: the remedy if
+    it does not fit.
+    """
 
     name: str
     fits: bool
@@ -53,108 +74,162 @@ class Finding(NamedTuple):
 
 
 class Port(NamedTuple):
-    """A variable that is set or read: `factor` times the quantity, in SI, is its value."""
+    """A variable that is set or read. Its value is `factor` times the quantity in SI units."""
 
     quantity: str
     reference: int
-    kind: str
+    kind: str  # type of FMI: Float64, Boolean, ...
     factor: float
 
 
 class Terminal(NamedTuple):
-    """A CAN port: references of its variables. `clock`: the variability of the interval of its Tx_Clock.
-
-    `interval_s` and `shift_s` are what the description says of that clock; `notify` the parameter that lets the FMU
-    wait for confirmations, None where it has none.
-    """
+    """A CAN port: the references of its variables, and the description of its Tx_Clock."""
 
     name: str
     rx_data: int
     rx_clock: int
     tx_data: int
     tx_clock: int
-    clock: str
+    clock: str  # variability of the interval of Tx_Clock
     interval_s: float | None
     shift_s: float
-    notify: int | None
-    structural: bool
+    notify: int | None  # parameter with which the FMU waits for confirmations; None without
+    structural: bool  # that parameter is structural
 
 
-class Fitted(NamedTuple):
-    """An FMU that fits: what is needed to run it. `sources` is empty where it has a binary for this machine.
-
-    `step_s`: its own step, 0 where it takes any; `terminal`: its CAN port, where it has one.
-    """
+class CheckedFmu(NamedTuple):
+    """An FMU that fits the rig: everything that is needed to run it."""
 
     path: Path
-    description: Any
-    binary: str
-    sources: tuple[str, ...]
+    description: Any  # ModelDescription of FMPy
+    binary: str  # path in the archive
+    sources: tuple[str, ...]  # to compile; empty if there is a binary for this machine
     inputs: tuple[Port, ...]
     outputs: tuple[Port, ...]
-    period_s: float
-    step_s: float
-    terminal: Terminal | None = None
+    period_s: float  # SYNC period
+    step_s: float  # internal step; 0 if the FMU takes any step
+    terminal: Terminal | None = None  # its CAN port, if it has one
 
 
-def fit_all(paths: tuple[Path, ...], map_path: Path | None, period_s: float) -> list[Fitted]:
-    """One FMU, or several that share the bus by their CAN ports. Raises ConfigError."""
-    fitted = [fit(path, map_path, period_s) for path in paths]
-    lone = next((one for one in fitted if not one.terminal), None)
-    if len(fitted) > 1 and lone:
-        raise ConfigError(
-            f"{lone.path}: has no CAN port, so it has to be the only unit of a run; several FMUs "
-            "share the bus by terminals of FMI-LS-BUS"
-        )
-    return fitted
+class _Platform(NamedTuple):
+    """The binary of an FMU for this machine, and the sources to compile if it is missing."""
+
+    binary: str
+    sources: tuple[str, ...]
+    finding: Finding
 
 
-def fit(path: Path, map_path: Path | None, period_s: float) -> Fitted:
-    """An FMU that is stepped once a SYNC, every `period_s`. Raises ConfigError with all that does not fit."""
-    fitted, findings = look(path, map_path, period_s)
-    wrong = [f"{one.name}: {one.found}; {one.mend}" for one in findings if not one.fits]
-    if wrong or fitted is None:
-        raise ConfigError(f"{path}: does not fit the rig:\n  " + "\n  ".join(wrong))
-    return fitted
+class _Bus(NamedTuple):
+    """A terminal that is a bus. `members`: the XML attributes of its variables, by role."""
+
+    name: str
+    media_type: str
+    members: dict[str, dict[str, str]]
 
 
-def look(path: Path, map_path: Path | None, period_s: float) -> tuple[Fitted | None, list[Finding]]:
-    """What an FMU holds, and whether it fits. Raises ConfigError where it cannot be read at all."""
+class _Wanted(NamedTuple):
+    """A variable that the FMU should have."""
+
+    name: str
+    quantity: str
+    causality: str
+    factor: float
+
+
+class _Problem(NamedTuple):
+    """What is wrong with a variable, and the remedy."""
+
+    found: str
+    mend: str
+
+
+def check_all(paths: tuple[Path, ...], map_path: Path | None, period_s: float) -> list[CheckedFmu]:
+    """Check one FMU, or several that share the bus by their CAN ports. Raises ConfigError."""
+    fmus = [check(path, map_path, period_s) for path in paths]
+    if len(fmus) > 1:
+        for fmu in fmus:
+            if not fmu.terminal:
+                raise ConfigError(
+                    f"{fmu.path}: has no CAN port, so it has to be the only unit of a run; several "
+                    "FMUs share the bus by terminals of FMI-LS-BUS"
+                )
+    return fmus
+
+
+def check(path: Path, map_path: Path | None, period_s: float) -> CheckedFmu:
+    """Check an FMU that is stepped once a SYNC, every `period_s`.
+
+    Raises ConfigError with everything that does not fit.
+    """
+    fmu, findings = examine(path, map_path, period_s)
+    problems = [
+        f"{finding.name}: {finding.found}; {finding.mend}"
+        for finding in findings
+        if not finding.fits
+    ]
+    if problems or fmu is None:
+        raise ConfigError(f"{path}: does not fit the rig:\n  " + "\n  ".join(problems))
+    return fmu
+
+
+def examine(
+    path: Path, map_path: Path | None, period_s: float
+) -> tuple[CheckedFmu | None, list[Finding]]:
+    """Return the content of an FMU, and what fits and what does not.
+
+    Raises ConfigError if the file cannot be read.
+    """
     names = unit_map.load_fmu_map(map_path) if map_path else NAMES
-    description, strict = _read(path)
+    description, deviation = _read(path)
+    simulation = description.coSimulation
     tool = f", by {description.generationTool}" if description.generationTool else ""
     findings = [
         Finding("FMU", True, f"FMI {description.fmiVersion}, {description.modelName}{tool}"),
-        Finding("description", True, strict or "holds to the standard's schema"),
+        Finding("description", True, deviation or "conforms to the schema of the standard"),
     ]
-    if not description.coSimulation:
-        return None, [
-            *findings,
-            Finding(
-                "co-simulation",
-                False,
-                "has none, only model exchange",
-                "export it for co-simulation: the rig brings no solver",
-            ),
-        ]
-    binary, sources, platforms = _platforms(path, description)
+    if not simulation:
+        problem = Finding(
+            name="co-simulation",
+            fits=False,
+            found="has none, only model exchange",
+            mend="export it for co-simulation, because the rig has no solver",
+        )
+        return None, [*findings, problem]
+
+    platform = _platform(path, description)
     step_s, step = _step(description, period_s)
-    findings += [platforms, step]
-    if description.fmiMajorVersion == 3 and not map_path and (buses := _buses(path)):
-        terminal, found = _terminal(buses, bool(description.coSimulation.hasEventMode))
-        return Fitted(
-            path, description, binary, sources, (), (), period_s, step_s, terminal
-        ), findings + found
-    ports, found = _ports(description, names, map_path is not None)
+    findings += [platform.finding, step]
+
+    inputs: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    terminal = None
+    # a mapping gives the signals, so that a bus terminal is not used
+    buses = _buses(path) if description.fmiMajorVersion == 3 and not map_path else []
+    if buses:
+        terminal, found = _terminal(buses, bool(simulation.hasEventMode))
+    else:
+        inputs, outputs, found = _ports(description, names, map_path is not None)
     findings += found
-    count = len(names.inputs)
-    inputs = tuple(port for port in ports[:count] if port)
-    outputs = tuple(port for port in ports[count:] if port)
-    return Fitted(path, description, binary, sources, inputs, outputs, period_s, step_s), findings
+
+    fmu = CheckedFmu(
+        path=path,
+        description=description,
+        binary=platform.binary,
+        sources=platform.sources,
+        inputs=inputs,
+        outputs=outputs,
+        period_s=period_s,
+        step_s=step_s,
+        terminal=terminal,
+    )
+    return fmu, findings
+
+
+# -- the file
 
 
 def library() -> Any:
-    """FMPy. Raises ConfigError where it is not installed."""
+    """Return FMPy. Raises ConfigError if it is not installed."""
     try:
         import fmpy
     except ImportError:
@@ -163,25 +238,12 @@ def library() -> Any:
 
 
 def _read(path: Path) -> tuple[Any, str]:
-    """The model description, and what of it does not hold to the standard."""
+    """Return the model description, and how it deviates from the standard ("" if it does not).
+
+    Raises ConfigError if it cannot be read.
+    """
     fmpy = library()
-    try:
-        with zipfile.ZipFile(path) as file:
-            version = ElementTree.fromstring(file.read("modelDescription.xml")).get(
-                "fmiVersion", ""
-            )
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except zipfile.BadZipFile:
-        raise ConfigError(f"{path}: is no FMU, which is a ZIP archive; export it again") from None
-    except KeyError:
-        raise ConfigError(
-            f"{path}: is no FMU: it holds no modelDescription.xml; export it again"
-        ) from None
-    except ElementTree.ParseError as error:
-        raise ConfigError(
-            f"{path}: modelDescription.xml cannot be read: {error}; export it again"
-        ) from None
+    version = _fmi_version(path)
     if not version.startswith(("2.", "3.")):
         raise ConfigError(
             f"{path}: is an FMU of FMI {version or 'no version'}; export it for FMI 2.0 or 3.0, "
@@ -189,287 +251,365 @@ def _read(path: Path) -> tuple[Any, str]:
         )
     try:
         return fmpy.read_model_description(path), ""
-    except Exception as error:  # of many kinds, also plain ones; what can be used all the same, is
-        said = " ".join(str(error).split())
-        try:
-            return fmpy.read_model_description(
-                path, validate=False
-            ), f"does not hold to the standard: {said}"
-        except Exception:
-            raise ConfigError(
-                f"{path}: modelDescription.xml cannot be read: {said}; export it again"
-            ) from None
+    except Exception as error:  # of many kinds, also plain ones
+        reason = " ".join(str(error).split())
+    # an FMU that does not conform to the standard is used all the same, if FMPy can read it
+    try:
+        description = fmpy.read_model_description(path, validate=False)
+    except Exception:
+        raise ConfigError(
+            f"{path}: {_DESCRIPTION} cannot be read: {reason}; export it again"
+        ) from None
+    return description, f"does not conform to the standard: {reason}"
 
 
-def _platforms(path: Path, description: Any) -> tuple[str, tuple[str, ...], Finding]:
-    """Where its binary stands, the sources to compile where there is none for this machine, and a finding."""
+def _fmi_version(path: Path) -> str:
+    """Return the FMI version of a file. Raises ConfigError if it is not an FMU."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            model = ElementTree.fromstring(archive.read(_DESCRIPTION))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except zipfile.BadZipFile:
+        raise ConfigError(
+            f"{path}: is not an FMU, which is a ZIP archive; export it again"
+        ) from None
+    except KeyError:
+        raise ConfigError(
+            f"{path}: is not an FMU: it contains no {_DESCRIPTION}; export it again"
+        ) from None
+    except ElementTree.ParseError as error:
+        raise ConfigError(
+            f"{path}: {_DESCRIPTION} cannot be read: {error}; export it again"
+        ) from None
+    return model.get("fmiVersion", "")
+
+
+def _platform(path: Path, description: Any) -> _Platform:
+    """Return the binary for this machine, or the sources to compile, and a finding."""
     fmpy = library()
     here = fmpy.platform if description.fmiMajorVersion == 2 else fmpy.platform_tuple
-    binary = (
-        f"binaries/{here}/{description.coSimulation.modelIdentifier}{fmpy.sharedLibraryExtension}"
-    )
-    with zipfile.ZipFile(path) as file:
-        held = file.namelist()
-    platforms = sorted(
-        {
-            name.split("/")[1]
-            for name in held
-            if name.startswith("binaries/") and name.count("/") > 1
-        }
-    )
-    sources = tuple(
-        name
-        for one in description.buildConfigurations
-        for files in one.sourceFileSets
-        for name in files.sourceFiles
-        if f"sources/{name}" in held
-    )
-    told = f"binaries for {', '.join(platforms) or 'no platform'}" + (
-        ", sources" if sources else ""
-    )
-    if binary in held:
-        return binary, (), Finding("platform", True, told)
+    identifier = description.coSimulation.modelIdentifier
+    binary = f"binaries/{here}/{identifier}{fmpy.sharedLibraryExtension}"
+
+    with zipfile.ZipFile(path) as archive:
+        files = archive.namelist()
+    platforms = set()
+    for name in files:
+        parts = name.split("/")
+        if parts[0] == "binaries" and len(parts) > 2:
+            platforms.add(parts[1])
+    sources = _sources(description, files)
+    found = f"binaries for {', '.join(sorted(platforms)) or 'no platform'}"
+    if sources:
+        found += ", sources"
+
+    if binary in files:
+        return _Platform(binary, (), Finding("platform", True, found))
     if sources and shutil.which("cc"):
-        return binary, sources, Finding("platform", True, f"{told}: will be compiled for {here}")
-    mend = (
-        "install a C compiler (cc)"
-        if sources
-        else f"have it exported for {here}, or with its sources"
-    )
-    return (
-        binary,
-        sources,
-        Finding("platform", False, f"{told}, none for this machine ({here}: {binary})", mend),
-    )
+        compiled = f"{found}: will be compiled for {here}"
+        return _Platform(binary, sources, Finding("platform", True, compiled))
+    export = f"export it for {here}, or with its sources"
+    mend = "install a C compiler (cc)" if sources else export
+    missing = f"{found}, none for this machine ({here}: {binary})"
+    return _Platform(binary, sources, Finding("platform", False, missing, mend))
+
+
+def _sources(description: Any, files: list[str]) -> tuple[str, ...]:
+    """Return the source files of the description that the archive contains."""
+    sources = []
+    for configuration in description.buildConfigurations:
+        for file_set in configuration.sourceFileSets:
+            for name in file_set.sourceFiles:
+                if f"sources/{name}" in files:
+                    sources.append(name)
+    return tuple(sources)
 
 
 def _step(description: Any, period_s: float) -> tuple[float, Finding]:
-    """The FMU's own step, 0 where it takes any, and whether a cycle of the bus is a whole number of them."""
-    own = description.coSimulation
-    step_s = float(own.fixedInternalStepSize or 0.0)
-    if (
-        not step_s
-        and not own.canHandleVariableCommunicationStepSize
-        and description.defaultExperiment
-    ):
+    """Return the internal step of the FMU (0 if it takes any), and whether the SYNC period fits it.
+
+    The SYNC period has to be a whole number of steps.
+    """
+    simulation = description.coSimulation
+    step_s = float(simulation.fixedInternalStepSize or 0.0)
+    takes_any = simulation.canHandleVariableCommunicationStepSize
+    if not step_s and not takes_any and description.defaultExperiment:
         step_s = float(description.defaultExperiment.stepSize or 0.0)
     if not step_s:
         return 0.0, Finding("step", True, f"any; {period_s:g} s a SYNC")
+
     steps = period_s / step_s
     fits = round(steps) >= 1 and abs(steps - round(steps)) < 1e-6
-    return step_s, Finding(
-        "step",
-        fits,
-        f"its own steps take {step_s:g} s, and one doStep a SYNC takes {period_s:g} s "
-        f"(bus.sync_period_s)",
-        f"export it with a step of which {period_s:g} s is a multiple, or "
-        f"set bus.sync_period_s to a multiple of {step_s:g} s",
+    finding = Finding(
+        name="step",
+        fits=fits,
+        found=f"its internal steps take {step_s:g} s, and one doStep a SYNC takes {period_s:g} s "
+        "(bus.sync_period_s)",
+        mend=f"export it with a step of which {period_s:g} s is a multiple, or set "
+        f"bus.sync_period_s to a multiple of {step_s:g} s",
     )
+    return step_s, finding
 
 
-def _buses(path: Path) -> list[tuple[str, str, dict[str, Any]]]:
-    """Name, media type and members of the terminals that are a bus; members by role, with the attributes of each."""
-    place = "terminalsAndIcons/terminalsAndIcons.xml"
+# -- an FMU with a CAN port
+
+
+def _buses(path: Path) -> list[_Bus]:
+    """Return the terminals that are a bus. Raises ConfigError if the XML cannot be read."""
     try:
-        with zipfile.ZipFile(path) as file:
-            if place not in file.namelist():
+        with zipfile.ZipFile(path) as archive:
+            if _TERMINALS not in archive.namelist():
                 return []
-            terminals, model = (
-                ElementTree.fromstring(file.read(one)) for one in (place, "modelDescription.xml")
-            )
+            terminals = ElementTree.fromstring(archive.read(_TERMINALS))
+            model = ElementTree.fromstring(archive.read(_DESCRIPTION))
     except ElementTree.ParseError as error:
-        raise ConfigError(f"{path}: {place} cannot be read: {error}; export it again") from None
-    variables = {
-        one.get("name"): one.attrib for each in model.iter("ModelVariables") for one in each
-    }
+        raise ConfigError(
+            f"{path}: {_TERMINALS} cannot be read: {error}; export it again"
+        ) from None
+
+    variables: dict[str, dict[str, str]] = {}
+    for group in model.iter("ModelVariables"):
+        for variable in group:
+            variables[variable.get("name", "")] = variable.attrib
+
     buses = []
     for terminal in terminals.iter("Terminal"):
-        members = {
-            one.get("memberName", ""): variables[one.get("variableName")]
-            for one in terminal.iter("TerminalMemberVariable")
-            if one.get("variableName") in variables
-        }
-        media = [
-            one["mimeType"].removeprefix(MEDIA_TYPE)
-            for one in members.values()
-            if one.get("mimeType", "").startswith(MEDIA_TYPE)
-        ]
-        if media:
-            buses.append((terminal.get("name", ""), media[0], members))
+        members = {}
+        media_types = []
+        for member in terminal.iter("TerminalMemberVariable"):
+            variable_name = member.get("variableName", "")
+            if variable_name in variables:
+                members[member.get("memberName", "")] = variables[variable_name]
+        for attributes in members.values():
+            media_type = attributes.get("mimeType", "")
+            if media_type.startswith(MEDIA_TYPE):
+                media_types.append(media_type.removeprefix(MEDIA_TYPE))
+        if media_types:
+            buses.append(_Bus(terminal.get("name", ""), media_types[0], members))
     return buses
 
 
+# the members of a bus terminal, and what causality each may have
 _MEMBERS = {
     "Rx_Data": ("input",),
     "Rx_Clock": ("input",),
     "Tx_Data": ("output",),
     "Tx_Clock": ("input", "output"),
 }
+# the media type of CAN, of major version 1 or without a version
+_CAN = re.compile(r'can\s*(;\s*version="?1\.|$)')
 
 
-def _terminal(
-    buses: list[tuple[str, str, dict[str, Any]]], events: bool
-) -> tuple[Terminal | None, list[Finding]]:
-    """The CAN port of an FMU, and what was found of it."""
-    can = [one for one in buses if re.match(r'can\s*(;\s*version="?1\.|$)', one[1])]
-    name, media, members = (can or buses)[0]
-    others = [one[0] for one in buses if one[0] != name]
+def _terminal(buses: list[_Bus], has_event_mode: bool) -> tuple[Terminal | None, list[Finding]]:
+    """Return the CAN port of an FMU (None if it does not fit), and the findings about it."""
+    can_buses = [bus for bus in buses if _CAN.match(bus.media_type)]
+    bus = (can_buses or buses)[0]
     findings = [
         Finding(
-            f"terminal {name}",
-            bool(can),
-            f"FMI-LS-BUS, {media}",
-            "the rig's bus is CAN: "
-            'export it with a terminal of the media type fmi-ls-bus.can; version="1.0.0"',
+            name=f"terminal {bus.name}",
+            fits=bool(can_buses),
+            found=f"FMI-LS-BUS, {bus.media_type}",
+            mend="the bus of the rig is CAN: export it with a terminal of the media type "
+            'fmi-ls-bus.can; version="1.0.0"',
         )
     ]
-    if not events:
+    if not has_event_mode:
         findings.append(
             Finding(
-                "event mode",
-                False,
-                "hasEventMode is false",
-                "frames go by clocks, and these need it: export it with event mode",
+                name="event mode",
+                fits=False,
+                found="hasEventMode is false",
+                mend="export it with event mode, because clocks transfer the frames",
             )
         )
-    for role, causalities in _MEMBERS.items():
-        one = members.get(role)
-        if one is None or one.get("causality") not in causalities:
-            found = "is not there" if one is None else f"is declared as {one.get('causality')}"
-            findings.append(
-                Finding(
-                    f"{name} {role}",
-                    False,
-                    found,
-                    f"a bus terminal has {', '.join(_MEMBERS)}, and "
-                    f"{role} is an {' or '.join(causalities)}",
-                )
-            )
+    findings += _member_problems(bus)
+    others = [other.name for other in buses if other.name != bus.name]
     if others:
         findings.append(
-            Finding("other terminals", True, f"{', '.join(others)}: stay without a bus")
+            Finding("other terminals", True, f"{', '.join(others)}: are not connected to a bus")
         )
-    if not all(one.fits for one in findings):
+    if not all(finding.fits for finding in findings):
         return None, findings
-    clock, notify = members["Tx_Clock"], members.get("BusNotifications", {})
+
+    clock = bus.members["Tx_Clock"]
     interval_s = clock.get("intervalDecimal")
-    kind = clock.get("intervalVariability", "triggered")
-    findings.append(
-        Finding("Tx_Clock", True, kind + (f", every {interval_s} s" if interval_s else ""))
-    )
-    reference = {role.lower(): int(members[role]["valueReference"]) for role in _MEMBERS}
-    return Terminal(
-        name=name,
-        **reference,
-        clock=kind,
+    variability = clock.get("intervalVariability", "triggered")
+    tx_clock = f"{variability}, every {interval_s} s" if interval_s else variability
+    findings.append(Finding("Tx_Clock", True, tx_clock))
+
+    notify = bus.members.get("BusNotifications", {})
+    terminal = Terminal(
+        name=bus.name,
+        rx_data=int(bus.members["Rx_Data"]["valueReference"]),
+        rx_clock=int(bus.members["Rx_Clock"]["valueReference"]),
+        tx_data=int(bus.members["Tx_Data"]["valueReference"]),
+        tx_clock=int(clock["valueReference"]),
+        clock=variability,
         interval_s=float(interval_s) if interval_s else None,
         shift_s=float(clock.get("shiftDecimal", 0.0)),
         notify=int(notify["valueReference"]) if notify else None,
         structural=notify.get("causality") == "structuralParameter",
-    ), findings
+    )
+    return terminal, findings
+
+
+def _member_problems(bus: _Bus) -> Iterator[Finding]:
+    """Yield a finding for each member of a bus terminal that is missing or wrongly declared."""
+    for role, causalities in _MEMBERS.items():
+        attributes = bus.members.get(role)
+        if attributes is None:
+            found = "is missing"
+        elif attributes.get("causality") not in causalities:
+            found = f"is declared as {attributes.get('causality')}"
+        else:
+            continue
+        yield Finding(
+            name=f"{bus.name} {role}",
+            fits=False,
+            found=found,
+            mend=f"a bus terminal has {', '.join(_MEMBERS)}, and {role} is an "
+            f"{' or '.join(causalities)}",
+        )
+
+
+# -- an FMU with signals
 
 
 def _ports(
     description: Any, names: unit_map.FmuMap, mapped: bool
-) -> tuple[list[Port | None], list[Finding]]:
-    """The variables of all names, inputs first, and what was found of each."""
-    variables = {one.name: one for one in description.modelVariables}
-    ports: list[Port | None] = []
+) -> tuple[tuple[Port, ...], tuple[Port, ...], list[Finding]]:
+    """Return the inputs, the outputs, and one finding for each variable.
+
+    `mapped`: the names come from a mapping, which also gives the scales.
+    """
+    variables = {variable.name: variable for variable in description.modelVariables}
+    inputs: list[Port] = []
+    outputs: list[Port] = []
     findings: list[Finding] = []
-    for name, quantity, causality, factor in _wanted(names):
-        variable = variables.get(name)
+    all_wanted = list(_wanted(names))
+    for wanted in all_wanted:
+        variable = variables.get(wanted.name)
         if variable is None:
-            spare = not mapped and name in _OPTIONAL
-            others = [one.name for one in description.modelVariables if one.causality == causality]
-            findings.append(
-                Finding(
-                    name,
-                    spare,
-                    "is not there" + (", and is not needed" if spare else ""),
-                    f"{_MAP} if it has another name{nearest(name, others)}",
-                )
-            )
-            ports.append(None)
+            findings.append(_missing(description, wanted, mapped))
             continue
-        given = (
-            None
-            if mapped or quantity.startswith(("hold", "vent"))
-            else _factor(description, variable, quantity)
-        )
-        problem, mend = _misfit(variable, causality) or (
-            given if isinstance(given, tuple) else ("", "")
-        )
-        scale = factor if mapped else given if isinstance(given, float) else 1.0
-        times = "" if scale == 1.0 else f"{scale:g} times "
-        findings.append(
-            Finding(
-                name,
-                not problem,
-                problem or f"{causality}, {variable.type}: {times}{quantity}",
-                mend,
-            )
-        )
-        ports.append(Port(quantity, variable.valueReference, variable.type, scale))
-    used = {name for name, *_ in _wanted(names)}
-    left = [
-        one.name
-        for one in description.modelVariables
-        if one.causality == "input" and one.name not in used
+        port, finding = _port(description, variable, wanted, mapped)
+        ports = inputs if wanted.causality == "input" else outputs
+        ports.append(port)
+        findings.append(finding)
+
+    used_names = {wanted.name for wanted in all_wanted}
+    unused = [
+        variable.name
+        for variable in description.modelVariables
+        if variable.causality == "input" and variable.name not in used_names
     ]
-    if left:
+    if unused:
         findings.append(
-            Finding("other inputs", True, f"{', '.join(left)}: keep their start values")
+            Finding("other inputs", True, f"{', '.join(unused)}: keep their start values")
         )
-    return ports, findings
+    return tuple(inputs), tuple(outputs), findings
 
 
-def _wanted(names: unit_map.FmuMap) -> Iterator[tuple[str, str, str, float]]:
-    """Name, quantity, causality and factor of all variables, inputs first."""
+def _wanted(names: unit_map.FmuMap) -> Iterator[_Wanted]:
+    """Yield the variables that the FMU should have, inputs first."""
     for name, (quantity, factor) in names.inputs.items():
-        yield name, quantity, "input", factor
+        yield _Wanted(name, quantity, "input", factor)
     for axle, (hold, vent) in enumerate(zip(names.hold, names.vent, strict=True), start=1):
-        yield hold, f"hold_{axle}", "output", 1.0
-        yield vent, f"vent_{axle}", "output", 1.0
+        yield _Wanted(hold, f"hold_{axle}", "output", 1.0)
+        yield _Wanted(vent, f"vent_{axle}", "output", 1.0)
     if names.reference:
-        yield names.reference, "reference_speed", "output", 1.0 / names.reference_factor
+        yield _Wanted(names.reference, "reference_speed", "output", 1.0 / names.reference_factor)
 
 
-def _misfit(variable: Any, causality: str) -> tuple[str, str] | None:
-    """What is wrong with a variable, and how to mend it."""
+def _missing(description: Any, wanted: _Wanted, mapped: bool) -> Finding:
+    """Return the finding about a variable that the FMU does not have."""
+    optional = not mapped and wanted.name in _OPTIONAL
+    others = [
+        variable.name
+        for variable in description.modelVariables
+        if variable.causality == wanted.causality
+    ]
+    return Finding(
+        name=wanted.name,
+        fits=optional,
+        found="is missing, and is not needed" if optional else "is missing",
+        mend=f"{_MAP} if it has another name{nearest(wanted.name, others)}",
+    )
+
+
+def _port(description: Any, variable: Any, wanted: _Wanted, mapped: bool) -> tuple[Port, Finding]:
+    """Return the port of a variable, and the finding about it."""
+    problem = _wrong_declaration(variable, wanted.causality)
+    factor = 1.0
+    is_magnet = wanted.quantity.startswith(("hold", "vent"))
+    if mapped:
+        factor = wanted.factor
+    elif not is_magnet:
+        unit_factor = _unit_factor(description, variable, wanted.quantity)
+        if isinstance(unit_factor, float):
+            factor = unit_factor
+        elif problem is None:
+            problem = unit_factor
+
+    port = Port(wanted.quantity, variable.valueReference, variable.type, factor)
+    if problem:
+        return port, Finding(wanted.name, False, problem.found, problem.mend)
+    times = "" if factor == 1.0 else f"{factor:g} times "
+    found = f"{wanted.causality}, {variable.type}: {times}{wanted.quantity}"
+    return port, Finding(wanted.name, True, found)
+
+
+def _wrong_declaration(variable: Any, causality: str) -> _Problem | None:
+    """Return what is wrong with the declaration of a variable, apart from its unit."""
     if variable.causality != causality:
-        return (
+        return _Problem(
             f"is declared as {variable.causality}",
-            f"it has to be an {causality}; {_MAP} that names another",
+            f"declare it as an {causality}, or {_MAP} that gives another variable",
         )
     if variable.variability not in (None, "continuous", "discrete"):
-        return (
+        return _Problem(
             f"has the variability {variable.variability}",
             "allowed are continuous and discrete",
         )
     if variable.dimensions or variable.type in ("String", "Binary", "Clock", "Enumeration"):
         kind = "an array" if variable.dimensions else f"of type {variable.type}"
-        return f"is {kind}", "allowed are single numbers and Booleans: one variable for each axle"
+        return _Problem(
+            f"is {kind}", "allowed are single numbers and Booleans: one variable for each axle"
+        )
     return None
 
 
-def _factor(description: Any, variable: Any, quantity: str) -> float | tuple[str, str]:
-    """What one SI unit is in the unit that a variable declares, or what is wrong with that unit and how to mend it."""
-    told = variable.unit or (variable.declaredType.unit if variable.declaredType else None)
-    dimension, name = _SI[quantity.partition("_")[0]]
-    base = next((one.baseUnit for one in description.unitDefinitions if one.name == told), None)
-    if (
-        base is not None
-        and (base.kg, base.m, base.s) == dimension
-        and not any((base.A, base.K, base.mol, base.cd))
-    ):
+def _unit_factor(description: Any, variable: Any, quantity: str) -> float | _Problem:
+    """Return the value of one SI unit in the unit of a variable, or what is wrong with that unit."""
+    unit = variable.unit
+    if not unit:
+        unit = variable.declaredType.unit if variable.declaredType else None
+    si_unit = _SI_UNITS[quantity.partition("_")[0]]
+
+    base = None
+    for definition in description.unitDefinitions:
+        if definition.name == unit:
+            base = definition.baseUnit
+            break
+
+    if base is not None and _has_dimension(base, si_unit):
         if base.offset:
-            return f"has the unit {told} with an offset", f"use one without, such as {name}"
+            return _Problem(
+                f"has the unit {unit} with an offset", f"use one without, such as {si_unit.name}"
+            )
         return 1.0 / float(base.factor)
-    if told is None or (told == name and base is None):
+    if unit is None or (unit == si_unit.name and base is None):
         return 1.0
-    radius = " (for m/s the wheel's radius in m)" if quantity.startswith("measured") else ""
-    return (
-        f"has the unit {told}, which "
-        + ("is no unit of this quantity" if base else "it does not define"),
-        f"declare {name}, or {_MAP} and its factor{radius}",
+    problem = "which is not a unit of this quantity" if base else "which it does not define"
+    radius = " (for m/s the wheel radius in m)" if quantity.startswith("measured") else ""
+    return _Problem(
+        f"has the unit {unit}, {problem}",
+        f"declare {si_unit.name}, or {_MAP} and its factor{radius}",
     )
+
+
+def _has_dimension(base: Any, si_unit: _SiUnit) -> bool:
+    """Return whether the base unit of a definition has the dimension of an SI unit."""
+    same = (base.kg, base.m, base.s) == (si_unit.kg, si_unit.m, si_unit.s)
+    return same and not any((base.A, base.K, base.mol, base.cd))

@@ -1,7 +1,8 @@
-"""What an FMU and its CAN bus tell one another: the operations of FMI-LS-BUS, as bytes of a binary variable.
+"""The operations that an FMU and its CAN bus exchange (FMI-LS-BUS), as bytes of a binary variable.
 
-Each operation is a code and its length in bytes, then its arguments, little-endian without gaps; a variable may hold
-several. Source: FMI-LS-BUS 1.0, network abstraction (low-cut) and CAN.
+Each operation is its code and its length in bytes, followed by its arguments, little-endian without
+gaps. A variable may hold several operations.
+Source: FMI-LS-BUS 1.0, network abstraction (low-cut) and CAN.
 """
 
 import struct
@@ -12,10 +13,16 @@ from typing import NamedTuple
 from rollerrig.wsp_interface.bus.frames import Frame, check
 
 MEDIA_TYPE = "application/org.fmi-standard.fmi-ls-bus."
-# of Bus Error: what is wrong, and whether the node was the first to find it
-BIT_ERROR, STUFF_ERROR, FORM_ERROR = 1, 2, 3
-PRIMARY, SECONDARY = 1, 2
-# of Status
+
+# Bus Error: the kind of error
+BIT_ERROR = 1
+STUFF_ERROR = 2
+FORM_ERROR = 3
+# Bus Error: whether the node was the first to find it
+PRIMARY = 1
+SECONDARY = 2
+
+# Status: the states of a CAN controller
 STATES = {1: "error active", 2: "error passive", 3: "bus-off"}
 
 
@@ -35,7 +42,7 @@ class Code(IntEnum):
 
 
 class Parameter(IntEnum):
-    """What a Configuration sets."""
+    """The parameters that a Configuration can set."""
 
     BAUD_RATE = 1
     FD_BAUD_RATE = 2
@@ -43,30 +50,31 @@ class Parameter(IntEnum):
     ARBITRATION_LOST_BEHAVIOUR = 4
 
 
-# of ARBITRATION_LOST_BEHAVIOUR; else a frame waits for the bus
+# value of ARBITRATION_LOST_BEHAVIOUR: the frame is discarded; with any other value it waits
 DISCARD = 2
-_HEADER = struct.Struct("<II")
+
+_HEADER = struct.Struct("<II")  # code and length
 _ARGUMENTS = {
-    code: struct.Struct(layout)
-    for code, layout in {
-        Code.FORMAT_ERROR: "<H",
-        Code.TRANSMIT: "<IBBH",
-        Code.FD_TRANSMIT: "<IBBBH",
-        Code.XL_TRANSMIT: "<IBBBBIH",
-        Code.CONFIRM: "<I",
-        Code.ARBITRATION_LOST: "<I",
-        Code.BUS_ERROR: "<IBBB",
-        Code.CONFIGURATION: "<B",
-        Code.STATUS: "<B",
-        Code.WAKEUP: "",
-    }.items()
+    Code.FORMAT_ERROR: struct.Struct("<H"),
+    Code.TRANSMIT: struct.Struct("<IBBH"),
+    Code.FD_TRANSMIT: struct.Struct("<IBBBH"),
+    Code.XL_TRANSMIT: struct.Struct("<IBBBBIH"),
+    Code.CONFIRM: struct.Struct("<I"),
+    Code.ARBITRATION_LOST: struct.Struct("<I"),
+    Code.BUS_ERROR: struct.Struct("<IBBB"),
+    Code.CONFIGURATION: struct.Struct("<B"),
+    Code.STATUS: struct.Struct("<B"),
+    Code.WAKEUP: struct.Struct("<"),
 }
-# their last argument is how many bytes of data follow
+# the last argument of these is the number of data bytes that follow
 _WITH_DATA = (Code.FORMAT_ERROR, Code.TRANSMIT, Code.FD_TRANSMIT, Code.XL_TRANSMIT)
+# the data bytes of a Configuration depend on its parameter
+_BEHAVIOUR_BYTES = 1
+_BAUD_RATE_BYTES = 4
 
 
 class Operation(NamedTuple):
-    """One operation: its fixed arguments, and what follows them."""
+    """One operation: its arguments of fixed size, and the data that follow them."""
 
     code: Code
     values: tuple[int, ...]
@@ -74,52 +82,71 @@ class Operation(NamedTuple):
 
     @property
     def frame(self) -> Frame | None:
-        """The frame of a TRANSMIT; None where no CAN controller could send it."""
+        """The frame of a TRANSMIT; None if no CAN controller could send it."""
         can_id, extended, remote, size = self.values
         try:
-            return check(
-                Frame(
-                    can_id,
-                    b"" if remote else self.data,
-                    bool(extended),
-                    bool(remote),
-                    size if remote else 0,
-                )
-            )
+            if remote:
+                return check(Frame(can_id, b"", bool(extended), True, size))
+            return check(Frame(can_id, self.data, bool(extended), False, 0))
         except ValueError:
             return None
 
 
 def build(code: Code, *values: int, data: bytes = b"") -> bytes:
-    """The bytes of an operation."""
+    """Return the bytes of an operation."""
     arguments = _ARGUMENTS[code].pack(*values)
-    return _HEADER.pack(code, _HEADER.size + len(arguments) + len(data)) + arguments + data
+    size = _HEADER.size + len(arguments) + len(data)
+    return _HEADER.pack(code, size) + arguments + data
 
 
 def transmit(frame: Frame) -> bytes:
-    """The operation that carries a frame."""
+    """Return the operation that carries a frame."""
     return build(
-        Code.TRANSMIT, frame.can_id, frame.extended, frame.remote, len(frame.data), data=frame.data
+        Code.TRANSMIT,
+        frame.can_id,
+        frame.extended,
+        frame.remote,
+        len(frame.data),
+        data=frame.data,
     )
 
 
 def read(wire: bytes) -> Iterator[tuple[bytes, Operation | None]]:
-    """Each operation with its bytes; None stands for one that is corrupt, as a Format Error tells."""
+    """Yield each operation with its bytes.
+
+    A corrupt operation is None; the sender of its bytes is answered with a Format Error.
+    """
     while wire:
-        code, size = _HEADER.unpack_from(wire) if len(wire) >= _HEADER.size else (0, 0)
-        # where a length makes no sense, nothing behind it can be read
-        sound = _HEADER.size <= size <= len(wire)
-        raw = wire[:size] if sound else wire
-        wire = wire[len(raw) :]
-        yield raw, _operation(code, raw) if sound else None
+        code = 0
+        size = 0
+        if len(wire) >= _HEADER.size:
+            code, size = _HEADER.unpack_from(wire)
+        if not _HEADER.size <= size <= len(wire):
+            # the length is wrong, so nothing behind this operation can be read
+            yield wire, None
+            return
+        raw = wire[:size]
+        wire = wire[size:]
+        yield raw, _operation(code, raw)
 
 
-def _operation(code: int, raw: bytes) -> Operation | None:
-    if code not in _ARGUMENTS or len(raw) < _HEADER.size + _ARGUMENTS[Code(code)].size:
+def _operation(number: int, raw: bytes) -> Operation | None:
+    """Return the operation with a code number and its bytes; None if it is corrupt."""
+    if number not in _ARGUMENTS:
         return None
-    layout = _ARGUMENTS[Code(code)]
-    values, data = layout.unpack_from(raw, _HEADER.size), raw[_HEADER.size + layout.size :]
-    follows = values[-1] if code in _WITH_DATA else 0
-    if code == Code.CONFIGURATION:
-        follows = 1 if values[0] == Parameter.ARBITRATION_LOST_BEHAVIOUR else 4
-    return Operation(Code(code), values, data) if len(data) == follows else None
+    code = Code(number)
+    layout = _ARGUMENTS[code]
+    if len(raw) < _HEADER.size + layout.size:
+        return None
+    values = layout.unpack_from(raw, _HEADER.size)
+    data = raw[_HEADER.size + layout.size :]
+
+    expected_bytes = 0
+    if code in _WITH_DATA:
+        expected_bytes = values[-1]
+    elif code == Code.CONFIGURATION:
+        is_behaviour = values[0] == Parameter.ARBITRATION_LOST_BEHAVIOUR
+        expected_bytes = _BEHAVIOUR_BYTES if is_behaviour else _BAUD_RATE_BYTES
+    if len(data) != expected_bytes:
+        return None
+    return Operation(code, values, data)

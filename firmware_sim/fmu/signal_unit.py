@@ -1,7 +1,8 @@
-"""A WSP that runs as an FMU: extracted, compiled where it is source code, and stepped once a SYNC.
+"""A WSP unit that is an FMU with signals: extracted, compiled if it has sources only, and stepped once a SYNC.
 
-Whatever goes wrong in it ends the process of the unit, which the bench hears as it hears of any unit that has died. A
-step that does not return is ended by a thread that counts. What the FMU prints goes where this process prints.
+A failure of the FMU stops the process of the unit, and the bench notices that as with any unit. A
+watching thread stops the process if a step does not return. What the FMU prints goes to the standard
+output of this process.
 Source: FMI 2.0.4 and 3.0.2, co-simulation; FMPy 0.3.
 """
 
@@ -13,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,32 +22,45 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError, UnitError
 from rollerrig.firmware_sim.fmu import fmu_file
-from rollerrig.firmware_sim.fmu.fmu_file import Fitted
+from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
 from rollerrig.firmware_sim.wsp import node
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface import rig_objects as rig
 from rollerrig.wsp_interface.unit_map import SOURCES
 
-_HUNG, _LOOK_S = 5, 0.1
-_REFERENCE = signals.place("wsp_reference_speed", signals.WSP_NODE)
+_EXIT_STATUS_HANGS = 5
+_WATCH_PERIOD_S = 0.1
+_REFERENCE_SPEED = signals.place("wsp_reference_speed", signals.WSP_NODE)
+# an output that is a number means an energised magnet from here on
+_ENERGISED_FROM = 0.5
+_REAL_TYPES = ("Real", "Float32", "Float64")
 
 
 class Watch:
-    """Ends the process when a call into an FMU does not return within `patience_s`.
+    """Stops the process when a call into an FMU does not return within `patience_s`.
 
-    Counted in looks: a process that is stopped has not waited.
+    The time is counted in checks, not by a clock, so that a process that was paused is not stopped.
     """
 
     def __init__(self, patience_s: float) -> None:
         self._failure = _failures()
-        self._calls, self._running, self._what, self._who, self._at_s = 0, False, "", "", 0.0
+        self._calls = 0
+        self._running = False
+        self._name = ""
+        self._action = ""
+        self._at_s = 0.0
         threading.Thread(
-            target=self._look, args=(patience_s,), name="step watch", daemon=True
+            target=self._check, args=(patience_s,), name="step watch", daemon=True
         ).start()
 
-    def over(self, at_s: float, who: str = "the FMU", what: str = "doStep") -> "Watch":
-        """Watch what is done under `with`, at a time of the FMU. UnitError is raised where that fails."""
-        self._at_s, self._who, self._what = at_s, who, what
+    def call(self, at_s: float, name: str = "the FMU", action: str = "doStep") -> "Watch":
+        """Return this watch for a `with` block, which makes a call at a time of the FMU.
+
+        The block raises UnitError if the call fails. `name` and `action` are for messages.
+        """
+        self._at_s = at_s
+        self._name = name
+        self._action = action
         return self
 
     def __enter__(self) -> None:
@@ -56,59 +70,70 @@ class Watch:
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         self._running = False
         if isinstance(error, self._failure):
-            raise UnitError(f"{self._who} has failed at {self._at_s:.3f} s: {error}") from None
+            raise UnitError(f"{self._name} has failed at {self._at_s:.3f} s: {error}") from None
 
-    def _look(self, patience_s: float) -> None:
-        call, looks = -1, 0
+    def _check(self, patience_s: float) -> None:
+        """Count for how many checks the same call has been running."""
+        call = -1
+        checks = 0
         while True:
-            time.sleep(_LOOK_S)
-            looks = looks + 1 if self._running and call == self._calls else 0
+            time.sleep(_WATCH_PERIOD_S)
+            if self._running and call == self._calls:
+                checks += 1
+            else:
+                checks = 0
             call = self._calls
-            if looks * _LOOK_S > patience_s:
+            if checks * _WATCH_PERIOD_S > patience_s:
                 print(
-                    f"{self._who} hangs: {self._what} at {self._at_s:.3f} s has not returned within {patience_s:g} s",
+                    f"{self._name} hangs: {self._action} at {self._at_s:.3f} s has not returned "
+                    f"within {patience_s:g} s",
                     flush=True,
                 )
-                os._exit(_HUNG)
+                os._exit(_EXIT_STATUS_HANGS)
 
 
 @contextlib.contextmanager
-def initialising(who: str) -> Iterator[None]:
-    """Raises UnitError for whatever FMPy raises meanwhile."""
+def initialisation_of(name: str) -> Iterator[None]:
+    """Raise UnitError for every exception of FMPy in the `with` block."""
     try:
         yield
     except UnitError:
         raise
-    except Exception as error:  # FMPy's own are plain ones
-        raise UnitError(f"{who} cannot be initialised: {error}") from None
+    except Exception as error:  # FMPy raises plain exceptions
+        raise UnitError(f"{name} cannot be initialised: {error}") from None
 
 
 class Fmu:
-    """An FMU as the WSP of a unit. `patience_s`: how long a step may take before the process is ended."""
+    """An FMU as the WSP of a unit, see `node.Wsp`.
+
+    `patience_s`: how long a step may take before the process is stopped.
+    """
 
     hears: tuple[rig.Layout, ...] = (rig.SPEEDS, rig.PRESSURES)
 
-    def __init__(self, fitted: Fitted, folder: Path, patience_s: float = 10.0) -> None:
-        """Load it, extracted into a folder. Raises ConfigError, UnitError."""
-        self._period_s, self._steps = fitted.period_s, 0
+    def __init__(self, checked: CheckedFmu, folder: Path, patience_s: float = 10.0) -> None:
+        """Extract the FMU into a folder and load it. Raises ConfigError, UnitError."""
+        self._period_s = checked.period_s
+        self._steps = 0
         self._begun = False
-        self._fmu = open_fmu(fitted, folder)
-        self._told = np.zeros(len(SOURCES))
-        self._scales = np.array([scale for one in self.hears for scale in one.scales])
-        self._inputs = _by_kind(fitted.inputs)
-        self._outputs = _by_kind(fitted.outputs)
+        self._fmu = open_fmu(checked, folder)
+        self._values = np.zeros(len(SOURCES))  # of the input frames, in SI units
+        self._scales = np.array([scale for layout in self.hears for scale in layout.scales])
+        self._inputs = _by_type(checked.inputs)
+        self._outputs = _by_type(checked.outputs)
         self._watch = Watch(patience_s)
 
     def begin(self) -> None:
         fmu = self._fmu
         self._steps = 0
-        with initialising("the FMU"):
+        with initialisation_of("the FMU"):
             if self._begun:
                 fmu.reset()
             else:
                 fmu.instantiate()
             self._begun = True
             if hasattr(fmu, "setupExperiment"):
+                # FMI 2
                 fmu.setupExperiment(startTime=0.0)
                 fmu.enterInitializationMode()
             else:
@@ -116,18 +141,20 @@ class Fmu:
             fmu.exitInitializationMode()
 
     def cycle(self, counts: np.ndarray) -> tuple[int, int | None]:
-        self._told[:] = counts * self._scales
-        values = dict(zip(SOURCES, self._told.tolist(), strict=True))
-        told = self._step(values)
+        self._values[:] = counts * self._scales
+        inputs = dict(zip(SOURCES, self._values.tolist(), strict=True))
+        outputs = self._step(inputs)
+
         pairs = []
         for axle in range(1, signals.AXLES + 1):
-            hold = told[f"hold_{axle}"] >= 0.5
-            vent = told[f"vent_{axle}"] >= 0.5
+            hold = outputs[f"hold_{axle}"] >= _ENERGISED_FROM
+            vent = outputs[f"vent_{axle}"] >= _ENERGISED_FROM
             pairs.append(magnets.pair(hold, vent))
-        reference = told.get("reference_speed")
-        return magnets.pack(pairs), None if reference is None else signals.count(
-            reference, _REFERENCE
-        )
+
+        reference_count = None
+        if "reference_speed" in outputs:
+            reference_count = signals.count(outputs["reference_speed"], _REFERENCE_SPEED)
+        return magnets.pack(pairs), reference_count
 
     def idle(self) -> None:
         self._step({})
@@ -139,63 +166,74 @@ class Fmu:
         return False
 
     def close(self) -> None:
-        """Let it end in order, as far as it still can."""
-        with contextlib.suppress(Exception):  # its run is over, and what has failed has been told
+        """Terminate the FMU as far as possible."""
+        # the run is over, and a failure has been reported already
+        with contextlib.suppress(Exception):
             if self._begun:
                 self._fmu.terminate()
                 self._fmu.freeInstance()
 
-    def _step(self, values: dict[str, float]) -> dict[str, float]:
-        """Set what is given, step by a period, and read the outputs. Raises UnitError."""
-        fmu, time_s = self._fmu, self._steps * self._period_s
-        with self._watch.over(time_s):
-            if values:
-                for kind, ports in self._inputs.items():
-                    numbers = [port.factor * values[port.quantity] for port in ports]
-                    whole = numbers if kind in _REAL else [round(number) for number in numbers]
-                    getattr(fmu, f"set{kind}")([port.reference for port in ports], whole)
-            ended = fmu.doStep(time_s, self._period_s)
-            if ended and ended[1]:
-                raise UnitError(f"the FMU asks to end at {time_s:.3f} s")
+    def _step(self, inputs: dict[str, float]) -> dict[str, float]:
+        """Set the inputs, if any, make a step of one period, and return the outputs.
+
+        Inputs and outputs are in SI units, by quantity. Raises UnitError.
+        """
+        time_s = self._steps * self._period_s
+        with self._watch.call(time_s):
+            if inputs:
+                self._set_inputs(inputs)
+            step_result = self._fmu.doStep(time_s, self._period_s)
+            # FMI 3 only: the second item is `terminateSimulation`
+            if step_result and step_result[1]:
+                raise UnitError(f"the FMU requests the end of the simulation at {time_s:.3f} s")
             self._steps += 1
-            told: dict[str, float] = {}
-            for kind, ports in self._outputs.items():
-                read = getattr(fmu, f"get{kind}")([port.reference for port in ports])
-                told |= {
-                    port.quantity: float(value) / port.factor
-                    for port, value in zip(ports, read, strict=True)
-                }
-        return told
+            return self._get_outputs()
+
+    def _set_inputs(self, inputs: dict[str, float]) -> None:
+        for type_name, ports in self._inputs.items():
+            values: list[float] = []
+            for port in ports:
+                value = port.factor * inputs[port.quantity]
+                values.append(value if type_name in _REAL_TYPES else round(value))
+            set_values = getattr(self._fmu, f"set{type_name}")
+            set_values([port.reference for port in ports], values)
+
+    def _get_outputs(self) -> dict[str, float]:
+        outputs: dict[str, float] = {}
+        for type_name, ports in self._outputs.items():
+            get_values = getattr(self._fmu, f"get{type_name}")
+            values = get_values([port.reference for port in ports])
+            for port, value in zip(ports, values, strict=True):
+                outputs[port.quantity] = float(value) / port.factor
+        return outputs
 
 
-_REAL = ("Real", "Float32", "Float64")
-
-
-def _by_kind(ports: tuple[fmu_file.Port, ...]) -> dict[str, list[fmu_file.Port]]:
-    """Ports by the type in whose name FMPy sets and gets them."""
-    kinds: dict[str, list[fmu_file.Port]] = {}
+def _by_type(ports: Sequence[fmu_file.Port]) -> dict[str, list[fmu_file.Port]]:
+    """Return the ports by their type, because FMPy has one setter and one getter for each type."""
+    ports_by_type: dict[str, list[fmu_file.Port]] = {}
     for port in ports:
-        kinds.setdefault(port.kind, []).append(port)
-    return kinds
+        ports_by_type.setdefault(port.kind, []).append(port)
+    return ports_by_type
 
 
 def _failures() -> type[Exception]:
+    """Return the exception of FMPy for a call that fails."""
     from fmpy.fmi1 import FMICallException
 
     return FMICallException
 
 
-def open_fmu(fitted: Fitted, folder: Path) -> Any:
-    """An FMU of FMPy, its library loaded. Raises ConfigError."""
+def open_fmu(checked: CheckedFmu, folder: Path) -> Any:
+    """Return an FMU of FMPy with its library loaded. Raises ConfigError."""
     from fmpy import extract, fmi2, fmi3
 
-    description = fitted.description
+    description = checked.description
     try:
-        extract(fitted.path, folder)
-        if fitted.sources:
-            _compile(fitted, folder)
-        kind = fmi2.FMU2Slave if description.fmiMajorVersion == 2 else fmi3.FMU3Slave
-        return kind(
+        extract(checked.path, folder)
+        if checked.sources:
+            _compile(checked, folder)
+        slave = fmi2.FMU2Slave if description.fmiMajorVersion == 2 else fmi3.FMU3Slave
+        return slave(
             guid=description.guid,
             unzipDirectory=str(folder),
             instanceName="wsp",
@@ -203,69 +241,68 @@ def open_fmu(fitted: Fitted, folder: Path) -> Any:
         )
     except ConfigError:
         raise
-    except Exception as error:  # FMPy's own are plain ones
+    except Exception as error:  # FMPy raises plain exceptions
         raise ConfigError(
-            f"{fitted.path}: cannot be loaded: {error}; see that what it links to is installed"
+            f"{checked.path}: the FMU cannot be loaded: {error}; install the libraries that it needs"
         ) from None
 
 
-def _compile(fitted: Fitted, folder: Path) -> None:
-    """Compile the sources of an FMU. Raises ConfigError with the compiler's first error."""
+def _compile(checked: CheckedFmu, folder: Path) -> None:
+    """Compile the sources of an FMU. Raises ConfigError with the first error of the compiler."""
     import fmpy
 
-    binary, sources = folder / fitted.binary, folder / "sources"
+    binary = folder / checked.binary
+    sources = folder / "sources"
     binary.parent.mkdir(parents=True, exist_ok=True)
-    files = fitted.description.buildConfigurations[0].sourceFileSets
-    defined = [
-        f"-D{one.name}={one.value or ''}" for each in files for one in each.preprocessorDefinitions
-    ]
-    command = [
-        "cc",
-        "-shared",
-        "-fPIC",
-        "-O2",
-        "-w",
-        *defined,
-        # sources may give all functions the prefix that they need where several FMUs are linked into one
-        f"-DFMI{fitted.description.fmiMajorVersion}_OVERRIDE_FUNCTION_PREFIX",
-        f"-I{sources}",
-        f"-I{Path(fmpy.__file__).parent / 'c-code'}",
-        "-o",
-        str(binary),
-        *(str(sources / name) for name in fitted.sources),
-        "-lm",
-    ]
+
+    macros = []
+    for file_set in checked.description.buildConfigurations[0].sourceFileSets:
+        for macro in file_set.preprocessorDefinitions:
+            macros.append(f"-D{macro.name}={macro.value or ''}")
+    # sources may give all functions a prefix, which is for tools that link several FMUs into one
+    macros.append(f"-DFMI{checked.description.fmiMajorVersion}_OVERRIDE_FUNCTION_PREFIX")
+
+    fmi_headers = Path(fmpy.__file__).parent / "c-code"
+    source_files = [str(sources / name) for name in checked.sources]
+    options = ["-shared", "-fPIC", "-O2", "-w"]
+    includes = [f"-I{sources}", f"-I{fmi_headers}"]
+    command = ["cc", *options, *macros, *includes, "-o", str(binary), *source_files, "-lm"]
+
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
-        errors = [line for line in done.stderr.splitlines() if "error" in line] or [
-            done.stderr.strip()
-        ]
+        errors = [line for line in done.stderr.splitlines() if "error" in line]
+        first_error = errors[0] if errors else done.stderr.strip()
         raise ConfigError(
-            f"{fitted.path}: its sources do not compile: {errors[0]}; have it exported with a binary"
+            f"{checked.path}: the sources of the FMU do not compile: {first_error}; "
+            "export it with a binary for this machine"
         )
 
 
 def main(
-    fitted: Fitted,
+    checked: CheckedFmu,
     bus_address: str,
     priority: int = 0,
     lockstep_s: float = 0.0,
     patience_s: float = 10.0,
 ) -> int:
-    """Run an FMU on a bus until that ends; as `node.main`. Raises ConfigError, BusError, UnitError."""
-    print_at_once()
+    """Run an FMU on a bus until the bus ends, as `node.main`. Returns 0.
+
+    Raises ConfigError, BusError, UnitError.
+    """
+    flush_every_line()
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as folder:
-        unit = Fmu(fitted, Path(folder), patience_s)
+        fmu = Fmu(checked, Path(folder), patience_s)
         try:
             return node.serve(
-                lambda bus: node.Unit(bus, unit, lockstep_s), bus_address, priority, lockstep_s
+                lambda bus: node.Unit(bus, fmu, lockstep_s), bus_address, priority, lockstep_s
             )
         finally:
-            unit.close()
+            fmu.close()
 
 
-def print_at_once() -> None:
-    """Lines that we or the FMU print are not lost with the process."""
+def flush_every_line() -> None:
+    """Flush every line that this process or the FMU prints, so that none is lost with the process."""
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     libc = ctypes.CDLL(None)
-    libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, 1, 0)
+    line_buffered = 1  # _IOLBF of stdio.h on Linux
+    libc.setvbuf(ctypes.c_void_p.in_dll(libc, "stdout"), None, line_buffered, 0)

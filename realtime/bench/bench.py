@@ -63,7 +63,7 @@ class Bench:
         if given.fmus:
             from rollerrig.firmware_sim.fmu import fmu_file
 
-            fmu_file.fit_all(given.fmus, given.unit_map, plan["bus"]["sync_period_s"])
+            fmu_file.check_all(given.fmus, given.unit_map, plan["bus"]["sync_period_s"])
         if plan["modbus"]["enabled"]:
             tls_context(plan["modbus"])
 

@@ -96,7 +96,7 @@ def fits(path: Path, unit_map: Path | None, period_s: float) -> list[Finding]:
 
     return [
         _answer(one.name, one.fits, one.found, one.found, one.mend, State.MISSING)
-        for one in fmu_file.look(path, unit_map, period_s)[1]
+        for one in fmu_file.examine(path, unit_map, period_s)[1]
     ]
 
 

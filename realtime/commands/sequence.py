@@ -212,7 +212,7 @@ def _check_out(given: argparse.Namespace, sequences: list[Any]) -> None:
     for period_s in sorted(
         {_plan(one)["bus"]["sync_period_s"] for one in sequences} if fmus else ()
     ):
-        fmu_file.fit_all(fmus, given.unit_map, period_s)
+        fmu_file.check_all(fmus, given.unit_map, period_s)
     if given.wsp == "external" and not (given.bus or given.unit):
         raise ConfigError(
             "--wsp external: each run is a bus of its own; say with --unit COMMAND how your unit is "

@@ -117,12 +117,12 @@ def call(given: argparse.Namespace) -> int:
     if given.fmu:
         from rollerrig.firmware_sim.fmu import can_unit, fmu_file, signal_unit
 
-        fitted = fmu_file.fit_all(tuple(given.fmu), given.unit_map, given.step)
+        fmus = fmu_file.check_all(tuple(given.fmu), given.unit_map, given.step)
         how = given.bus, given.priority, given.lockstep, given.step_wait
         return (
-            can_unit.main(fitted, *how, given.bitrate)
-            if fitted[0].terminal
-            else signal_unit.main(fitted[0], *how)
+            can_unit.main(fmus, *how, given.bitrate)
+            if fmus[0].terminal
+            else signal_unit.main(fmus[0], *how)
         )
     from rollerrig.firmware_sim.wsp import node
 

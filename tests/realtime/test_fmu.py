@@ -67,8 +67,8 @@ def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version
     }
     unit = fmus.build(tmp_path, version, binary=False, sources=True, inputs=names)
     (tmp_path / "map.toml").write_text(MAP)
-    with pytest.raises(ConfigError, match="wheel_speed_1: is not there; give a mapping"):
-        fmu_file.fit(unit, None, 0.01)
+    with pytest.raises(ConfigError, match="wheel_speed_1: is missing; give a mapping"):
+        fmu_file.check(unit, None, 0.01)
     run = bench_process.run(
         tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}", "--unit-map", str(tmp_path / "map.toml")
     )
@@ -144,14 +144,14 @@ WRONG = [
         3,
         'name="hold_3"',
         'name="halt_3"',
-        "hold_3: is not there; give a mapping with --unit-map if it has another "
+        "hold_3: is missing; give a mapping with --unit-map if it has another "
         "name; did you mean 'hold_",
     ),
     (
         3,
         'name="wheel_speed_2" valueReference="1" causality="input"',
         'name="wheel_speed_2" valueReference="1" causality="local"',
-        "wheel_speed_2: is declared as local; it has to be an input",
+        "wheel_speed_2: is declared as local; declare it as an input",
     ),
     (
         2,
@@ -172,8 +172,8 @@ WRONG = [
         '<Real unit="rad/s" start="0"/>',
         '<Real unit="m/s" start="0"/>',
         "wheel_speed_1: has the unit m/s, which is "
-        "no unit of this quantity; declare rad/s, or give a mapping with --unit-map and "
-        "its factor (for m/s the wheel's",
+        "not a unit of this quantity; declare rad/s, or give a mapping with --unit-map and "
+        "its factor (for m/s the wheel ",
     ),
     (
         3,
@@ -185,7 +185,7 @@ WRONG = [
         3,
         'canHandleVariableCommunicationStepSize="true"',
         'fixedInternalStepSize="0.004"',
-        "step: its own steps take "
+        "step: its internal steps take "
         "0.004 s, and one doStep a SYNC takes 0.01 s (bus.sync_period_s); export it with a step of which 0.01 s is",
     ),
     (
@@ -205,7 +205,7 @@ def test_an_fmu_that_does_not_fit_is_refused_before_the_run(version, old, new, s
 
     unit = fmus.build(tmp_path, version, edit=edit)
     with pytest.raises(ConfigError) as refusal:
-        fmu_file.fit(unit, None, 0.01)
+        fmu_file.check(unit, None, 0.01)
     assert said in str(refusal.value)
 
 
@@ -217,30 +217,30 @@ def test_an_fmu_of_fmi_1_is_refused_by_name(tmp_path):
     with pytest.raises(
         ConfigError, match=r"is an FMU of FMI 1\.0; export it for FMI 2\.0 or 3\.0, co-simulation"
     ):
-        fmu_file.fit(fmus.build(tmp_path, edit=lambda xml: first), None, 0.01)
+        fmu_file.check(fmus.build(tmp_path, edit=lambda xml: first), None, 0.01)
 
 
 def test_an_fmu_without_a_binary_for_this_machine_says_which_it_has(tmp_path, monkeypatch):
     unit = fmus.build(tmp_path, binary=False)
     with pytest.raises(
         ConfigError,
-        match=r"binaries for no platform, none for this machine .*; have it exported for",
+        match=r"binaries for no platform, none for this machine .*; export it for",
     ):
-        fmu_file.fit(unit, None, 0.01)
+        fmu_file.check(unit, None, 0.01)
     unit = fmus.build(tmp_path, name="source", binary=False, sources=True)
     monkeypatch.setenv("PATH", "")
     with pytest.raises(
         ConfigError, match=r"no platform, sources, none .*; install a C compiler \(cc\)"
     ):
-        fmu_file.fit(unit, None, 0.01)
+        fmu_file.check(unit, None, 0.01)
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
-        (b"no archive", "is no FMU, which is a ZIP archive"),
+        (b"no archive", "is not an FMU, which is a ZIP archive"),
         (None, "No such file"),
-        (b"PK\5\6" + bytes(18), "holds no modelDescription.xml"),
+        (b"PK\5\6" + bytes(18), "contains no modelDescription.xml"),
     ],
 )
 def test_a_file_that_is_no_fmu_is_refused(content, said, tmp_path):
@@ -248,13 +248,13 @@ def test_a_file_that_is_no_fmu_is_refused(content, said, tmp_path):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=said):
-        fmu_file.fit(path, None, 0.01)
+        fmu_file.check(path, None, 0.01)
 
 
 def test_without_fmpy_the_message_says_how_to_install_it(fmu, monkeypatch):
     monkeypatch.setitem(sys.modules, "fmpy", None)
     with pytest.raises(ConfigError, match=r"pip install 'rollerrig\[fmu\]'"):
-        fmu_file.fit(fmu, None, 0.01)
+        fmu_file.check(fmu, None, 0.01)
 
 
 def test_free_pacing_has_no_bus_for_an_fmu_and_a_mapping_wants_one(fmu):

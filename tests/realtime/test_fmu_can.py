@@ -114,7 +114,7 @@ def test_what_the_bus_does_not_carry_and_its_error_frames_are_told_to_the_node(t
         "error_frame node=16 at=1 for=0.1",
     )
     for told in (
-        "wsp.fmu has sent what is no operation of FMI-LS-BUS: 99 00 00 00 0a 00",
+        "wsp.fmu has sent bytes that are not an operation of FMI-LS-BUS: 99 00 00 00 0a 00",
         "format error of 10 bytes, code 99",
         "bus error 3 of 123, flag 1, sender 1",
         "wsp.fmu is error passive",
@@ -152,15 +152,15 @@ def test_a_terminal_is_found_by_its_media_type_or_refused(tmp_path, capsys):
     assert rows["terminal Can0"] == 'FMI-LS-BUS, can; version="1.0.0"'
     assert rows["Tx_Clock"] == "triggered"
     for name, old, new, wrong in [
-        ("lin", "fmi-ls-bus.can", "fmi-ls-bus.lin", "the rig's bus is CAN"),
+        ("lin", "fmi-ls-bus.can", "fmi-ls-bus.lin", "the bus of the rig is CAN"),
         (
             "later",
             "1.0.0",
             "2.0.0",
-            "the rig's bus is CAN: export it with a terminal of the media type",
+            "the bus of the rig is CAN: export it with a terminal of the media type",
         ),
         ("events", ' hasEventMode="true"', "", "event mode: hasEventMode is false"),
-        ("member", 'memberName="Tx_Clock"', 'memberName="Clock"', "Can0 Tx_Clock: is not there"),
+        ("member", 'memberName="Tx_Clock"', 'memberName="Clock"', "Can0 Tx_Clock: is missing"),
         (
             "way",
             'name="Can0.Rx_Data" valueReference="1" causality="input"',
@@ -169,9 +169,11 @@ def test_a_terminal_is_found_by_its_media_type_or_refused(tmp_path, capsys):
         ),
     ]:
         with pytest.raises(ConfigError, match=wrong):
-            fmu_file.fit(changed(name, (old, new)), None, 0.01)
+            fmu_file.check(changed(name, (old, new)), None, 0.01)
     with pytest.raises(ConfigError, match="has no CAN port, so it has to be the only unit"):
-        fmu_file.fit_all((tmp_path / "good.fmu", fmus.build(tmp_path, name="signals")), None, 0.01)
+        fmu_file.check_all(
+            (tmp_path / "good.fmu", fmus.build(tmp_path, name="signals")), None, 0.01
+        )
 
 
 def test_only_fmus_go_together_on_the_command_line(capsys):
