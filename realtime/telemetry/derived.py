@@ -1,10 +1,10 @@
-"""What is drawn beside the recorded signals, computed from rows of them: slip, decelerations, faults, the filled band.
+"""Curves, marks and the result of a run, which Rerun shows with the recorded signals.
 
-Slip is told in percent of the reference speed of the unit, or of the vehicle's where the unit tells none. The band
-between the limits of adhesion is a curve that goes from one to the other at every sample: Rerun fills no areas.
+The curves are slip, the control limits of the unit, the demanded deceleration, and the band between
+the limits of adhesion. Slip is in percent of the reference speed of the unit, or of the speed of
+the vehicle where the unit sends no reference speed.
 """
 
-import contextlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
@@ -18,141 +18,209 @@ from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import INFO, Code, Event
 from rollerrig.wsp_interface.sequences import measures
 
-_SLOWEST_M_S = 1.0  # below it a percentage of the speed tells nothing
-_BANDS = ("band_low_m_s", "band_low_fraction", "band_high_m_s", "band_high_fraction")
+# m/s. Below this speed a percentage of the speed means nothing.
+_SLOWEST_M_S = 1.0
+
+_KM_H_PER_M_S = 3.6
+
+# opacity of the band between the limits of adhesion, of 255
+_BAND_OPACITY = 70
+
+# what the text of a result shows for an unknown value
+_UNKNOWN = "–"
 
 
 class Curve(NamedTuple):
-    """One entity of scalars: its path, how each series is drawn, and its values (n, series) of rows (n, columns)."""
+    """An entity of scalars: its path, and name and colour of each of its series.
+
+    `values` computes them, shape (n, series), from rows of all signals, shape (n, columns).
+    """
 
     path: str
     names: tuple[str, ...]
     colours: tuple[tuple[int, ...], ...]
     width: float
-    of: Callable[[np.ndarray], np.ndarray]
+    values: Callable[[np.ndarray], np.ndarray]
+
+
+# --- curves ---
 
 
 def curves(scenario: Mapping[str, Any], unit: str, band: bool = True) -> list[Curve]:
-    """All that can be drawn of a run: its resolved scenario, and which unit protected it; with or without the band."""
-    found = [
-        Curve(
-            f"/slip/axle_{axle}",
-            (f"axle {axle}",),
-            (shade,),
-            1.5,
-            lambda rows, axle=axle: _slip(rows, axle),
-        )
-        for axle, shade in enumerate(colours.AXLES, start=1)
-    ]
-    found += [
-        Curve(
-            f"/adhesion/band_{axle}",
-            ("f_d to f_r",),
-            ((*colours.LIMIT, 70),),
-            1.0,
-            lambda rows, axle=axle: _between(rows, axle),
-        )
-        for axle in range(1, signals.AXLES + 1)
-        if band
-    ]
-    with contextlib.suppress(ConfigError, KeyError):
-        bands = [float(store.load("wsp", scenario["wsp_config"])[0][key]) for key in _BANDS]
-        if unit == "reference":
-            found.append(
-                Curve(
-                    "/slip/bands",
-                    ("band of the unit, low", "high"),
-                    (colours.REFERENCE,) * 2,
-                    0.8,
-                    lambda rows: _bands(rows, bands),
-                )
-            )
-    record = measures.Record({}, (), {}, scenario)
-    with contextlib.suppress(KeyError, ZeroDivisionError):
-        measures.demanded_m_s2(record, 0.0, 0.0)
-        found.append(
-            Curve(
-                "/acceleration/demanded",
-                ("demanded",),
-                (colours.REFERENCE,),
-                1.5,
-                lambda rows: _demanded(rows, record),
-            )
-        )
-    return found
+    """Return all curves of a run: of its resolved scenario and the unit that protected it.
+
+    `band` adds the band between the limits of adhesion.
+    """
+    shown = [_slip_curve(axle) for axle in range(1, signals.AXLES + 1)]
+    if band:
+        shown += [_adhesion_band_curve(axle) for axle in range(1, signals.AXLES + 1)]
+    if unit == "reference":
+        shown += _control_limit_curves(scenario)
+    return shown + _demanded_deceleration_curves(scenario)
 
 
-def _demanded(rows: np.ndarray, record: measures.Record) -> np.ndarray:
-    pressure, speed = (rows[:, signals.column(name)] for name in ("brake_demand", "vehicle_speed"))
-    return np.where(speed > 0.0, measures.demanded_m_s2(record, pressure, speed), 0.0)[
-        :, np.newaxis
-    ]
-
-
-def _reference(rows: np.ndarray) -> np.ndarray:
-    told, true = (
-        rows[:, signals.column(name)] for name in ("wsp_reference_speed", "vehicle_speed")
+def _slip_curve(axle: int) -> Curve:
+    return Curve(
+        path=f"/slip/axle_{axle}",
+        names=(f"axle {axle}",),
+        colours=(colours.AXLES[axle - 1],),
+        width=1.5,
+        values=lambda rows: _slip_percent(rows, axle),
     )
-    speed = np.where(np.isfinite(told), told, true)
+
+
+def _adhesion_band_curve(axle: int) -> Curve:
+    return Curve(
+        path=f"/adhesion/band_{axle}",
+        names=("f_d to f_r",),
+        colours=((*colours.LIMIT, _BAND_OPACITY),),
+        width=1.0,
+        values=lambda rows: _between_limits(rows, axle),
+    )
+
+
+class _ControlLimit(NamedTuple):
+    """A limit of slip of the reference unit: the smaller of a speed difference and a share."""
+
+    speed_m_s: float
+    share: float
+
+
+def _control_limit_curves(scenario: Mapping[str, Any]) -> list[Curve]:
+    """Return the curve of both limits of the reference unit; none if its settings are unknown."""
+    try:
+        settings, _ = store.load("wsp", scenario["wsp_config"])
+        low = _ControlLimit(float(settings["band_low_m_s"]), float(settings["band_low_fraction"]))
+        high = _ControlLimit(
+            float(settings["band_high_m_s"]), float(settings["band_high_fraction"])
+        )
+    except (ConfigError, KeyError):
+        return []
+    curve = Curve(
+        path="/slip/bands",
+        names=("band of the unit, low", "high"),
+        colours=(colours.REFERENCE, colours.REFERENCE),
+        width=0.8,
+        values=lambda rows: _limits_percent(rows, (low, high)),
+    )
+    return [curve]
+
+
+def _demanded_deceleration_curves(scenario: Mapping[str, Any]) -> list[Curve]:
+    """Return the curve of the demanded deceleration; none if the scenario has no complete brake."""
+    record = measures.Record({}, (), {}, scenario)
+    try:
+        measures.demanded_m_s2(record, 0.0, 0.0)
+    except (KeyError, ZeroDivisionError):
+        return []
+    curve = Curve(
+        path="/acceleration/demanded",
+        names=("demanded",),
+        colours=(colours.REFERENCE,),
+        width=1.5,
+        values=lambda rows: _demanded_m_s2(rows, record),
+    )
+    return [curve]
+
+
+# --- values of the curves, shape (n, series) ---
+
+
+def _reference_speed_m_s(rows: np.ndarray) -> np.ndarray:
+    """Return the speed to which slip refers, shape (n,); NaN where it is too low."""
+    of_unit = rows[:, signals.column("wsp_reference_speed")]
+    of_vehicle = rows[:, signals.column("vehicle_speed")]
+    speed = np.where(np.isfinite(of_unit), of_unit, of_vehicle)
     return np.where(speed >= _SLOWEST_M_S, speed, np.nan)
 
 
-def _slip(rows: np.ndarray, axle: int) -> np.ndarray:
-    reference = _reference(rows)
-    rim = rows[:, signals.column("wheel_circumferential_speed", axle)]
-    return (100.0 * (reference - rim) / reference)[:, np.newaxis]
+def _slip_percent(rows: np.ndarray, axle: int) -> np.ndarray:
+    reference = _reference_speed_m_s(rows)
+    wheel = rows[:, signals.column("wheel_circumferential_speed", axle)]
+    slip = 100.0 * (reference - wheel) / reference
+    return slip[:, np.newaxis]
 
 
-def _bands(rows: np.ndarray, bands: list[float]) -> np.ndarray:
-    reference = _reference(rows)
-    return np.column_stack(
-        [100.0 * np.minimum(speed / reference, share) for speed, share in (bands[:2], bands[2:])]
+def _limits_percent(rows: np.ndarray, limits: tuple[_ControlLimit, ...]) -> np.ndarray:
+    reference = _reference_speed_m_s(rows)
+    percent = [100.0 * np.minimum(limit.speed_m_s / reference, limit.share) for limit in limits]
+    return np.column_stack(percent)
+
+
+def _demanded_m_s2(rows: np.ndarray, record: measures.Record) -> np.ndarray:
+    pressure = rows[:, signals.column("brake_demand")]
+    speed = rows[:, signals.column("vehicle_speed")]
+    demanded = np.where(speed > 0.0, measures.demanded_m_s2(record, pressure, speed), 0.0)
+    return demanded[:, np.newaxis]
+
+
+def _between_limits(rows: np.ndarray, axle: int) -> np.ndarray:
+    """Return f_d and f_r alternately: Rerun does not fill areas, but such a curve looks filled."""
+    low = rows[:, signals.column("adhesion_degraded", axle)]
+    high = rows[:, signals.column("adhesion_recovered", axle)]
+    is_odd = np.arange(len(rows)) % 2
+    return np.where(is_odd, high, low)[:, np.newaxis]
+
+
+# --- the result ---
+
+
+def result_text(summary: Mapping[str, Any]) -> str:
+    """Return the result of a run in a few lines of Markdown."""
+    name = summary.get("title") or summary.get("scenario") or "run"
+    paragraphs = (
+        f"#### {name}",
+        f"{_stop_text(summary)} · {_validity_text(summary)}",
+        _wsp_text(summary),
     )
+    return "\n\n".join(paragraphs)
 
 
-def _between(rows: np.ndarray, axle: int) -> np.ndarray:
-    low, high = (
-        rows[:, signals.column(name, axle)] for name in ("adhesion_degraded", "adhesion_recovered")
-    )
-    return np.where(np.arange(len(rows)) % 2, high, low)[:, np.newaxis]
+def _stop_text(summary: Mapping[str, Any]) -> str:
+    initial_km_h = _number(summary.get("initial_speed_m_s"), 0, _KM_H_PER_M_S)
+    if not summary.get("stopped"):
+        return f"**not stopped** from {initial_km_h} km/h"
+    distance_m = _number(summary["stop_distance_m"], 0)
+    time_s = _number(summary["stop_time_s"], 1)
+    return f"**{distance_m} m** in **{time_s} s** from {initial_km_h} km/h"
 
 
-def box(summary: Mapping[str, Any]) -> str:
-    """The result of a run in a few lines of Markdown."""
+def _validity_text(summary: Mapping[str, Any]) -> str:
+    reasons = validity.because(summary)
+    if reasons:
+        return f"**NOT VALID**: {'; '.join(reasons)}"
+    return "**valid**"
 
-    def number(value: Any, places: int, factor: float = 1.0) -> str:
-        return "–" if value is None else f"{factor * value:.{places}f}"
 
-    axles = summary.get("axles") or []
-    locks = [one["longest_lock_s"] for one in axles if one.get("longest_lock_s") is not None]
-    begun = number(summary.get("initial_speed_m_s"), 0, 3.6)
-    how = (
-        f"**{number(summary['stop_distance_m'], 0)} m** in **{number(summary['stop_time_s'], 1)} s** "
-        f"from {begun} km/h"
-        if summary.get("stopped")
-        else f"**not stopped** from {begun} km/h"
-    )
-    valid = (
-        "**valid**"
-        if not (why := validity.because(summary))
-        else f"**NOT VALID**: {'; '.join(why)}"
-    )
+def _wsp_text(summary: Mapping[str, Any]) -> str:
+    locks_s = []
+    for axle in summary.get("axles") or []:
+        lock_s = axle.get("longest_lock_s")
+        if lock_s is not None:
+            locks_s.append(lock_s)
     wsp = summary.get("wsp") or {}
-    return "\n\n".join(
-        (
-            f"#### {summary.get('title') or summary.get('scenario') or 'run'}",
-            f"{how} · {valid}",
-            f"longest lock {number(max(locks, default=None), 2)} s · {number(wsp.get('vents'), 0)} vents · "
-            f"air {number(summary.get('air_consumption_NL'), 0)} NL · unit {wsp.get('unit') or '–'}",
-        )
+    return (
+        f"longest lock {_number(max(locks_s, default=None), 2)} s · "
+        f"{_number(wsp.get('vents'), 0)} vents · "
+        f"air {_number(summary.get('air_consumption_NL'), 0)} NL · "
+        f"unit {wsp.get('unit') or _UNKNOWN}"
     )
 
 
-def marks(events: Iterable[Event]) -> list[Event]:
+def _number(value: float | None, places: int, factor: float = 1.0) -> str:
+    if value is None:
+        return _UNKNOWN
+    return f"{factor * value:.{places}f}"
+
+
+# --- events ---
+
+
+def to_be_marked(events: Iterable[Event]) -> list[Event]:
     """Return the events that the plots of speeds mark: faults, warnings and errors."""
-    return [one for one in events if one.level != INFO or one.code == Code.FAULT_LIFTED]
+    return [event for event in events if event.level != INFO or event.code == Code.FAULT_LIFTED]
 
 
-def of_network(event: Event) -> bool:
-    """Return whether an event is about the network itself, which matters least."""
+def is_of_network(event: Event) -> bool:
+    """Return whether an event is about the network itself. Such events have a separate tab."""
     return event.code in (Code.NMT_STATE, Code.BUS_PLACE)

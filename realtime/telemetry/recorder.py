@@ -98,7 +98,7 @@ class Recorder:
         if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         stream = rr.RecordingStream(views.APPLICATION, recording_id=self._id)
-        eye = scene.eye(scene.scene(self._scenario))
+        eye = scene.eye(scene.geometry(self._scenario))
         stream.set_sinks(
             rr.FileSink(path, write_footer=index),
             default_blueprint=views.blueprint(eye=eye, **known),
@@ -166,7 +166,7 @@ class Recorder:
             "recorder": {"lost": lost},
         }
         found = summary.of(stored, counters, self._scenario, self._told)
-        self._compact(stored, derived.box(found))
+        self._compact(stored, derived.result_text(found))
         records.write_summary(self._folder, found)
         self._can.close()
         self._log.close()
@@ -179,7 +179,7 @@ class Recorder:
         ):
             return
         with replaced(self._folder / run_folder.RRD) as new:
-            stream, drawing = self._open(new, index=True, top=views.tops(stored))
+            stream, drawing = self._open(new, index=True, ends=views.axis_ends(stored))
             for block in stored.blocks(_FINAL_ROWS):
                 drawing.rows(records.rows(block))
                 stream.flush()

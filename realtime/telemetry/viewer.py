@@ -103,6 +103,11 @@ def page_address(web_port: int, port: int) -> str:
     return f"http://{LOOPBACK}:{web_port}/?url=rerun%2Bhttp://{LOOPBACK}:{port}/proxy"
 
 
+def server_address(port: int) -> str:
+    """Return the address of a Rerun server on a port of this machine."""
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
+
+
 def spawn(*arguments: str) -> subprocess.Popen:
     """Start a viewer that outlives us."""
     return subprocess.Popen(
@@ -138,7 +143,7 @@ def terminate(process: subprocess.Popen) -> None:
         os.killpg(process.pid, signal.SIGTERM)
 
 
-def connected(port: int) -> bool:
+def has_client(port: int) -> bool:
     """Whether anybody is connected to a TCP port of this machine; where the system does not tell: yes."""
     try:
         rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
@@ -182,9 +187,9 @@ def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
     stream = rr.RecordingStream(views.APPLICATION)
     layout = views.blueprint(
         bare=bare,
-        eye=scene.eye(scene.scene(first.scenario)),
+        eye=scene.eye(scene.geometry(first.scenario)),
         references=names,
-        top=views.tops(dict(zip(first.table.column_names, first.table.columns, strict=True))),
+        ends=views.axis_ends(dict(zip(first.table.column_names, first.table.columns, strict=True))),
     )
     stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
     stream.send_recording_name(" over ".join(run.folder.resolve().name for run in loaded))
@@ -194,7 +199,7 @@ def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
         drawing = Drawing(stream, run.scenario, prefix, faint=bool(name), unit=unit)
         drawing.rows(records.rows(run.table))
         drawing.events(run.events)
-    drawing.result("\n\n".join(derived.box(run.summary) for run in loaded))
+    drawing.result("\n\n".join(derived.result_text(run.summary) for run in loaded))
     stream.disconnect()
     return into
 

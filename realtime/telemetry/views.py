@@ -1,13 +1,13 @@
-"""What a run looks like in Rerun: its entities, their colours, and how they are laid out.
+"""How a run looks in Rerun: its entities, their colours, and the layout of the views.
 
-All of it derives from the table of signals: a signal's path is its group and its name, its axles
-are the series of one entity, and the groups are the plots. One colour means one axle in every
-view (Okabe and Ito's palette, safe for the colour-blind). Source of the layout: the screens that
-WSP engineers use in service, where one glance must show which axle slides and what its valve does.
+All of it follows from the table of signals. The path of an entity is the group and the name of its
+signal, its series are the axles, and a group is a plot. A colour means the same axle in every view
+(see `colours`). Source of the layout: the screens that WSP engineers use in service, where one
+glance must show which axle slides and how its valve reacts.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 import rerun as rr
@@ -19,30 +19,50 @@ from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS, Signal
 
+# name of the application in Rerun; the viewer keeps the layouts of applications apart
 APPLICATION = "rollerrig"
 TIMELINE = "t"
-EVENTS, NETWORK = "/events", "/network"
-BOX = "/result"
+
+# paths of entities
+EVENTS = "/events"
+NETWORK = "/network"
+RESULT = "/result"
 RIG = "/rig"
 VALVES = "/valves"
-MORE = "/more"
-REFERENCES = "/ref"
+MORE = "/more"  # before signals without a group, which no plot shows
+REFERENCES = "/ref"  # before the runs that are drawn beneath the first one
 
+# Rerun's level, and the colour, of each level of events
 LEVELS = {
     "info": ("INFO", (96, 132, 168)),
     "warning": ("WARN", colours.YELLOW),
     "error": ("ERROR", colours.VERMILION),
 }
 
-# groups whose axles are entities of their own, each with a plot beside the one of all axles
+
+# --- how a signal is drawn ---
+
+# Groups in which each axle is a separate entity: a plot for each axle shows it.
 _BY_AXLE = ("adhesion", "speeds", "pressures")
-# the unit in which a group is drawn, and the factor from the recorded one
-READ_IN = {
-    "speeds": ("km/h", 3.6),
-    "pressures": ("bar", 1e-5),
-    "acceleration": ("m/s², braking positive", -1.0),
+
+
+class Unit(NamedTuple):
+    """A unit in which a group is drawn, and the factor from the recorded unit."""
+
+    name: str
+    factor: float
+
+
+_AS_RECORDED = Unit("", 1.0)
+UNITS = {
+    "speeds": Unit("km/h", 3.6),
+    "pressures": Unit("bar", 1e-5),
+    "acceleration": Unit("m/s², braking positive", -1.0),
 }
-# how a signal differs from "all axles in their colours, 1.5 points wide"
+
+# Signals that differ from the default: axles in their colours, the vehicle in its colour, and lines
+# of this width in points.
+_WIDTH = 1.5
 _WIDTHS = {
     "adhesion": 2.5,
     "adhesion_degraded": 1.0,
@@ -51,13 +71,14 @@ _WIDTHS = {
     "wsp_reference_speed": 1.0,
     "motor_torque_demand": 0.8,
 }
-_COLOURS = {
+# the colour of all axles of a signal
+COLOUR_OF_SIGNAL = {
     "adhesion_degraded": colours.LIMIT,
     "adhesion_recovered": colours.LIMIT,
     "wsp_reference_speed": colours.REFERENCE,
     "brake_demand": colours.REFERENCE,
 }
-_LEGEND = {
+_LEGENDS = {
     "adhesion_degraded": "f_d degraded",
     "adhesion_recovered": "f_r recovered",
     "vehicle_acceleration": "achieved",
@@ -67,9 +88,18 @@ _LEGEND = {
     "brake_demand": "demand",
     "reservoir_pressure": "reservoir",
 }
-# groups with a place of their own, and those behind tabs; a new group gets a tab by itself
-_COLUMNS = ("speeds", "sliding", "valves", "pressures", "adhesion", "transition", "acceleration")
-_TABS = {
+
+# a run that is drawn beneath another: opacity of its lines (of 255), and their width as a share
+_FAINT_OPACITY = 110
+_FAINT_WIDTH = 0.6
+
+
+# --- where a group is drawn ---
+
+# groups that the two large tabs show
+_IN_COLUMNS = ("speeds", "sliding", "valves", "pressures", "adhesion", "transition", "acceleration")
+# groups in the small tabs, with their titles; a group that neither table names gets a tab as well
+_IN_TABS = {
     "energy": "Dissipated energy W_sp (J/m)",
     "motors": "Roller motors (Nm)",
     "tracking": "Tracking error (m/s)",
@@ -83,13 +113,29 @@ _TABS = {
     "film": "Contaminant on the rollers (1: as prepared)",
     "loop": "Loop (µs)",
 }
-_SEVERAL = ("loop",)
+# groups in tabs whose series are not the axles, so that they need a legend
+_WITH_LEGEND = ("loop",)
+
+_SPEEDS_TITLE = "Speeds: vehicle, wheels, WSP reference, faults (km/h)"
+
+# s. The width of the window of the live view.
 _WINDOW_S = 20.0
-_ENOUGH = 100_000
+
+# samples that are enough for the median of the limit of adhesion
+_ENOUGH_SAMPLES = 100_000
+
+# m/s. Above this sliding a wheel counts as sliding.
+_SLIDING_M_S = 1.0
+
+
+# --- entities ---
 
 
 class Lines(NamedTuple):
-    """One entity of scalars: its path, the columns of a row it shows times a factor, and how each is drawn."""
+    """An entity of scalars: its path, the columns of a row that it shows, and their names.
+
+    The values of the columns are drawn times `factor`.
+    """
 
     path: str
     columns: tuple[int, ...]
@@ -99,126 +145,213 @@ class Lines(NamedTuple):
     factor: float = 1.0
 
 
+class Styled(Protocol):
+    """An entity of scalars with the name and the colour of each of its series."""
+
+    @property
+    def path(self) -> str: ...
+    @property
+    def names(self) -> tuple[str, ...]: ...
+    @property
+    def colours(self) -> tuple[tuple[int, ...], ...]: ...
+    @property
+    def width(self) -> float: ...
+
+
 def lines() -> tuple[Lines, ...]:
-    """Every recorded signal but the valves as an entity of scalars; without a group under /more, in no plot."""
-    found: list[Lines] = []
+    """Return every recorded signal, except the valves, as an entity of scalars.
+
+    Signals without a group are under `MORE`.
+    """
+    entities: list[Lines] = []
     for signal in SIGNALS:
         if signal.name in ("time", "valve"):
             continue
         folder = f"/{signal.group}" if signal.group else MORE
+        path = f"{folder}/{signal.name}"
         axles = range(1, signal.axles + 1)
         if signal.group in _BY_AXLE and signal.axles > 1:
-            found += [_lines(f"{folder}/{signal.name}_{axle}", signal, [axle]) for axle in axles]
+            for axle in axles:
+                entities.append(_lines(f"{path}_{axle}", signal, [axle]))
         else:
-            found.append(_lines(f"{folder}/{signal.name}", signal, list(axles)))
-    return tuple(found)
+            entities.append(_lines(path, signal, list(axles)))
+    return tuple(entities)
 
 
 def _lines(path: str, signal: Signal, axles: list[int]) -> Lines:
-    shades = (colours.VEHICLE,) if signal.axles == 1 else colours.AXLES
+    """Return the entity of some axles of a signal."""
     return Lines(
-        path,
-        tuple(signals.column(signal.name, axle) for axle in axles),
-        tuple(_legend(signal, axle) for axle in axles),
-        tuple(_COLOURS.get(signal.name, shades[axle - 1]) for axle in axles),
-        _WIDTHS.get(signal.name, 1.5),
-        READ_IN.get(signal.group, ("", 1.0))[1],
+        path=path,
+        columns=tuple(signals.column(signal.name, axle) for axle in axles),
+        names=tuple(_legend(signal, axle) for axle in axles),
+        colours=tuple(_colour(signal, axle) for axle in axles),
+        width=_WIDTHS.get(signal.name, _WIDTH),
+        factor=UNITS.get(signal.group, _AS_RECORDED).factor,
     )
 
 
+def _colour(signal: Signal, axle: int) -> Colour:
+    if signal.name in COLOUR_OF_SIGNAL:
+        return COLOUR_OF_SIGNAL[signal.name]
+    if signal.axles == 1:
+        return colours.VEHICLE
+    return colours.AXLES[axle - 1]
+
+
 def _legend(signal: Signal, axle: int) -> str:
-    label = _LEGEND.get(signal.name, signal.name.replace("_", " "))
-    alone = sum(s.group == signal.group and s.axles > 1 for s in SIGNALS) == 1
-    if signal.axles == 1 or (signal.group in _BY_AXLE and not alone):
+    """Return the legend of an axle: the axle, the signal, or both, so that it is unique."""
+    label = _LEGENDS.get(signal.name, signal.name.replace("_", " "))
+    if signal.axles == 1:
         return label
-    return f"axle {axle}" if alone else f"{label} {axle}"
+    of_axles = [other for other in SIGNALS if other.group == signal.group and other.axles > 1]
+    if len(of_axles) == 1:
+        return f"axle {axle}"
+    if signal.group in _BY_AXLE:
+        return label
+    return f"{label} {axle}"
 
 
 def valve(axle: int, prefix: str = "") -> str:
-    """Where the lane of an axle's dump valve is drawn; its last part is its name in the view."""
+    """Return the path of the dump valve of an axle; the view shows its last part as its name."""
     return f"{prefix}{VALVES}/axle_{axle}"
 
 
 def valve_states(rows: np.ndarray, axle: int) -> np.ndarray:
-    """Positions in colours.VALVE_STATES of an axle's dump valve in rows of all signals; int64 (n,)."""
-    valve = np.nan_to_num(rows[:, signals.column("valve", axle)])
-    return np.clip(valve, 0, len(colours.VALVE_STATES) - 1).astype(np.int64)
+    """Return the states of the dump valve of an axle: places in `colours.VALVE_STATES`, int64 (n,).
+
+    `rows` are rows of all signals, shape (n, columns).
+    """
+    states = np.nan_to_num(rows[:, signals.column("valve", axle)])
+    return np.clip(states, 0, len(colours.VALVE_STATES) - 1).astype(np.int64)
 
 
 def times(time_s: np.ndarray) -> rr.TimeColumn:
-    """Instants of the timeline, from simulated time in s, shape (n,)."""
-    return rr.TimeColumn(TIMELINE, duration=np.rint(time_s * 1e9).astype("timedelta64[ns]"))
+    """Return simulated times in s, shape (n,), on the timeline."""
+    time_ns = np.rint(time_s * 1e9)
+    return rr.TimeColumn(TIMELINE, duration=time_ns.astype("timedelta64[ns]"))
 
 
 class Changes:
-    """Sends states only where they change, and remembers the last one of each path."""
+    """Sends states only where they change; keeps the last state of each path."""
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
         self._last: dict[str, int] = {}
 
     def send(
-        self, path: str, time_s: np.ndarray, state: np.ndarray, content: Callable[[np.ndarray], Any]
+        self,
+        path: str,
+        time_s: np.ndarray,
+        states: np.ndarray,
+        as_columns: Callable[[np.ndarray], Any],
     ) -> None:
-        """States (n,) at their times (n,) in s; `content` makes columns of those that are sent."""
-        change = np.flatnonzero(np.diff(state, prepend=self._last.get(path, -1)) != 0)
-        self._last[path] = state[-1]
-        if change.size:
-            self._stream.send_columns(path, [times(time_s[change])], content(state[change]))
+        """Send states (n,) of times (n,) in s; `as_columns` converts those that are sent."""
+        changes = np.flatnonzero(np.diff(states, prepend=self._last.get(path, -1)) != 0)
+        self._last[path] = states[-1]
+        if changes.size:
+            columns = as_columns(states[changes])
+            self._stream.send_columns(path, [times(time_s[changes])], columns)
 
 
-def style(
-    stream: rr.RecordingStream, prefix: str = "", faint: bool = False, more: Sequence[Any] = ()
+# --- styles ---
+
+
+def log_styles(
+    stream: rr.RecordingStream,
+    prefix: str = "",
+    faint: bool = False,
+    curves: Sequence[Styled] = (),
 ) -> None:
-    """Log the static styling of all entities, and of `more` curves, under `prefix`; `faint`: for a run laid beneath."""
-    run = prefix.rpartition("/")[2]
-    for one in (*lines(), *more):
-        stream.log(
-            prefix + one.path,
-            rr.SeriesLines(
-                colors=[[*colour[:3], 110] if faint else colour for colour in one.colours],
-                names=[f"{run}: {name}" if run else name for name in one.names],
-                widths=[one.width * (0.6 if faint else 1.0)] * len(one.names),
-                aggregation_policy=rr.components.AggregationPolicy.MinMax,
-            ),
-            static=True,
-        )
-    names, shades = (
-        [name for name, _ in colours.VALVE_STATES],
-        [shade for _, shade in colours.VALVE_STATES],
-    )
-    for axle in range(1, signals.AXLES + 1):
-        stream.log(
-            valve(axle, prefix),
-            rr.StateConfiguration(values=names, labels=names, colors=shades),
-            static=True,
-        )
+    """Log the styles of all entities and of further curves, under a prefix.
 
-
-def tops(stored: Mapping[str, Any]) -> tuple[float, float]:
-    """Upper ends of the axes of adhesion and transition, for channels by name, (n,) each; what lacks counts as 0.
-
-    The plots of adhesion hold what was used, and both limits while a wheel slides; where nothing
-    slides f_r is far above all that is used, and may leave the plot.
+    `faint` is for a run that is drawn beneath another.
     """
+    run = prefix.rpartition("/")[2]
+    for entity in (*lines(), *curves):
+        stream.log(prefix + entity.path, _series_style(entity, run, faint), static=True)
 
-    def of(name: str) -> list[np.ndarray]:
-        found = (one for one in signals.columns(signals.BY_NAME[name]) if one in stored)
-        return [np.nan_to_num(np.asarray(stored[one])) for one in found]
+    names = [name for name, _ in colours.VALVE_STATES]
+    shades = [colour for _, colour in colours.VALVE_STATES]
+    states = rr.StateConfiguration(values=names, labels=names, colors=shades)
+    for axle in range(1, signals.AXLES + 1):
+        stream.log(valve(axle, prefix), states, static=True)
 
-    # of a long run not every sample is needed
-    slid = [
-        upper[sliding > 1.0][:: 1 + upper.size // _ENOUGH]
-        for upper, sliding in zip(of("adhesion_recovered"), of("sliding"), strict=False)
-    ]
-    limit = np.concatenate([[0.0] * (not any(one.size for one in slid)), *slid])
-    used, transition = (
-        max((float(one.max(initial=0.0)) for one in of(name)), default=0.0)
-        for name in ("adhesion", "transition")
+
+def _series_style(entity: Styled, run: str, faint: bool) -> rr.SeriesLines:
+    names = list(entity.names)
+    if run:
+        names = [f"{run}: {name}" for name in names]
+
+    shades = [list(colour) for colour in entity.colours]
+    width = entity.width
+    if faint:
+        shades = [[*colour[:3], _FAINT_OPACITY] for colour in shades]
+        width = entity.width * _FAINT_WIDTH
+
+    return rr.SeriesLines(
+        colors=shades,
+        names=names,
+        widths=[width] * len(names),
+        # the default draws a spike of one sample at half its height
+        aggregation_policy=rr.components.AggregationPolicy.MinMax,
     )
-    return max(0.1, 1.15 * float(np.median(limit)), 1.4 * used), min(
-        1.0, max(0.2, 1.1 * transition)
+
+
+# --- ends of axes ---
+
+
+class AxisEnds(NamedTuple):
+    """Upper ends of the vertical axes of adhesion and transition."""
+
+    adhesion: float
+    transition: float
+
+
+_ENDS_OF_UNKNOWN_RUN = AxisEnds(adhesion=0.4, transition=1.0)
+
+
+def axis_ends(channels: Mapping[str, Any]) -> AxisEnds:
+    """Return the upper ends of axes for channels by name, (n,) each; missing channels count as 0.
+
+    The plots of adhesion contain the utilised adhesion, and both limits while a wheel slides. Where
+    no wheel slides f_r is far above the utilised adhesion, and may be outside the plot.
+    """
+    used = _largest(channels, "adhesion")
+    transition = _largest(channels, "transition")
+    limit = float(np.median(_limit_while_sliding(channels)))
+    return AxisEnds(
+        adhesion=max(0.1, 1.15 * limit, 1.4 * used),
+        transition=min(1.0, max(0.2, 1.1 * transition)),
     )
+
+
+def _channels_of(channels: Mapping[str, Any], signal: str) -> list[np.ndarray]:
+    """Return the recorded channels of a signal, with 0 for NaN."""
+    names = signals.columns(signals.BY_NAME[signal])
+    return [np.nan_to_num(np.asarray(channels[name])) for name in names if name in channels]
+
+
+def _largest(channels: Mapping[str, Any], signal: str) -> float:
+    values = [float(channel.max(initial=0.0)) for channel in _channels_of(channels, signal)]
+    return max(values, default=0.0)
+
+
+def _limit_while_sliding(channels: Mapping[str, Any]) -> np.ndarray:
+    """Return samples of f_r while wheels slide; a single 0 if no wheel slides."""
+    limits = _channels_of(channels, "adhesion_recovered")
+    slidings = _channels_of(channels, "sliding")
+    samples = []
+    for limit, sliding in zip(limits, slidings, strict=False):
+        while_sliding = limit[sliding > _SLIDING_M_S]
+        # a long run has more samples than the median needs
+        every = 1 + limit.size // _ENOUGH_SAMPLES
+        samples.append(while_sliding[::every])
+    if not any(some.size for some in samples):
+        return np.zeros(1)
+    return np.concatenate(samples)
+
+
+# --- the layout ---
 
 
 def blueprint(
@@ -226,35 +359,34 @@ def blueprint(
     bare: bool = False,
     eye: rrb.EyeControls3D | None = None,
     references: Sequence[str] = (),
-    top: tuple[float, float] = (0.4, 1.0),
+    ends: AxisEnds = _ENDS_OF_UNKNOWN_RUN,
 ) -> rrb.Blueprint:
-    """The layout: axle by axle or all together on one linked time axis, beside it the result, the rig, the events.
+    """Return the layout: the axles in columns or together on a common time axis, and the rig.
 
-    `live` follows the newest sample in a window of 20 s; a recorded run is shown whole. `bare` leaves out the viewer's
-    own bars, for pictures. `references` names runs laid beneath, `top` comes from `tops` where the run is known.
+    The result, the rig and the events are to the right of the plots.
+
+    Args:
+        live: follow the newest sample in a window of 20 s; otherwise show the whole run.
+        bare: leave out the bars of the viewer, for pictures.
+        eye: the view of the rig.
+        references: names of runs that are drawn beneath the first.
+        ends: upper ends of axes, see `axis_ends`.
     """
-    link = rrb.components.LinkAxis
-    axis = rrb.TimeAxis(link=link.Independent if live else link.LinkToGlobal)
-    window = (
-        rrb.VisibleTimeRange(
-            TIMELINE,
-            start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_WINDOW_S),
-            end=rrb.TimeRangeBoundary.cursor_relative(),
-        )
-        if live
-        else None
+    page = _Page(
+        axis=_time_axis(live),
+        window=_window() if live else None,
+        runs=("", *(f"{REFERENCES}/{name}" for name in references)),
+        ends=ends,
     )
-    page = _Page(axis, window, ("", *(f"{REFERENCES}/{name}" for name in references)), top)
+    plots = rrb.Tabs(_axle_by_axle(page), _all_axles(page), active_tab=0)
     panels: Literal["hidden", "collapsed"] = "hidden" if bare else "collapsed"
     return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Tabs(_axle_by_axle(page), _together(page), active_tab=0),
-            _rig(page, eye),
-            column_shares=[8, 2.6],
-        ),
+        rrb.Horizontal(plots, _right_column(page, eye), column_shares=[8, 2.6]),
         rrb.TopPanel(state="hidden" if bare else "expanded"),
         rrb.TimePanel(
-            state=panels, timeline=TIMELINE, play_state="following" if live else "paused"
+            state=panels,
+            timeline=TIMELINE,
+            play_state="following" if live else "paused",
         ),
         rrb.SelectionPanel(state=panels),
         rrb.BlueprintPanel(state=panels),
@@ -263,31 +395,49 @@ def blueprint(
     )
 
 
+def _time_axis(live: bool) -> rrb.TimeAxis:
+    link = rrb.components.LinkAxis
+    return rrb.TimeAxis(link=link.Independent if live else link.LinkToGlobal)
+
+
+def _window() -> rrb.VisibleTimeRange:
+    """Return the time window that ends at the cursor."""
+    return rrb.VisibleTimeRange(
+        TIMELINE,
+        start=rrb.TimeRangeBoundary.cursor_relative(seconds=-_WINDOW_S),
+        end=rrb.TimeRangeBoundary.cursor_relative(),
+    )
+
+
 class _Page(NamedTuple):
-    """What all views share: time axis, time window (None: all), paths of the runs, axis ends."""
+    """What all views share: time axis, time window (None: all), paths of runs, ends of axes."""
 
     axis: rrb.TimeAxis
     window: rrb.VisibleTimeRange | None
     runs: tuple[str, ...]
-    top: tuple[float, float]
+    ends: AxisEnds
 
     def contents(self, *paths: str) -> list[str]:
-        return [run + path for run in self.runs for path in paths]
+        """Return paths under every run."""
+        contents = []
+        for run in self.runs:
+            for path in paths:
+                contents.append(run + path)
+        return contents
 
 
 def _plot(
     page: _Page,
     name: str,
-    group: str,
+    contents: Sequence[str],
     legend: bool = False,
-    contents: Sequence[str] = (),
     span: tuple[float, float] | None = None,
 ) -> rrb.TimeSeriesView:
-    """A plot of a group; a legend only where the axles' colours do not say enough."""
+    """Return a plot of paths. It needs a legend only where the colours of axles are not enough."""
     return rrb.TimeSeriesView(
         name=name,
         origin="/",
-        contents=page.contents(*(contents or [f"/{group}/**"])),
+        contents=page.contents(*contents),
         axis_x=page.axis,
         axis_y=rrb.ScalarAxis(range=span) if span else None,
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=legend),
@@ -295,126 +445,156 @@ def _plot(
     )
 
 
-def _lane(page: _Page, name: str, *axles: int) -> rrb.StateTimelineView:
+def _plot_of_group(
+    page: _Page,
+    name: str,
+    group: str,
+    legend: bool = False,
+    span: tuple[float, float] | None = None,
+) -> rrb.TimeSeriesView:
+    """Return a plot of all entities of a group."""
+    return _plot(page, name, [f"/{group}/**"], legend, span)
+
+
+def _valve_lanes(page: _Page, name: str, *axles: int) -> rrb.StateTimelineView:
+    """Return a view with a lane for the dump valve of each axle."""
     return rrb.StateTimelineView(
         name=name,
         origin=VALVES,
-        contents=page.contents(*map(valve, axles)),
+        contents=page.contents(*(valve(axle) for axle in axles)),
         time_view=page.axis,
         time_ranges=page.window,
     )
 
 
 def _axle_by_axle(page: _Page) -> rrb.Vertical:
-    """The vehicle above, a column for each axle below, all four on the same scales."""
-    whole = rrb.Horizontal(
-        _plot(page, "Speeds: vehicle, wheels, WSP reference, faults (km/h)", "speeds"),
-        _plot(page, "Deceleration, demanded and achieved (m/s²)", "acceleration", legend=True),
+    """Return the tab with the vehicle above and a column for each axle below, on equal scales."""
+    vehicle = rrb.Horizontal(
+        _plot_of_group(page, _SPEEDS_TITLE, "speeds"),
+        _plot_of_group(
+            page,
+            "Deceleration, demanded and achieved (m/s²)",
+            "acceleration",
+            legend=True,
+        ),
     )
-    return rrb.Vertical(
-        whole,
-        rrb.Horizontal(*(_axle(page, axle) for axle in range(1, signals.AXLES + 1))),
-        row_shares=[1, 4],
-        name="Axle by axle",
-    )
+    axles = rrb.Horizontal(*(_axle(page, axle) for axle in range(1, signals.AXLES + 1)))
+    return rrb.Vertical(vehicle, axles, row_shares=[1, 4], name="Axle by axle")
 
 
 def _axle(page: _Page, axle: int) -> rrb.Vertical:
-    def of(group: str, *names: str) -> list[str]:
-        return [f"/{group}/{name}" for name in names]
-
+    """Return the column of an axle."""
+    speed = _plot(
+        page,
+        f"Axle {axle}: speed (km/h)",
+        [
+            "/speeds/vehicle_speed",
+            "/speeds/wsp_reference_speed",
+            f"/speeds/wheel_circumferential_speed_{axle}",
+        ],
+        legend=axle == 1,
+    )
+    slip = _plot(
+        page,
+        f"Axle {axle}: slip (% of reference)",
+        [f"/slip/axle_{axle}", "/slip/bands"],
+        span=(-5.0, 105.0),
+    )
+    adhesion = _plot(
+        page,
+        f"Axle {axle}: adhesion f, f_d, f_r",
+        [
+            f"/adhesion/adhesion_degraded_{axle}",
+            f"/adhesion/adhesion_recovered_{axle}",
+            f"/adhesion/adhesion_{axle}",
+            f"/adhesion/band_{axle}",
+        ],
+        span=(0.0, page.ends.adhesion),
+    )
+    cylinder = _plot(
+        page,
+        f"Axle {axle}: cylinder (bar)",
+        ["/pressures/brake_demand", f"/pressures/cylinder_pressure_{axle}"],
+    )
+    lanes = _valve_lanes(page, f"Axle {axle}: dump valve", axle)
+    # every run has a lane
+    lanes_share = 0.8 + 0.8 * len(page.runs)
     return rrb.Vertical(
-        _plot(
-            page,
-            f"Axle {axle}: speed (km/h)",
-            "",
-            legend=axle == 1,
-            contents=of(
-                "speeds",
-                "vehicle_speed",
-                "wsp_reference_speed",
-                f"wheel_circumferential_speed_{axle}",
-            ),
-        ),
-        _plot(
-            page,
-            f"Axle {axle}: slip (% of reference)",
-            "",
-            span=(-5.0, 105.0),
-            contents=of("slip", f"axle_{axle}", "bands"),
-        ),
-        _plot(
-            page,
-            f"Axle {axle}: adhesion f, f_d, f_r",
-            "",
-            span=(0.0, page.top[0]),
-            contents=of(
-                "adhesion",
-                *(
-                    f"{name}_{axle}"
-                    for name in ("adhesion_degraded", "adhesion_recovered", "adhesion", "band")
-                ),
-            ),
-        ),
-        _plot(
-            page,
-            f"Axle {axle}: cylinder (bar)",
-            "",
-            contents=of("pressures", "brake_demand", f"cylinder_pressure_{axle}"),
-        ),
-        _lane(page, f"Axle {axle}: dump valve", axle),
-        row_shares=[3, 3, 3, 3, 0.8 + 0.8 * len(page.runs)],
+        speed,
+        slip,
+        adhesion,
+        cylinder,
+        lanes,
+        row_shares=[3, 3, 3, 3, lanes_share],
     )
 
 
-def _together(page: _Page) -> rrb.Horizontal:
-    """All axles over one another."""
+def _all_axles(page: _Page) -> rrb.Horizontal:
+    """Return the tab with all axles in the same plots."""
     left = rrb.Vertical(
-        _plot(page, "Speeds: vehicle, wheels, WSP reference, faults (km/h)", "speeds", legend=True),
-        _plot(page, "Slip (% of the reference)", "slip"),
-        _plot(page, "Sliding (m/s)", "sliding"),
+        _plot_of_group(page, _SPEEDS_TITLE, "speeds", legend=True),
+        _plot_of_group(page, "Slip (% of the reference)", "slip"),
+        _plot_of_group(page, "Sliding (m/s)", "sliding"),
         row_shares=[3, 2, 2],
     )
     right = rrb.Vertical(
-        _plot(page, "Brake cylinders, demand, reservoir (bar)", "pressures"),
-        _lane(page, "Dump valves: fill grey, hold yellow, vent red", *range(1, signals.AXLES + 1)),
-        _plot(page, "Transition λ: 0 degraded, 1 recovered", "transition", span=(0.0, page.top[1])),
+        _plot_of_group(page, "Brake cylinders, demand, reservoir (bar)", "pressures"),
+        _valve_lanes(
+            page,
+            "Dump valves: fill grey, hold yellow, vent red",
+            *range(1, signals.AXLES + 1),
+        ),
+        _plot_of_group(
+            page,
+            "Transition λ: 0 degraded, 1 recovered",
+            "transition",
+            span=(0.0, page.ends.transition),
+        ),
         row_shares=[3, 2.2, 2],
     )
     return rrb.Horizontal(left, right, name="All axles")
 
 
-def _rig(page: _Page, eye: rrb.EyeControls3D | None) -> rrb.Vertical:
-    kinds = encodings.TextLogColumnKind.LogLevel, encodings.TextLogColumnKind.Body
-    columns = rrb.TextLogColumns(
-        timeline_columns=[encodings.TimelineColumn(TIMELINE)],
-        text_log_columns=[encodings.TextLogColumn(kind) for kind in kinds],
-    )
-    groups = [*_TABS, *sorted({s.group for s in SIGNALS if s.group} - {*_TABS, *_COLUMNS})]
-    more = rrb.Tabs(
-        *(
-            _plot(page, _TABS.get(group, group.capitalize()), group, legend=group in _SEVERAL)
-            for group in groups
-        ),
-        name="More",
-    )
-    events = rrb.Tabs(
-        *(
-            rrb.TextLogView(name=name, origin="/", contents=page.contents(path), columns=columns)
-            for name, path in (("Events", EVENTS), ("Network", NETWORK))
-        ),
-        active_tab=0,
+def _right_column(page: _Page, eye: rrb.EyeControls3D | None) -> rrb.Vertical:
+    """Return the column with the result, the rig, further plots and the events."""
+    result = rrb.TextDocumentView(name="Result", origin="/", contents=[RESULT])
+    rig = rrb.Spatial3DView(
+        name="Rig, 20 times slower; red spokes: locked",
+        origin=RIG,
+        eye_controls=eye,
+        background=(24, 27, 31),
+        line_grid=False,
     )
     return rrb.Vertical(
-        rrb.TextDocumentView(name="Result", origin="/", contents=[BOX]),
-        rrb.Spatial3DView(
-            name="Rig, 20 times slower; red spokes: locked",
-            origin=RIG,
-            eye_controls=eye,
-            background=(24, 27, 31),
-            line_grid=False,
-        ),
-        more,
-        events,
+        result,
+        rig,
+        _further_plots(page),
+        _event_lists(page),
         row_shares=[1.7, 2.3, 2, 2],
     )
+
+
+def _further_plots(page: _Page) -> rrb.Tabs:
+    """Return a tab for each group that no other view shows."""
+    all_groups = {signal.group for signal in SIGNALS if signal.group}
+    without_place = sorted(all_groups - {*_IN_TABS, *_IN_COLUMNS})
+    plots = []
+    for group in [*_IN_TABS, *without_place]:
+        title = _IN_TABS.get(group, group.capitalize())
+        plots.append(_plot_of_group(page, title, group, legend=group in _WITH_LEGEND))
+    return rrb.Tabs(*plots, name="More")
+
+
+def _event_lists(page: _Page) -> rrb.Tabs:
+    """Return a tab with the events of the run, and one with those of the network."""
+    level = encodings.TextLogColumn(encodings.TextLogColumnKind.LogLevel)
+    text = encodings.TextLogColumn(encodings.TextLogColumnKind.Body)
+    columns = rrb.TextLogColumns(
+        timeline_columns=[encodings.TimelineColumn(TIMELINE)],
+        text_log_columns=[level, text],
+    )
+    lists = []
+    for name, path in (("Events", EVENTS), ("Network", NETWORK)):
+        contents = page.contents(path)
+        lists.append(rrb.TextLogView(name=name, origin="/", contents=contents, columns=columns))
+    return rrb.Tabs(*lists, active_tab=0)

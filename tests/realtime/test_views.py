@@ -109,7 +109,7 @@ def test_every_group_is_shown_by_a_view(group):
 
 def test_one_colour_means_one_axle_in_every_view():
     for signal in SIGNALS:
-        if signal.axles == 1 or signal.name in ("valve", *views._COLOURS):
+        if signal.axles == 1 or signal.name in ("valve", *views.COLOUR_OF_SIGNAL):
             continue
         for axle in range(1, signal.axles + 1):
             place = signals.column(signal.name, axle)
@@ -127,7 +127,7 @@ def test_the_colours_of_axles_and_limits_differ():
 def test_a_spike_of_one_sample_is_drawn_at_its_full_height(tmp_path):
     stream = rr.RecordingStream(views.APPLICATION)
     stream.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
-    views.style(stream)
+    views.log_styles(stream)
     stream.disconnect()
     policies = {}
     for chunk in RrdReader(tmp_path / "run.rrd").stream():
@@ -245,7 +245,7 @@ def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
     ],
 )
 def test_the_rig_of_any_scenario_can_be_drawn(scenario):
-    place = scene.scene(scenario)
+    place = scene.geometry(scenario)
     radius = place.roller_radius_m if np.isfinite(place.roller_radius_m) else 0.0
     assert np.allclose(place.wheels[:, 2], radius + place.wheel_radius_m)  # wheels stand on rollers
     assert np.all(np.diff(place.wheels[:, 0]) < 0.0)  # axle 1 leads
