@@ -190,7 +190,7 @@ def call(given: argparse.Namespace) -> int:
     for name in dict.fromkeys(given.name):
         module = _module(name)
         given.seconds = requested_s or getattr(module, "SECONDS", DEFAULT_S)
-        results[name] = module.run(given, output.say)
+        results[name] = module.run(given, output.print_message)
         table = module.table(results[name])
         lines = figures.lines(results[name])
         if not given.json:

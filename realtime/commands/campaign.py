@@ -77,7 +77,7 @@ def call(given: argparse.Namespace) -> int:
     console, count = Console(file=sys.stderr), len(plan.points)
     with (
         Progress(*columns, console=console, disable=not console.is_terminal) as progress,
-        output.progress_of(lambda: f"{progress.tasks[0].completed:.0f} of {count} runs"),
+        output.report_progress(lambda: f"{progress.tasks[0].completed:.0f} of {count} runs"),
     ):
         task = progress.add_task("runs", total=count)
         progress.advance(task, min(count, (len(plan.chunks) - len(todo)) * plan.head["chunk"]))

@@ -118,7 +118,7 @@ def show(
         ),
     )
     if not given.json:
-        output.say(
+        output.print_message(
             "a run is possible"
             if possible
             else "no run is possible before the rows that say 'missing' are remedied"

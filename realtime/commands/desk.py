@@ -51,7 +51,7 @@ def call(given: argparse.Namespace) -> int:
 
     def say(address: str, warning: str) -> None:
         if warning:
-            output.say(f"warning: {warning}")
+            output.print_message(f"warning: {warning}")
         print(
             json.dumps({"address": address})
             if given.json

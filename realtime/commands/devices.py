@@ -51,7 +51,9 @@ def call(given: argparse.Namespace) -> int:
         *(str(path) for path in written),
     )
     if not given.json:
-        output.say(f"{len(written)} files for tools that read EDS, DBC, Modbus maps and tables")
+        output.print_message(
+            f"{len(written)} files for tools that read EDS, DBC, Modbus maps and tables"
+        )
     return output.PASS
 
 

@@ -80,6 +80,6 @@ def call(given: argparse.Namespace) -> int:
     out = given.out or Path("reports") / f"discover_{Path(given.rig).stem}"
     with explain.progress_bar() as progress:
         account, history = discover.find_out(
-            given.rig, out, given.stops, given.seed, output.say, progress
+            given.rig, out, given.stops, given.seed, output.print_message, progress
         )
         return explain.write_and_show(given, account, out, progress, history=history)

@@ -105,7 +105,7 @@ def _explain_recorder(given: argparse.Namespace) -> int:
 
     data = recording.load(given.dataset[0])
     out = study.report_folder(given.dataset, given.out, "explain")
-    with output.progress_of(lambda: f"explaining {data.name}"):
+    with output.report_progress(lambda: f"explaining {data.name}"):
         account = verdict.explain(data)
     study_view.recorded(
         out / "report.rrd", data.name, report.courses(account), report.remarks(account)
@@ -158,7 +158,7 @@ def progress_bar() -> Iterator[Progress]:
 
     state = "reading the data"
     console = Console(stderr=True)
-    with Bar(console=console, transient=True) as bar, output.progress_of(lambda: state):
+    with Bar(console=console, transient=True) as bar, output.report_progress(lambda: state):
         steps: dict[str, Any] = {}
 
         def progress(title: str, share: float) -> None:

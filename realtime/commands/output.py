@@ -13,19 +13,19 @@ PASS, FAILED, INVALID = 0, 1, 4
 PERIOD_S = 4.9  # on a busy machine, too, there is a line every five seconds
 
 
-def say(text: str) -> None:
+def print_message(text: str) -> None:
     """Progress, on standard error."""
     print(text, file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
-def progress_of(what: Callable[[], str]) -> Iterator[None]:
+def report_progress(what: Callable[[], str]) -> Iterator[None]:
     """Say every five seconds how far long work is, as `what` tells it, where no terminal shows it otherwise."""
     over, begun_s = threading.Event(), time.monotonic()
 
     def tell() -> None:
         while not over.wait(PERIOD_S):
-            say(f"{what()} ({time.monotonic() - begun_s:.0f} s)")
+            print_message(f"{what()} ({time.monotonic() - begun_s:.0f} s)")
 
     thread = threading.Thread(target=tell, name="progress", daemon=True)
     if not sys.stderr.isatty():

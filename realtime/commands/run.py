@@ -24,8 +24,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--wsp",
-        type=wsp.unit,
-        action=wsp.Units,
+        type=wsp.parse_unit,
+        action=wsp.AppendUnit,
         default="reference",
         metavar="{reference,external,none,fmu:FILE}",
         help="reference: in its own process over the bus; external: wait for a unit's heartbeat; "
@@ -105,7 +105,7 @@ def call(given: argparse.Namespace) -> int:
 
     own_unit = given.wsp == "reference" and given.pacing != "free"
     with options.waiting_processes(
-        children.can_fork(), wsp.told if own_unit else None
+        children.can_fork(), wsp.run_from_stdin if own_unit else None
     ) as processes:
         return _run(given, processes)
 
@@ -173,12 +173,12 @@ class ProgressLine:
             print("\r" + text, end="", file=sys.stderr, flush=True)
             self._open = True
         elif now - self._said >= 5.0:
-            output.say(text)
+            output.print_message(text)
             self._said = now
 
     def message(self, text: str) -> None:
         self.end()
-        output.say(text)
+        output.print_message(text)
 
     def end(self) -> None:
         if self._open:

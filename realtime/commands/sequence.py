@@ -54,8 +54,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--wsp",
-        type=wsp.unit,
-        action=wsp.Units,
+        type=wsp.parse_unit,
+        action=wsp.AppendUnit,
         default="",
         metavar="{reference,external,none,fmu:FILE}",
         help="whose WSP; again for further FMUs that "
@@ -115,7 +115,7 @@ def call(given: argparse.Namespace) -> int:
     if given.pdf:
         pdf.check()
     played: list[str] = []
-    with output.progress_of(lambda: f"{len(played)} of {len(sequences)} sequences played"):
+    with output.report_progress(lambda: f"{len(played)} of {len(sequences)} sequences played"):
         outcomes = _play(given, sequences, played)
     written = report.write(outcomes, given.out, given.junit, about, given.pdf)
     result = report.overall(outcomes)
@@ -291,16 +291,18 @@ def _step(name: str, wanted: bool, event: Any) -> None:
     from rollerrig.wsp_interface.events import Code
 
     if wanted and event.code == Code.SEQUENCE_STEP:
-        output.say(f"  step  {name}: {event.fields['title']} ({event.time_s:.2f} s)")
+        output.print_message(f"  step  {name}: {event.fields['title']} ({event.time_s:.2f} s)")
 
 
 def _say(played: list[str], outcome: Any) -> Any:
     played.append(outcome.sequence.name)
     error = f": {outcome.error}" if outcome.error else ""
-    output.say(f"{outcome.result:>6}  {outcome.sequence.name} ({outcome.wall_s:.1f} s){error}")
+    output.print_message(
+        f"{outcome.result:>6}  {outcome.sequence.name} ({outcome.wall_s:.1f} s){error}"
+    )
     for one in outcome.verdicts:
         if one.result in ("fail", "error"):
             value = f" {one.value:.4g} {one.unit}".rstrip() if one.value == one.value else ""
             wanted = f"{one.what}{value}, wanted {one.limit} {one.unit}".rstrip()
-            output.say(f"        {wanted}: {one.result}, {one.text}")
+            output.print_message(f"        {wanted}: {one.result}, {one.text}")
     return outcome

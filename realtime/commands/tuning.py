@@ -140,5 +140,5 @@ def _recovery(given: argparse.Namespace, data: "Dataset") -> "Interval":
 def _tuned(data: "Dataset", seed: int) -> "Tuned":
     from rollerrig.rig.identify.paper import tuning
 
-    with output.progress_of(lambda: f"tuning on {data.name}"):
+    with output.report_progress(lambda: f"tuning on {data.name}"):
         return tuning.tune(data, seed)

@@ -82,14 +82,14 @@ def map_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def unit(text: str) -> str:
+def parse_unit(text: str) -> str:
     """Whose WSP it is, from the command line; nothing stands for what is the default there."""
     if text in ("", "reference", "external", "none") or (text.startswith("fmu:") and len(text) > 4):
         return text
     raise argparse.ArgumentTypeError(f"{text!r}: choose from reference, external, none, fmu:FILE")
 
 
-class Units(argparse.Action):
+class AppendUnit(argparse.Action):
     """`--wsp` once, or again for further FMUs of one bus: fmu:FILE,fmu:FILE."""
 
     def __call__(
@@ -129,7 +129,7 @@ def call(given: argparse.Namespace) -> int:
     return node.main(given.bus, given.config, given.priority, given.lockstep)
 
 
-def told() -> int:
+def run_from_stdin() -> int:
     """Be the reference unit that a line of JSON on standard input asks for, its words; 0 where none comes."""
     from rollerrig.firmware_sim.wsp import logic, node
     from rollerrig.rig.compiled import kernel_cache

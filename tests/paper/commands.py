@@ -22,7 +22,7 @@ def tune_velim(given: argparse.Namespace) -> int:
         folder = synthetic_stops.write(out, given.seed + 1)
         return output.show(given, {"dataset": str(folder)}, f"synthetic dataset: {folder}")
 
-    found = velim.calibrate(output.say)
+    found = velim.calibrate(output.print_message)
     out = given.out or Path("reports/tune_velim")
     out.mkdir(parents=True, exist_ok=True)
     file = out / "velim.toml"
@@ -39,9 +39,9 @@ def _compare(
     given: argparse.Namespace, found: dict[str, float], out: Path | None, *last: str
 ) -> int:
     """Run the six stops, and print Table 6 with our rows and those of the paper."""
-    ours = velim.table6(found, output.say)
-    from_mean = velim.from_measured_means(found, output.say)
-    classic = velim.from_measured_means(found, output.say, velim.CLASSIC)
+    ours = velim.table6(found, output.print_message)
+    from_mean = velim.from_measured_means(found, output.print_message)
+    classic = velim.from_measured_means(found, output.print_message, velim.CLASSIC)
     result = velim.as_json(found, ours, from_mean, classic)
     if out:
         out.mkdir(parents=True, exist_ok=True)
