@@ -1,4 +1,7 @@
-"""What a verb prints: with --json one object on standard output, else tables and text; progress on standard error."""
+"""Prints the results of verbs: with --json one object on standard output, else tables and text.
+
+Progress and messages go to standard error.
+"""
 
 import argparse
 import contextlib
@@ -9,58 +12,76 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-PASS, FAILED, INVALID = 0, 1, 4
-PERIOD_S = 4.9  # on a busy machine, too, there is a line every five seconds
+# exit statuses of the command line that several verbs return
+PASS = 0
+FAILED = 1
+INVALID = 4
+
+# a little less than 5 s, so that a busy machine, too, prints a line every five seconds
+PERIOD_S = 4.9
 
 
 def print_message(text: str) -> None:
-    """Progress, on standard error."""
+    """Print a line of progress, or a message, on standard error."""
     print(text, file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
-def report_progress(what: Callable[[], str]) -> Iterator[None]:
-    """Say every five seconds how far long work is, as `what` tells it, where no terminal shows it otherwise."""
-    over, begun_s = threading.Event(), time.monotonic()
+def report_progress(describe: Callable[[], str]) -> Iterator[None]:
+    """Print the progress of long work every five seconds, if standard error is not a terminal.
 
-    def tell() -> None:
-        while not over.wait(PERIOD_S):
-            print_message(f"{what()} ({time.monotonic() - begun_s:.0f} s)")
+    `describe` returns how far the work is. On a terminal, the verbs draw progress bars instead.
+    """
+    finished = threading.Event()
+    start_s = time.monotonic()
 
-    thread = threading.Thread(target=tell, name="progress", daemon=True)
+    def print_until_finished() -> None:
+        while not finished.wait(PERIOD_S):
+            elapsed_s = time.monotonic() - start_s
+            print_message(f"{describe()} ({elapsed_s:.0f} s)")
+
     if not sys.stderr.isatty():
-        thread.start()
+        threading.Thread(target=print_until_finished, name="progress", daemon=True).start()
     try:
         yield
     finally:
-        over.set()
+        finished.set()
 
 
-def show(given: argparse.Namespace, result: Mapping[str, Any], *shown: Any) -> int:
-    """The result as JSON, or its warnings and what is shown of it: lines, tables as (title, head, rows), anything rich.
+def show(options: argparse.Namespace, result: Mapping[str, Any], *items: Any) -> int:
+    """Print the result of a verb on standard output and return PASS.
 
-    Returns PASS.
+    With --json, the result is printed as one JSON object. Without it, the warnings of the result
+    are printed, and then the items: a str is a line, a tuple (title, head, rows) is a table, and
+    anything else is printed as rich prints it.
     """
-    if given.json:
+    if options.json:
         print(json.dumps(result, default=str))
         return PASS
+
+    # imported here because --json does not need it
     from rich.console import Console
-    from rich.table import Column, Table
 
     console = Console(highlight=False)
-    for one in (*(f"warning: {warning}" for warning in result.get("warnings", ())), *shown):
-        if isinstance(one, str):
-            console.print(
-                one, markup=False, soft_wrap=True
-            )  # as it is: a path or a command is copied from there
-        elif isinstance(one, tuple):
-            title, head, rows = one
-            table = Table(
-                *(Column(name, overflow="fold") for name in head), title=title, title_justify="left"
-            )
-            for row in rows:
-                table.add_row(*row)
-            console.print(table)
+    warnings = [f"warning: {warning}" for warning in result.get("warnings", ())]
+    for item in (*warnings, *items):
+        if isinstance(item, str):
+            # printed without markup and line breaks: users copy paths and commands from here
+            console.print(item, markup=False, soft_wrap=True)
+        elif isinstance(item, tuple):
+            title, head, rows = item
+            console.print(_table(title, head, rows))
         else:
-            console.print(one)
+            console.print(item)
     return PASS
+
+
+def _table(title: str | None, head: Any, rows: Any) -> Any:
+    """Return a rich table whose columns fold on a narrow terminal and are never cut."""
+    from rich.table import Column, Table
+
+    columns = [Column(name, overflow="fold") for name in head]
+    table = Table(*columns, title=title, title_justify="left")
+    for row in rows:
+        table.add_row(*row)
+    return table
