@@ -1,4 +1,7 @@
-"""`rollerrig list`: what there is by name, each with its title, from the tables and packaged files themselves."""
+"""`rollerrig list`: prints everything of a kind that has a name, with its title.
+
+Names and titles come from the tables of the program and from the packaged files.
+"""
 
 import argparse
 from pathlib import Path
@@ -10,40 +13,49 @@ KINDS = ("scenarios", "faults", "signals", "sequences", "datasets", "campaigns",
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig list`."""
     parser.add_argument("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
 
 
-def call(given: argparse.Namespace) -> int:
-    rows = named(given.kind)
-    return output.show(
-        given,
-        {given.kind: [{"name": name, "title": title} for name, title in rows]},
-        (None, ("name", "title"), rows),
-    )
+def call(options: argparse.Namespace) -> int:
+    """Print the names and titles of a kind. Returns PASS."""
+    rows = names_and_titles(options.kind)
+    entries = [{"name": name, "title": title} for name, title in rows]
+    table = (None, ("name", "title"), rows)
+    return output.show(options, {options.kind: entries}, table)
 
 
-def named(kind: str) -> list[tuple[str, str]]:
-    """Names and titles of a kind, in the order of its table or by name."""
+def names_and_titles(kind: str) -> list[tuple[str, str]]:
+    """Return the names and titles of a kind.
+
+    Faults and signals keep the order of their tables. The other kinds are sorted by name.
+    """
+    # each kind imports only the module that it needs
     if kind == "faults":
         from rollerrig.firmware_sim.faults import catalogue
 
-        return [(one.name, one.text) for one in catalogue.CATALOGUE]
+        return [(fault.name, fault.text) for fault in catalogue.CATALOGUE]
+
     if kind == "signals":
         from rollerrig.wsp_interface import signals
 
-        return [
-            (one.name, f"{one.text} ({one.unit})" if one.unit else one.text)
-            for one in signals.SIGNALS
-        ]
+        rows = []
+        for signal in signals.SIGNALS:
+            title = f"{signal.text} ({signal.unit})" if signal.unit else signal.text
+            rows.append((signal.name, title))
+        return rows
+
     if kind == "datasets":
         from rollerrig.rig.identify.data import dataset
 
         files = sorted(store.ROOT.glob("datasets/*/dataset.toml"))
         return [(path.parent.name, dataset.parse(path)["title"]) for path in files]
+
     return [(name, _title(store.find(kind, name))) for name in store.names(kind)]
 
 
 def _title(path: Path) -> str:
-    """A file's title, or the comment that it begins with."""
-    first = path.read_text(encoding="utf-8").partition("\n")[0].lstrip("# ")
-    return str(store.parse(path).get("title") or first)
+    """Return the title of a TOML file; without a title, the comment in its first line."""
+    first_line, _, _ = path.read_text(encoding="utf-8").partition("\n")
+    comment = first_line.lstrip("# ")
+    return str(store.parse(path).get("title") or comment)
