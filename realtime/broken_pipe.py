@@ -8,56 +8,77 @@ import errno
 import os
 import sys
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
+# errors of a write without a reader: of a pipe, and of a terminal that has vanished
 _NO_READER = (errno.EPIPE, errno.EIO)
-# the standard streams: descriptor, name in `sys`, mode
-_STREAMS = ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w"))
+
+
+class _Standard(NamedTuple):
+    """A standard stream: its file descriptor, its name in `sys`, and the mode of `open`."""
+
+    descriptor: int
+    name: str
+    mode: str
+
+
+# in the order of their descriptors, see make_harmless
+_STANDARD_STREAMS = (
+    _Standard(0, "stdin", "r"),
+    _Standard(1, "stdout", "w"),
+    _Standard(2, "stderr", "w"),
+)
 
 
 class Stream:
     """A standard stream that drops output without a reader.
 
-    All other attributes are the stream's.
+    All other attributes are those of the wrapped stream.
     """
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write a text; return its number of characters."""
+        """Write a text and return its number of characters."""
         self._attempt(lambda: self._stream.write(text))
         return len(text)
 
     def flush(self) -> None:
-        """Write out what is buffered."""
+        """Write the buffered output to the file."""
         self._attempt(self._stream.flush)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def _attempt(self, write: Callable[[], Any]) -> None:
+        """Write. If there is no reader, connect the stream to /dev/null."""
         try:
             write()
         except OSError as error:
             if error.errno not in _NO_READER:
                 raise
-            # buffered output must go somewhere, at the latest when the program exits
-            nowhere = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(nowhere, self._stream.fileno())
-            os.close(nowhere)
+            # The stream still buffers its output, and Python writes it when the program exits.
+            # That write must not fail, because it would change the exit status.
+            null_device = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null_device, self._stream.fileno())
+            os.close(null_device)
 
 
 def make_harmless() -> None:
     """Let the standard streams of this process drop output without a reader.
 
-    Open closed streams.
+    Streams that are closed are connected to /dev/null.
     """
-    for descriptor, name, mode in _STREAMS:
-        if getattr(sys, name) is None:
+    for standard in _STANDARD_STREAMS:
+        if getattr(sys, standard.name) is None:
             # the system assigns the lowest free descriptor, which is the one of this stream
-            os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
-            setattr(sys, name, open(descriptor, mode, closefd=False))  # noqa: SIM115
+            os.open(os.devnull, os.O_RDONLY if standard.mode == "r" else os.O_WRONLY)
+            stream = open(standard.descriptor, standard.mode, closefd=False)  # noqa: SIM115
+            setattr(sys, standard.name, stream)
+
     for name in ("stdout", "stderr"):
-        if not isinstance(getattr(sys, name), Stream):
-            setattr(sys, name, Stream(getattr(sys, name)))
+        stream = getattr(sys, name)
+        # main() may be called several times in a process, and wraps a stream only once
+        if not isinstance(stream, Stream):
+            setattr(sys, name, Stream(stream))

@@ -32,7 +32,9 @@ def test_help_lists_every_verb(capsys):
     with pytest.raises(SystemExit):
         cli.main(["--help"])
     shown = capsys.readouterr().out
-    assert all(verb.name in shown and verb.text.split(",")[0][:30] in shown for verb in cli.VERBS)
+    assert all(
+        verb.name in shown and verb.summary.split(",")[0][:30] in shown for verb in cli.VERBS
+    )
 
 
 def test_no_verb_is_a_usage_error(capsys):
