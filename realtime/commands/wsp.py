@@ -1,4 +1,4 @@
-"""`rollerrig wsp`: the reference WSP unit, or one that is an FMU, as a program of its own on a bus."""
+"""`rollerrig wsp`: runs the reference WSP unit, or an FMU as WSP unit, as a separate program on a bus."""
 
 import argparse
 import json
@@ -9,8 +9,14 @@ from typing import Any
 
 from rollerrig.wsp_interface.signals import DEFAULT_ADDRESS
 
+# how the option --wsp names an FMU: fmu:FILE
+_FMU = "fmu:"
+# "" stands for the default of the verb
+_UNIT_NAMES = ("", "reference", "external", "none")
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig wsp`."""
     parser.add_argument(
         "--bus",
         default=DEFAULT_ADDRESS,
@@ -28,24 +34,24 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="real-time priority to ask for (default: none)",
+        help="real-time priority to request (default: none)",
     )
     parser.add_argument(
         "--lockstep",
         type=float,
         default=0.0,
         metavar="S",
-        help="send nothing by wall clock, as the "
-        "bench asks of its own unit with --pacing lockstep, and count the time in SYNCs, which come "
-        "every S seconds of the run; a SYNC without speeds is answered with the next",
+        help="for a bench with --pacing lockstep: the unit sends nothing by wall clock and counts "
+        "time in SYNCs, which come every S seconds of the run; it answers a SYNC without speeds "
+        "together with the next SYNC",
     )
     parser.add_argument(
         "--fmu",
         type=Path,
         action="append",
         metavar="FILE",
-        help="run a WSP that is an FMU instead of "
-        "the reference; again for further FMUs, where all have a CAN port (FMI-LS-BUS)",
+        help="run a WSP that is an FMU instead of the reference; may be repeated if all FMUs have "
+        "a CAN port (FMI-LS-BUS)",
     )
     map_argument(parser)
     parser.add_argument(
@@ -53,89 +59,132 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.01,
         metavar="S",
-        help="with --fmu: how far a SYNC takes it, the SYNC period (default: 0.01)",
+        help="with --fmu: length of one step of the FMU, which is the SYNC period (default: 0.01)",
     )
     parser.add_argument(
         "--step-wait",
         type=float,
         default=10.0,
         metavar="S",
-        help="with --fmu: how long one step may take of wall time (default: 10)",
+        help="with --fmu: longest wall time of one step (default: 10)",
     )
     parser.add_argument(
         "--bitrate",
         type=int,
         default=0,
         metavar="N",
-        help="with --fmu: the bit rate of the bus, to "
-        "which a CAN port has to be set (default: not compared)",
+        help="with --fmu: bit rate of the bus, for which a CAN port must be configured "
+        "(default: not checked)",
     )
     parser.add_argument("--log", type=Path, help=argparse.SUPPRESS)
 
 
 def map_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare --unit-map, which several verbs have."""
     parser.add_argument(
         "--unit-map",
         type=Path,
         metavar="FILE",
-        help="an FMU's names and scales of speeds, pressures and magnets (default: the rig's own)",
+        help="names and scales of an FMU's speeds, pressures and magnets "
+        "(default: the names and scales of the rig)",
     )
 
 
 def parse_unit(text: str) -> str:
-    """Whose WSP it is, from the command line; nothing stands for what is the default there."""
-    if text in ("", "reference", "external", "none") or (text.startswith("fmu:") and len(text) > 4):
+    """Return the value of --wsp if it is allowed; "" stands for the default of the verb.
+
+    Raises ArgumentTypeError for any other text.
+    """
+    is_fmu = text.startswith(_FMU) and len(text) > len(_FMU)
+    if text in _UNIT_NAMES or is_fmu:
         return text
     raise argparse.ArgumentTypeError(f"{text!r}: choose from reference, external, none, fmu:FILE")
 
 
 class AppendUnit(argparse.Action):
-    """`--wsp` once, or again for further FMUs of one bus: fmu:FILE,fmu:FILE."""
+    """Stores --wsp. A repeated --wsp adds a further FMU on the same bus: fmu:FILE,fmu:FILE."""
 
     def __call__(
         self,
         parser: argparse.ArgumentParser,
-        given: argparse.Namespace,
+        options: argparse.Namespace,
         value: Any,
         option: str | None = None,
     ) -> None:
-        before = getattr(given, self.dest)
+        before = getattr(options, self.dest)
         if before == self.default:
-            before = ""
-        elif not (value.startswith("fmu:") and before.startswith("fmu:")):
+            setattr(options, self.dest, value)
+            return
+
+        if not (value.startswith(_FMU) and before.startswith(_FMU)):
             parser.error(
-                f"argument --wsp: {before} and {value}: only FMUs go together, on one bus by their CAN ports"
+                f"argument --wsp: {before} and {value}: only FMUs can share a bus, each through "
+                "its CAN port; repeat --wsp only with fmu:FILE"
             )
-        setattr(given, self.dest, f"{before},{value}" if before else value)
+        setattr(options, self.dest, f"{before},{value}")
 
 
-def call(given: argparse.Namespace) -> int:
-    if given.log:
-        with open(given.log, "ab", buffering=0) as log:
-            os.dup2(log.fileno(), sys.stdout.fileno())
-            os.dup2(log.fileno(), sys.stderr.fileno())
-    if given.fmu:
-        from rollerrig.firmware_sim.fmu import can_unit, fmu_file, signal_unit
+def call(options: argparse.Namespace) -> int:
+    """Run a WSP unit until its bus ends. Returns the exit status."""
+    if options.log:
+        _redirect_output(options.log)
+    if options.fmu:
+        return _run_fmus(options)
 
-        fmus = fmu_file.check_all(tuple(given.fmu), given.unit_map, given.step)
-        how = given.bus, given.priority, given.lockstep, given.step_wait
-        return (
-            can_unit.main(fmus, *how, given.bitrate)
-            if fmus[0].terminal
-            else signal_unit.main(fmus[0], *how)
-        )
     from rollerrig.firmware_sim.wsp import node
 
-    return node.main(given.bus, given.config, given.priority, given.lockstep)
+    return node.main(
+        bus_address=options.bus,
+        config=options.config,
+        priority=options.priority,
+        lockstep_s=options.lockstep,
+    )
+
+
+def _redirect_output(path: Path) -> None:
+    """Append standard output and standard error of this process to a file."""
+    with open(path, "ab", buffering=0) as log:
+        os.dup2(log.fileno(), sys.stdout.fileno())
+        os.dup2(log.fileno(), sys.stderr.fileno())
+
+
+def _run_fmus(options: argparse.Namespace) -> int:
+    """Run one or several FMUs as WSP unit: through their CAN ports, or one by its signals."""
+    from rollerrig.firmware_sim.fmu import can_unit, fmu_file, signal_unit
+
+    fmus = fmu_file.check_all(tuple(options.fmu), options.unit_map, options.step)
+    first = fmus[0]
+    if first.terminal:
+        return can_unit.main(
+            fmus,
+            bus_address=options.bus,
+            priority=options.priority,
+            lockstep_s=options.lockstep,
+            patience_s=options.step_wait,
+            bitrate=options.bitrate,
+        )
+    return signal_unit.main(
+        first,
+        bus_address=options.bus,
+        priority=options.priority,
+        lockstep_s=options.lockstep,
+        patience_s=options.step_wait,
+    )
 
 
 def run_from_stdin() -> int:
-    """Be the reference unit that a line of JSON on standard input asks for, its words; 0 where none comes."""
+    """Run the WSP unit whose arguments come as a line of JSON on standard input.
+
+    A bench starts this process before it knows the arguments, so that the unit is ready early.
+    Returns the exit status; 0 if no arguments come.
+    """
     from rollerrig.firmware_sim.wsp import logic, node
     from rollerrig.rig.compiled import kernel_cache
 
+    # loads the compiled kernels while the bench prepares the run; never compiles them here
     if kernel_cache.is_compiled():
         node.warm(logic.load("reference"))
+
     words = json.loads(sys.stdin.readline() or "null")
     if words is None:
         return 0

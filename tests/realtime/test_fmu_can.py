@@ -176,10 +176,10 @@ def test_a_terminal_is_found_by_its_media_type_or_refused(tmp_path, capsys):
         )
 
 
-def test_only_fmus_go_together_on_the_command_line(capsys):
+def test_only_fmus_can_share_a_bus_on_the_command_line(capsys):
     with pytest.raises(SystemExit):
         cli.main(["run", "velim_a1", "--wsp", "fmu:a.fmu", "--wsp", "external"])
-    assert "only FMUs go together, on one bus by their CAN ports" in capsys.readouterr().err
+    assert "only FMUs can share a bus, each through its CAN port" in capsys.readouterr().err
 
 
 def test_operations_are_read_as_they_were_written_and_the_rest_is_corrupt():
