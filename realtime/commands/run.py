@@ -6,21 +6,29 @@ import itertools
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rollerrig.realtime.commands import output, wsp
 
+if TYPE_CHECKING:
+    from rollerrig.realtime.bench.options import Progress
+
+# exit status of a run that has missed deadlines, under --strict
 LATE = 3
+
+# s between progress lines if standard error is not a terminal
+_PROGRESS_S = 5.0
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig run`."""
     parser.add_argument("scenario", help="name of a packaged scenario, or a TOML file")
     parser.add_argument(
         "--pacing",
         choices=("wall", "lockstep", "free"),
         default="wall",
-        help="wall: real time; lockstep: each bus cycle waits for the unit's answer, "
-        "repeatable; free: no bus, as fast as it goes (default: wall)",
+        help="wall: in real time; lockstep: each bus cycle waits for the answer of the WSP unit, "
+        "so that a run is repeatable; free: without a bus, at full speed (default: wall)",
     )
     parser.add_argument(
         "--wsp",
@@ -28,12 +36,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action=wsp.AppendUnit,
         default="reference",
         metavar="{reference,external,none,fmu:FILE}",
-        help="reference: in its own process over the bus; external: wait for a unit's heartbeat; "
-        "fmu:FILE: an FMU (FMI 2 or 3, co-simulation) in its own process, again for further ones that "
-        "share the bus by CAN ports (FMI-LS-BUS); none (default: reference)",
+        help="reference: the reference unit, in a separate process on the bus; external: wait for "
+        "the heartbeat of a unit on the bus; fmu:FILE: an FMU (FMI 2 or 3, co-simulation) in a "
+        "separate process, may be repeated for FMUs that share the bus by CAN ports "
+        "(FMI-LS-BUS); none: no unit (default: reference)",
     )
     wsp.map_argument(parser)
-    parser.add_argument("--model", default="", metavar="FILE", help="an extended model to load")
+    parser.add_argument("--model", default="", metavar="FILE", help="load an extended model")
     parser.add_argument(
         "--out",
         type=Path,
@@ -43,144 +52,179 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--live",
         action="store_true",
-        help="show the run live in Rerun: in a window, or without a "
-        "screen as a page for a browser, whose address is told",
+        help="show the run live in Rerun: in a window, or, without a screen, as a page for a "
+        "browser, whose address is printed",
     )
     parser.add_argument(
-        "--hold", action="store_true", help="with --live: begin when somebody looks on"
+        "--hold",
+        action="store_true",
+        help="with --live: begin the run when a viewer has connected",
     )
     parser.add_argument(
-        "--strict", action="store_true", help="exit status 3 when a deadline is missed"
+        "--strict", action="store_true", help="return exit status 3 if a deadline is missed"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="seed of whatever is random (default: 0)"
+        "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
     )
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help="change one value, as in adhesion.mu_cd=0.05; may be repeated",
+        help="change a value of the scenario, as in adhesion.mu_cd=0.05; may be repeated",
     )
     parser.add_argument(
         "--fault",
         action="append",
         default=[],
         metavar="'KIND KEY=VALUE ...'",
-        help="inject a fault "
-        "of the catalogue, as in 'speed_sensor_stuck axle=2 at=5 for=3'; may be repeated",
+        help="inject a fault from the list that 'rollerrig list faults' prints, as in "
+        "'speed_sensor_stuck axle=2 at=5 for=3'; may be repeated",
     )
     parser.add_argument(
         "--start",
         choices=("now", "modbus"),
         default="now",
-        help="modbus: hold the rig "
-        "rolling at its set speed until a Modbus client starts it (default: now)",
+        help="modbus: let the rig roll at its set speed until a Modbus client starts the stop "
+        "(default: now)",
     )
     parser.add_argument(
         "--harness",
         action="store_true",
-        help="begin when a harness has joined (node 127), as 'rollerrig sequence --bus' does",
+        help="begin the run when a test harness (node 127) has joined the bus, for example "
+        "'rollerrig sequence --bus'",
     )
     parser.add_argument(
         "--wait",
         type=float,
         default=60.0,
         metavar="S",
-        help="longest wait for a WSP unit to appear (default: 60)",
+        help="longest wait for a WSP unit to appear on the bus, in s (default: 60)",
     )
     parser.add_argument(
         "--answer-wait",
         type=float,
         default=10.0,
         metavar="S",
-        help="in lockstep, how long a unit may "
-        "owe its answer (default: 10); the bench's own, while it lives, and a harness six times that",
+        help="in lockstep: longest wait for the answer of a WSP unit, in s (default: 10); a "
+        "harness, and a unit that the bench has started and that still runs, get six times as "
+        "long",
     )
 
 
-def call(given: argparse.Namespace) -> int:
+def call(options: argparse.Namespace) -> int:
+    """Do one run and return the exit status."""
     from rollerrig.configs.processes import children
-    from rollerrig.realtime.bench import options
+    from rollerrig.realtime.bench.options import waiting_processes
 
-    own_unit = given.wsp == "reference" and given.pacing != "free"
-    with options.waiting_processes(
-        children.can_fork(), wsp.run_from_stdin if own_unit else None
-    ) as processes:
-        return _run(given, processes)
+    # the processes of the run load their libraries while this process prepares the run
+    needs_reference_unit = options.wsp == "reference" and options.pacing != "free"
+    unit = wsp.run_from_stdin if needs_reference_unit else None
+    with waiting_processes(children.can_fork(), unit) as processes:
+        return _run(options, processes)
 
 
-def _run(given: argparse.Namespace, processes: dict[str, Any]) -> int:
-    from rollerrig.realtime.bench import bench, options, scenario
-    from rollerrig.realtime.record import summary
+def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
+    from rollerrig.realtime.bench import bench, scenario
+    from rollerrig.realtime.bench.options import Options
 
-    plan = scenario.load(given.scenario, given.model, tuple(given.set), faults=tuple(given.fault))
-    out = given.out or free_folder(plan.name)
-    how = options.Options(
-        pacing=given.pacing,
-        unit=given.wsp,
+    plan = scenario.load(
+        options.scenario,
+        options.model,
+        tuple(options.set),
+        faults=tuple(options.fault),
+    )
+    out = options.out or free_folder(plan.name)
+    bench_options = Options(
+        pacing=options.pacing,
+        unit=options.wsp,
         out=out,
-        live=given.live,
-        hold=given.hold,
-        seed=given.seed,
-        unit_wait_s=given.wait,
-        answer_wait_s=given.answer_wait,
-        start=given.start,
-        harness=given.harness,
-        unit_map=given.unit_map,
+        live=options.live,
+        hold=options.hold,
+        seed=options.seed,
+        unit_wait_s=options.wait,
+        answer_wait_s=options.answer_wait,
+        start=options.start,
+        harness=options.harness,
+        unit_map=options.unit_map,
         **processes,
     )
-    line = ProgressLine()
-    result = asyncio.run(bench.Bench(plan, how, line).run())
-    line.end()
-    shown: list[Any] = []
-    if not given.json:
-        from rich.text import Text
 
-        shown = [
-            summary.table(result),
-            f"recorded in {out}; open it with: rollerrig view {out}",
-            *(Text(f"not valid: {reason}", "bold red") for reason in result["invalid_because"]),
-        ]
-    output.show(given, result | {"folder": str(out)}, *shown)
-    if result["invalid_because"]:
+    progress_line = ProgressLine()
+    summary = asyncio.run(bench.Bench(plan, bench_options, progress_line).run())
+    progress_line.close()
+
+    items = [] if options.json else _items(summary, out)
+    output.show(options, summary | {"folder": str(out)}, *items)
+
+    if summary["invalid_because"]:
         return output.INVALID
-    return LATE if given.strict and result["loop"]["missed"] else output.PASS
+    if options.strict and summary["loop"]["missed"]:
+        return LATE
+    return output.PASS
+
+
+def _items(result: dict[str, Any], out: Path) -> list[Any]:
+    """Return what the terminal shows of the summary of a run."""
+    from rich.text import Text
+
+    from rollerrig.realtime.record import summary
+
+    items: list[Any] = [
+        summary.table(result),
+        f"recorded in {out}; open it with: rollerrig view {out}",
+    ]
+    for reason in result["invalid_because"]:
+        items.append(Text(f"not valid: {reason}", "bold red"))
+    return items
 
 
 def free_folder(name: str) -> Path:
-    """runs/NAME, or the first runs/NAME-2, runs/NAME-3 ... that does not exist yet."""
-    names = itertools.chain([name], (f"{name}-{number}" for number in itertools.count(2)))
-    return next(out for one in names if not (out := Path("runs") / one).exists())
+    """Return runs/NAME, or the first of runs/NAME-2, runs/NAME-3 ... that does not exist."""
+    folder = Path("runs") / name
+    numbers = itertools.count(2)
+    while folder.exists():
+        folder = Path("runs") / f"{name}-{next(numbers)}"
+    return folder
 
 
 class ProgressLine:
-    """One line on standard error, rewritten on a terminal, else printed every five seconds."""
+    """Shows the progress of a run on standard error.
+
+    On a terminal it rewrites one line. Otherwise it prints a line every five seconds.
+    """
 
     def __init__(self) -> None:
-        self._terminal, self._said, self._open = sys.stderr.isatty(), -5.0, False
+        self._on_terminal = sys.stderr.isatty()
+        self._printed_s = -_PROGRESS_S
+        # whether the cursor is still on the rewritten line
+        self._open = False
 
-    def __call__(self, progress: Any) -> None:
+    def __call__(self, progress: "Progress") -> None:
+        """Show the message of the progress if there is one, and otherwise its figures."""
         if progress.message:
             self.message(progress.message)
             return
+
         text = (
             f"t = {progress.time_s:6.1f} s   v = {progress.speed_m_s:5.1f} m/s   "
             f"sliding {progress.sliding_m_s:5.1f} m/s   missed deadlines {progress.missed}"
         )
-        now = time.monotonic()
-        if self._terminal:
+        now_s = time.monotonic()
+        if self._on_terminal:
             print("\r" + text, end="", file=sys.stderr, flush=True)
             self._open = True
-        elif now - self._said >= 5.0:
+        elif now_s - self._printed_s >= _PROGRESS_S:
             output.print_message(text)
-            self._said = now
+            self._printed_s = now_s
 
     def message(self, text: str) -> None:
-        self.end()
+        """Print a message on a new line."""
+        self.close()
         output.print_message(text)
 
-    def end(self) -> None:
+    def close(self) -> None:
+        """Move the cursor from the rewritten line to the next line."""
         if self._open:
             print(file=sys.stderr)
             self._open = False
