@@ -1,13 +1,20 @@
-"""The recorder: a process that drains a run's rings into the files of its folder.
+"""The recorder: a process that reads the rings of a run and writes the files of its folder.
 
-It writes channels.parquet, run.rrd, can.log and events.jsonl as the run goes, so that at most the last second is lost
-whoever is killed. When the bench dies the recorder finishes the files, says so in summary.json, removes the rings and
-leaves. Where its folder can no longer be written (a full disk) it keeps what it has and leaves with the number of the
-error as its status. It never holds the bench up, but one without deadlines waits for it when a ring is nearly full.
+It writes channels.parquet, run.rrd, can.log and events.jsonl while the run goes on. So at most the
+last second is lost, whichever process is killed.
+
+- If the bench dies, the recorder completes the files, notes the reason in summary.json, removes the
+  rings and exits.
+- If it cannot write its folder any more (for example, the disk is full), it keeps what it has
+  written and exits. Its exit status is the error number of the operating system.
+
+The recorder never delays a bench that has deadlines. A bench without deadlines waits for the
+recorder when a ring is nearly full.
 
     python -m rollerrig.realtime.telemetry.recorder RUN_DIR --rows PATH --frames PATH --events PATH
 
-Without arguments it waits for them as a line of JSON, a list, on its standard input: so it can be begun early.
+Without arguments it reads them from its standard input: one line, a JSON list. So the bench can
+start the recorder before it knows the run.
 """
 
 import argparse
@@ -22,8 +29,9 @@ import threading
 import time
 import uuid
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import rerun as rr
@@ -42,33 +50,69 @@ from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import frames
 from rollerrig.wsp_interface.events import Code, Event
 
+# the recorder prints this line when it has opened its files
 READY = "recorder ready"
+
+# s; pause between two looks at the rings
 _PERIOD_S = 0.06
-_BLOCK_S = 0.4  # rows go to run.rrd in blocks of this much wall time, and in no larger ones than
+# s; rows go to run.rrd in blocks of this much wall time
+_BLOCK_S = 0.4
+# rows; a larger block is split
 _BLOCK_ROWS = 1024
-_LINGER_S = 2.0  # how long the other rings may still be open when the rows have ended
+# rows; blocks of the complete run.rrd
 _FINAL_ROWS = 20_000
+# s; the other rings may stay open for this time after the ring of rows is closed
+_LINGER_S = 2.0
+# a run is written only while the disk has this much free space
 _ROOM_BYTES = 1 << 20
+# share of a ring; the recorder pauses only while every ring has more room than this
+_ROOM_FOR_A_PAUSE = 0.5
+# added to the nice value of this process: the bench has priority
+_NICENESS = 5
+
+
+class Rings(NamedTuple):
+    """The three rings of a run, see `ring`."""
+
+    rows: Ring
+    frames: Ring
+    events: Ring
+
+
+@dataclass
+class _Source:
+    """A ring that the recorder reads."""
+
+    ring: Ring
+    description: str  # of its rows, for the report on lost ones
+    cursor: int = 0  # how many rows have been read or lost
 
 
 def recording_id(run_dir: Path, rows: Ring) -> str:
-    """The same for the recorder and the live view of one run, and for no other run."""
-    return str(
-        uuid.uuid5(
-            uuid.NAMESPACE_URL, f"{Path(run_dir).resolve()} {int(rows.header[ring.CREATED_NS])}"
-        )
-    )
+    """Return the identity of a recording in Rerun.
+
+    The recorder and the live view of a run get the same one. Every other run gets another one.
+    """
+    created_ns = int(rows.header[ring.CREATED_NS])
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, f"{Path(run_dir).resolve()} {created_ns}"))
 
 
 def scenario_of(run_dir: Path) -> dict[str, Any]:
-    """The resolved scenario of a run; empty where there is none: a recorder never gives up."""
+    """Return the resolved scenario of a run, or an empty one if it cannot be read.
+
+    A run without a readable scenario must still be recorded.
+    """
     with contextlib.suppress(Exception):
         return store.parse(Path(run_dir) / run_folder.SCENARIO)
     return {}
 
 
 class Recorder:
-    """Cursors in three rings, and the files that follow them."""
+    """Reads three rings and writes the files of a run.
+
+    `counters` are entries of the summary that only the bench knows, see `summary.of`. They are used
+    if the bench is killed.
+    """
 
     def __init__(
         self,
@@ -78,155 +122,267 @@ class Recorder:
         event: Ring,
         counters: Mapping[str, Any] | None = None,
     ) -> None:
-        self._folder, self._rows, self._frames, self._events = Path(run_dir), rows, frame, event
-        self._cursors = [0, 0, 0]
+        self._folder = Path(run_dir)
+        self._rows = _Source(rows, "rows of channels")
+        self._frames = _Source(frame, "CAN frames")
+        self._events = _Source(event, "events")
         self._counters = {"scenario": self._folder.resolve().name} | dict(counters or {})
         self._scenario = scenario_of(run_dir)
-        self._pending: list[np.ndarray] = []
-        self._told = Events()
-        self._sent_s, self._time_s, self.frames = 0.0, 0.0, 0
+
+        # rows that are not yet in run.rrd, and when the last ones were sent there (monotonic time)
+        self._unsent_rows: list[np.ndarray] = []
+        self._sent_s = 0.0
+        # time in the run of the last row
+        self._time_s = 0.0
+        self._frame_count = 0
+        self._recorded_events = Events()
+
         self.channels = channels.Channels(self._folder)
-        # unbuffered: what has been written survives the process
-        self._can = open(self._folder / run_folder.CAN_LOG, "wb", buffering=0)  # noqa: SIM115
-        self._log = open(self._folder / run_folder.EVENTS, "wb", buffering=0)  # noqa: SIM115
-        self._id = recording_id(run_dir, rows)
+        # unbuffered: written lines survive the death of this process
+        self._can_log = open(self._folder / run_folder.CAN_LOG, "wb", buffering=0)  # noqa: SIM115
+        self._event_log = open(self._folder / run_folder.EVENTS, "wb", buffering=0)  # noqa: SIM115
+        self._recording_id = recording_id(run_dir, rows)
         self._stream, self._drawing = self._open(self._folder / run_folder.RRD, index=False)
 
-    def _open(self, path: Path, index: bool, **known: Any) -> tuple[rr.RecordingStream, Drawing]:
-        """A new recording in a file; its `index` stays in memory until the end, more than 10 MB a minute."""
-        # Rerun waits for ever where it finds no room for the layout
+    def _open(self, path: Path, index: bool, **layout: Any) -> tuple[rr.RecordingStream, Drawing]:
+        """Open a new recording in a file; return its stream and the drawing on it.
+
+        An `index` makes the file faster to open. Rerun keeps it in memory until the end of the
+        recording, more than 10 MB for each minute. `layout` goes to `views.blueprint`. Raises
+        OSError if the disk is full.
+        """
+        # if there is no room for the layout, Rerun waits for ever
         if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        stream = rr.RecordingStream(views.APPLICATION, recording_id=self._id)
+
+        stream = rr.RecordingStream(views.APPLICATION, recording_id=self._recording_id)
         eye = scene.eye(scene.geometry(self._scenario))
         stream.set_sinks(
             rr.FileSink(path, write_footer=index),
-            default_blueprint=views.blueprint(eye=eye, **known),
+            default_blueprint=views.blueprint(eye=eye, **layout),
         )
         stream.send_recording_name(self._folder.resolve().name)
-        return stream, Drawing(stream, self._scenario, unit=str(self._counters.get("unit") or ""))
+        unit = str(self._counters.get("unit") or "")
+        return stream, Drawing(stream, self._scenario, unit=unit)
+
+    # --- while the run goes on ---
 
     def drain(self) -> None:
-        """Take what is new in the rings, and write what is due."""
-        rows = self._take(0, self._rows, "rows of channels")
-        if len(rows):
-            self._time_s = float(rows[-1, signals.column("time")])
-            self.channels.add(rows)
-            self._pending.append(rows)
-        found = self._take(1, self._frames, "CAN frames")
-        if len(found):
-            self.frames += len(found)
-            lines = [
-                frames.candump_line(frame_of(row), signals.BUS_CHANNEL) for row in found.tolist()
-            ]
-            self._can.write(("\n".join(lines) + "\n").encode())
-        self._write_events([ring.read_event(row) for row in self._take(2, self._events, "events")])
-        if self._pending and time.monotonic() - self._sent_s > _BLOCK_S:
-            self._send()
-        self.channels.write_if_due()
-        self._rows.header[ring.RECORDER_BEAT_NS] = time.monotonic_ns()
+        """Read all new rows of the rings, and write the files that are due."""
+        self._write_rows(self._read(self._rows))
+        self._write_frames(self._read(self._frames))
+        self._write_events([ring.read_event(row) for row in self._read(self._events)])
 
-    def _take(self, which: int, source: Ring, what: str) -> np.ndarray:
-        found, self._cursors[which], lost = source.read(self._cursors[which])
-        source.header[ring.READ] = self._cursors[which]
-        source.header[ring.LOST] += lost
+        if self._unsent_rows and time.monotonic() - self._sent_s > _BLOCK_S:
+            self._send_rows()
+        self.channels.write_if_due()
+        self._rows.ring.header[ring.RECORDER_BEAT_NS] = time.monotonic_ns()
+
+    def _read(self, source: _Source) -> np.ndarray:
+        """Return the new rows of a ring, shape (n, width). Lost rows become an event."""
+        new_rows, source.cursor, lost = source.ring.read(source.cursor)
+        source.ring.header[ring.READ] = source.cursor
+        source.ring.header[ring.LOST] += lost
         if lost:
-            self._write_events(
-                [run_events.make(self._time_s, Code.RECORDER_OVERRUN, lost=lost, rows=what)]
+            overrun = run_events.make(
+                self._time_s, Code.RECORDER_OVERRUN, lost=lost, rows=source.description
             )
-        return found
+            self._write_events([overrun])
+        return new_rows
+
+    def _write_rows(self, rows: np.ndarray) -> None:
+        """Write rows of all signals, shape (n, columns), to the channels.
+
+        run.rrd gets them later, in larger blocks.
+        """
+        if not len(rows):
+            return
+        self._time_s = float(rows[-1, signals.column("time")])
+        self.channels.add(rows)
+        self._unsent_rows.append(rows)
+
+    def _write_frames(self, rows: np.ndarray) -> None:
+        """Write rows of the ring of frames, shape (n, 4), to can.log."""
+        if not len(rows):
+            return
+        self._frame_count += len(rows)
+        lines = [frames.candump_line(frame_of(row), signals.BUS_CHANNEL) for row in rows.tolist()]
+        self._can_log.write(_as_bytes(lines))
 
     def _write_events(self, events: list[Event]) -> None:
-        if events:
-            for event in events:
-                self._told.add(event)
-            lines = [json.dumps(event._asdict()) for event in events]
-            self._log.write(("\n".join(lines) + "\n").encode())
-            self._drawing.events(events)
+        """Write events to events.jsonl and run.rrd, and keep them for the summary."""
+        if not events:
+            return
+        for event in events:
+            self._recorded_events.add(event)
+        self._event_log.write(_as_bytes([json.dumps(event._asdict()) for event in events]))
+        self._drawing.events(events)
 
-    def _send(self) -> None:
-        rows, self._pending = np.concatenate(self._pending), []
+    def _send_rows(self) -> None:
+        """Send the waiting rows to run.rrd."""
+        rows = np.concatenate(self._unsent_rows)
+        self._unsent_rows = []
         for first in range(0, len(rows), _BLOCK_ROWS):
             self._drawing.rows(rows[first : first + _BLOCK_ROWS])
         self._sent_s = time.monotonic()
 
+    # --- at the end of the run ---
+
     def finish(self, ended: str) -> None:
-        """Complete all files. `ended` says how: finished, killed (the bench died) or terminated."""
+        """Complete all files.
+
+        `ended` is the reason: finished, killed (the bench died) or terminated.
+        """
         self.drain()
         if ended == "killed":
             self._write_events([run_events.make(self._time_s, Code.BENCH_KILLED)])
         self.channels.finish()
         self._stream.disconnect()
-        stored = channels.Columns(self._folder)
-        # rows of all rings that were overwritten before they were read
-        lost = sum(int(one.header[ring.LOST]) for one in (self._rows, self._frames, self._events))
+
+        # rows of all rings that the writer overwrote before the recorder read them
+        sources = (self._rows, self._frames, self._events)
+        lost = sum(int(source.ring.header[ring.LOST]) for source in sources)
         counters = self._counters | {
             "ended": ended,
-            "bus": {"frames": self.frames},
+            "bus": {"frames": self._frame_count},
             "recorder": {"lost": lost},
         }
-        found = summary.of(stored, counters, self._scenario, self._told)
-        self._compact(stored, derived.result_text(found))
-        records.write_summary(self._folder, found)
-        self._can.close()
-        self._log.close()
+        stored = channels.Columns(self._folder)
+        run_summary = summary.of(stored, counters, self._scenario, self._recorded_events)
+
+        self._compact(stored, derived.result_text(run_summary))
+        records.write_summary(self._folder, run_summary)
+        self._can_log.close()
+        self._event_log.close()
 
     def _compact(self, stored: channels.Columns, result: str) -> None:
-        """Write run.rrd anew in large blocks: smaller, faster to open, and with an index; if there is room for both."""
-        if (
-            shutil.disk_usage(self._folder).free
-            < _ROOM_BYTES + (self._folder / run_folder.RRD).stat().st_size
-        ):
+        """Write run.rrd again, in large blocks and with an index.
+
+        The new file is smaller and opens faster. If the disk has no room for both files, the old
+        one stays.
+        """
+        path = self._folder / run_folder.RRD
+        free_bytes = shutil.disk_usage(self._folder).free
+        if free_bytes < _ROOM_BYTES + path.stat().st_size:
             return
-        with replaced(self._folder / run_folder.RRD) as new:
+
+        with replaced(path) as new:
             stream, drawing = self._open(new, index=True, ends=views.axis_ends(stored))
             for block in stored.blocks(_FINAL_ROWS):
                 drawing.rows(records.rows(block))
                 stream.flush()
-            drawing.events(self._told)
+            drawing.events(self._recorded_events)
             drawing.result(result)
             stream.disconnect()
 
 
+def _as_bytes(lines: list[str]) -> bytes:
+    """Return lines as the bytes of a text file."""
+    return ("\n".join(lines) + "\n").encode()
+
+
 def frame_of(row: list[int]) -> frames.Frame:
-    """One row of a frame ring: time in ns, identifier and flags, length, data as 8 bytes."""
-    time_ns, word, length, data = row
-    remote = bool(word & frames.REMOTE_FLAG)
-    body = b"" if remote else (data & (2**64 - 1)).to_bytes(8, "little")[:length]
+    """Return the frame in a row of a ring of frames.
+
+    The row has the time in ns, the identifier with flags, the length, and the data as 8 bytes.
+    """
+    time_ns, identifier_and_flags, length, data_word = row
+    remote = bool(identifier_and_flags & frames.REMOTE_FLAG)
+    data = b""
+    if not remote:
+        # the ring holds a signed word: the mask makes it unsigned
+        data = (data_word & (2**64 - 1)).to_bytes(8, "little")[:length]
     return frames.Frame(
-        word & frames.EXTENDED_ID_MAX,
-        body,
-        bool(word & frames.EXTENDED_FLAG),
-        remote,
-        length,
-        time_ns,
-        bool(word & frames.ERROR_FLAG),
+        can_id=identifier_and_flags & frames.EXTENDED_ID_MAX,
+        data=data,
+        extended=bool(identifier_and_flags & frames.EXTENDED_FLAG),
+        remote=remote,
+        dlc=length,
+        time_ns=time_ns,
+        error=bool(identifier_and_flags & frames.ERROR_FLAG),
     )
 
 
-def run(recorder: Recorder, rings: tuple[Ring, Ring, Ring], stop: threading.Event) -> str:
-    """Drain until the rows have ended, the writer died, or a signal asks to stop; returns which."""
-    rows = rings[0]
-    closed_s: float | None = None
+# --- the process ---
+
+
+def run(recorder: Recorder, rings: Rings, stop: threading.Event) -> str:
+    """Drain the rings until the run ends; return how it ended.
+
+    - finished: the bench closed its rings
+    - killed: the bench died before it closed the ring of rows
+    - terminated: `stop` is set
+    """
+    rows_closed_s: float | None = None
     while True:
-        # asked before draining: what was written until then is drained afterwards
-        alive, closed = rows.writer_alive, all(r.closed for r in rings)
-        if rows.closed and closed_s is None:
-            closed_s = time.monotonic()
+        # look first and drain afterwards: then nothing that was written before the look is left
+        writer_alive = rings.rows.writer_alive
+        all_closed = all(each.closed for each in rings)
+        if rings.rows.closed and rows_closed_s is None:
+            rows_closed_s = time.monotonic()
         recorder.drain()
-        if closed or (closed_s is not None and time.monotonic() - closed_s > _LINGER_S):
+
+        if all_closed:
             return "finished"
-        if not alive:
-            return "finished" if rows.closed else "killed"
+        if rows_closed_s is not None and time.monotonic() - rows_closed_s > _LINGER_S:
+            return "finished"
+        if not writer_alive:
+            return "finished" if rings.rows.closed else "killed"
         if stop.is_set():
             return "terminated"
-        # half a ring is waiting (a run without deadlines): go on at once
-        if min(r.room / r.header[ring.CAPACITY] for r in rings) > 0.5:
+
+        # a run without deadlines fills a ring quickly: then drain again without a pause
+        least_room = min(each.room / each.header[ring.CAPACITY] for each in rings)
+        if least_room > _ROOM_FOR_A_PAUSE:
             time.sleep(_PERIOD_S)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The recorder process: see the module."""
+    """Run the recorder process and return its exit status. See the module for the arguments."""
+    if arguments is None:
+        arguments = sys.argv[1:]
+    if not arguments:
+        arguments = json.loads(sys.stdin.readline() or "null")
+    if arguments is None:
+        # the bench gave up before the run began
+        return 0
+
+    given = _parser().parse_args(arguments)
+    stop = threading.Event()
+    _detach_from_bench(stop)
+    rings = Rings(
+        rows=Ring(given.rows, np.float64),
+        frames=Ring(given.frames, np.int64),
+        events=Ring(given.events, np.int64),
+    )
+    channels.leave_pandas_out()
+
+    recorder: Recorder | None = None
+    ended = ""
+    status = 0
+    try:
+        recorder = Recorder(given.run_dir, *rings, given.counters)
+        recorder.drain()
+        print(READY, flush=True)
+        ended = run(recorder, rings, stop)
+        recorder.finish(ended)
+    except (OSError, RollerrigError) as error:
+        status = getattr(error, "errno", None) or errno.EIO
+        if recorder:
+            _save_channels(recorder)
+
+    # a living bench removes its rings itself
+    if ended == "killed" or not rings.rows.writer_alive:
+        for each in rings:
+            each.unlink()
+    if status:
+        # a normal exit would let Rerun wait for the disk
+        os._exit(status)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     parser = argparse.ArgumentParser(prog="recorder")
     parser.add_argument("run_dir", type=Path)
     for name in ("--rows", "--frames", "--events"):
@@ -236,42 +392,34 @@ def main(arguments: list[str] | None = None) -> int:
         type=json.loads,
         default={},
         metavar="JSON",
-        help="what the summary of a killed run shall say",
+        help="entries of summary.json if the bench is killed",
     )
-    if arguments is None:
-        arguments = sys.argv[1:]
-    if not arguments and (arguments := json.loads(sys.stdin.readline() or "null")) is None:
-        return 0  # the run did not come to be
-    given = parser.parse_args(arguments)
-    stop = threading.Event()
-    # Ctrl-C and a closed terminal are the bench's to answer
+    return parser
+
+
+def _detach_from_bench(stop: threading.Event) -> None:
+    """Make this process independent of the terminal and of lower priority than the bench.
+
+    The signal TERM sets `stop`.
+    """
+    # the bench reacts to Ctrl-C and to a closed terminal, and then closes its rings
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: stop.set())
     with contextlib.suppress(OSError):
         os.setsid()
     with contextlib.suppress(OSError):
-        os.nice(5)
-    rings = Ring(given.rows, np.float64), Ring(given.frames, np.int64), Ring(given.events, np.int64)
-    recorder, ended, status = None, "", 0
-    channels.leave_pandas_out()
-    try:
-        recorder = Recorder(given.run_dir, *rings, given.counters)
-        recorder.drain()
-        print(READY, flush=True)
-        ended = run(recorder, rings, stop)
-        recorder.finish(ended)
-    except (OSError, RollerrigError) as error:
-        status = getattr(error, "errno", None) or errno.EIO
-        with contextlib.suppress(OSError, ValueError):  # or it has been closed
-            if recorder:  # what the tail holds takes less room there
-                recorder.channels.finish()
-    if ended == "killed" or not rings[0].writer_alive:
-        for one in rings:
-            one.unlink()
-    if status:
-        os._exit(status)  # Rerun's own goodbye would wait for the disk
-    return 0
+        os.nice(_NICENESS)
+
+
+def _save_channels(recorder: Recorder) -> None:
+    """Complete channels.parquet after an error, if the disk allows it.
+
+    The rows need less room there than in channels.tail.
+    """
+    # ValueError: the files are closed already
+    with contextlib.suppress(OSError, ValueError):
+        recorder.channels.finish()
 
 
 if __name__ == "__main__":

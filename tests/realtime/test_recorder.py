@@ -137,7 +137,7 @@ def test_a_killed_run_keeps_its_events(run):
     assert notes[-1].time_s >= run.written_s - 1.0
 
 
-def test_a_recorder_whose_bench_was_killed_says_so_and_removes_the_rings(killed):
+def test_a_recorder_whose_bench_was_killed_notes_it_and_removes_the_rings(killed):
     bench_killed = killed["bench_killed"]
     summary = records.load(bench_killed.folder).summary
     assert summary["ended"] == "killed"
@@ -208,7 +208,8 @@ def resident_MB(process):
 def test_the_memory_of_a_recorder_does_not_grow_with_the_length_of_its_run(begun):
     folder, to, process = begun
     assert processes.wait_ready(process, to[0])
-    minutes, taken = 12, []
+    minutes = 12
+    taken = []
     for number in range(minutes * 6000):
         paced_writer.write(to, number)
         while min(one.room / one.header[ring.CAPACITY] for one in to) < 0.5:
@@ -245,7 +246,7 @@ def test_the_recording_holds_the_values_of_the_channels(begun):
         )
 
 
-def test_rows_that_were_overrun_are_counted_and_told(begun):
+def test_rows_that_were_overrun_are_counted_and_reported(begun):
     folder, to, process = begun
     for number in range(6000):  # the recorder has not started yet, and the ring holds 4096
         to[0].push(paced_writer.row(number))
@@ -269,7 +270,7 @@ def test_ctrl_c_is_left_to_the_bench(begun):
     assert len(channels.load(folder)) == 1
 
 
-def test_a_recorder_that_is_asked_to_end_completes_the_files(begun):
+def test_a_recorder_that_is_terminated_completes_the_files(begun):
     folder, to, process = begun
     assert processes.wait_ready(process, to[0])
     for number in range(50):
@@ -283,12 +284,12 @@ def test_a_recorder_that_is_asked_to_end_completes_the_files(begun):
 def test_the_recorder_gives_way_to_the_bench(begun):
     _, to, process = begun
     assert processes.wait_ready(process, to[0])
-    own = os.getpriority(os.PRIO_PROCESS, 0)
-    assert os.getpriority(os.PRIO_PROCESS, process.pid) >= min(own + 5, 19)
+    nice_of_bench = os.getpriority(os.PRIO_PROCESS, 0)
+    assert os.getpriority(os.PRIO_PROCESS, process.pid) >= min(nice_of_bench + 5, 19)
     assert os.getsid(process.pid) == process.pid
 
 
-def test_each_run_has_a_recording_of_its_own(tmp_path):
+def test_each_run_has_a_different_recording_id(tmp_path):
     first, second = (Ring(tmp_path / name, np.float64, 4, 2) for name in ("a", "b"))
     assert recorder.recording_id(tmp_path, first) == recorder.recording_id(tmp_path, first)
     assert recorder.recording_id(tmp_path, first) != recorder.recording_id(tmp_path, second)
@@ -305,6 +306,5 @@ def test_each_run_has_a_recording_of_its_own(tmp_path):
     ],
 )
 def test_a_row_of_the_frame_ring_is_a_line_of_a_candump_log(word, length, line):
-
     row = [1_500_000_000, word, length, 0x0102030405060708]
     assert frames.candump_line(recorder.frame_of(row), "rig0") == line
