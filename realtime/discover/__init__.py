@@ -1,1 +1,1 @@
-"""The loop that runs stops, explains them and proposes the next stops, and the sealed rigs that test it."""
+"""The loop that runs stops, explains them and proposes the next ones; sealed rigs to test it."""

@@ -1,10 +1,11 @@
-"""A rig that finds out by itself: stops, an explanation of them, further stops that part what is left, and again.
+"""Runs stops of a rig, explains them, chooses the next stops, until one explanation is left.
 
-The first stops are of mixed speeds; one of them is never fitted, only judged. Each further round runs those stops that
-part the causes still possible best, as far as the budget goes.
+The first stops have different speeds. One of them is held out: it is never fitted, and only judges
+the explanation. Each further round runs the stops that best distinguish the causes still possible,
+until the budget of stops is used up.
 
-    OUT/stops/01 and so on    runs as any other; those that are there and of the same rig are used again
-    OUT/discover.json         what each round found and why its stops were run
+    OUT/stops/01 and so on    the runs; those of the same rig that are already there are used again
+    OUT/discover.json         the result of each round, and why its stops were run
 """
 
 import asyncio
@@ -28,234 +29,278 @@ from rollerrig.rig.identify.decide import decision
 from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.identify.next_stops import planning
 from rollerrig.rig.identify.next_stops.prototype import LONGEST_S, RELEASED_S, Stop
+from rollerrig.wsp_interface.signals import AXLES
 
-FIRST_M_S, JUDGED = (
-    (38.0, 22.0, 30.0),
-    2,
-)  # speeds of the first stops, and which of them is never fitted
-FULL_PA = 3.8e5
-A_ROUND = 2  # further stops a round
-QUIET_ROUNDS = 2  # so often nothing may be found before the rig counts as sound
+FIRST_SPEEDS_M_S = (38.0, 22.0, 30.0)  # initial speeds of the first stops
+HELD_OUT = 2  # place of the stop that is never fitted
+FULL_PA = 3.8e5  # cylinder pressure of the first stops
+STOPS_PER_ROUND = 2  # further stops
+QUIET_ROUNDS = 2  # after so many rounds without a cause the rig counts as fault-free
 HISTORY = "discover.json"
-Say = Callable[[str], None]
+
+Row = dict[str, Any]  # one stop or one round, as in discover.json
+Log = Callable[[str], None]
 Progress = Callable[[str, float], None]
 
 
 def find_out(
-    rig: str, out: Path, most: int, seed: int, say: Say, progress: Progress
+    rig: str, out: Path, most: int, seed: int, log: Log, progress: Progress
 ) -> tuple[Diagnosis, dict[str, Any]]:
-    """The last account of a rig's stops, and the history of the rounds. Raises ConfigError."""
-    if most < len(FIRST_M_S) or seed < 0:
+    """Return the diagnosis of the last round, and the history of all rounds.
+
+    `most` is the largest number of stops. A search that was interrupted continues. Raises
+    ConfigError.
+    """
+    least = len(FIRST_SPEEDS_M_S)
+    if most < least or seed < 0:
         raise ConfigError(
-            f"--stops {most}, --seed {seed}: allowed are {len(FIRST_M_S)} stops and more, of which one "
-            "is never fitted, and seeds from 0 on"
+            f"--stops {most}, --seed {seed}: the search needs {least} stops or more, of which "
+            "one is held out, and a seed of 0 or more"
         )
-    given, path = store.load("scenarios", rig)
-    plan = scenario.read(given, path)
-    mass_kg = float(plan["vehicle"]["mass_kg"])
-    history = _begun(out, {"rig": scenario.digest(plan), "seed": seed})
-    history.setdefault(
-        "stops",
-        [_told(Stop(v, FULL_PA, mass_kg, 0), "mixed speeds to begin with") for v in FIRST_M_S],
-    )
+    content, path = store.load("scenarios", rig)
+    plan = scenario.read(content, path)
+    history = _open_history(out, {"rig": scenario.digest(plan), "seed": seed})
+    if "stops" not in history:
+        history["stops"] = _first_stops(float(plan["vehicle"]["mass_kg"]))
+
     while True:
         stops = history["stops"][:most]
-        # a search that is gone on with where it had ended is judged again
-        rounds = history["rounds"] = [one for one in history["rounds"] if one["stops"] < len(stops)]
-        account = _judged(_run(rig, out, stops, seed, say), out, seed, rounds, say, progress)
-        further = (
-            []
-            if _over(rounds, most)
-            else _further(account, stops, min(A_ROUND, most - len(stops)), progress)
-        )
+        # a search that continues judges its last round again
+        rounds = [row for row in history["rounds"] if row["stops"] < len(stops)]
+        history["rounds"] = rounds
+
+        folders = _run_missing(rig, out, stops, seed, log)
+        diagnosis = _explain(folders, out, seed, progress)
+        rounds.append(_round_row(diagnosis, len(folders)))
+        log(_round_line(len(rounds), rounds[-1]))
+
+        further: list[Row] = []
+        if not _is_over(rounds, most):
+            count = min(STOPS_PER_ROUND, most - len(stops))
+            further = _further_stops(diagnosis, stops, count, progress)
         history["stops"] = stops + further
-        _keep(out, history)
+        _write_history(out, history)
         if not further:
-            return account, history
-        for stop in further:
-            say(f"  next: {stop['title']}: {stop['why']}")
+            return diagnosis, history
+        for row in further:
+            log(f"  next: {row['title']}: {row['why']}")
 
 
-def _begun(out: Path, of: dict[str, Any]) -> dict[str, Any]:
-    """The history that a folder holds, or a new one; refused where it is of another rig."""
+# --- the history ---
+
+
+def _open_history(out: Path, rig: dict[str, Any]) -> dict[str, Any]:
+    """Return the history in a folder, or a new one.
+
+    Raises ConfigError if the history belongs to another rig or seed.
+    """
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
-    if not (out / HISTORY).is_file():
-        return of | {"rounds": []}
+    path = out / HISTORY
+    if not path.is_file():
+        return rig | {"rounds": []}
     try:
-        history: dict[str, Any] = json.loads((out / HISTORY).read_text(encoding="utf-8"))
-        if {key: history[key] for key in of} == of:
+        history: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if all(history[key] == value for key, value in rig.items()):
             return history
-        why = f"it is of another rig or seed ({history['seed']})"
+        problem = f"it belongs to another rig or seed ({history['seed']})"
     except (ValueError, KeyError) as error:
-        why = f"{HISTORY} cannot be read: {error!r}"
-    raise ConfigError(f"{out}: {why}; give another folder with --out")
+        problem = f"{HISTORY} cannot be read: {error!r}"
+    raise ConfigError(f"{out}: {problem}; give another folder with --out")
 
 
-def _keep(out: Path, history: dict[str, Any]) -> None:
+def _write_history(out: Path, history: dict[str, Any]) -> None:
+    """Write the history, with the result of the last round as that of the search."""
     last = history["rounds"][-1]
-    told = {"verdict": last["verdict"], "causes": last["causes"], "stops_used": last["stops"]}
+    result = {"verdict": last["verdict"], "causes": last["causes"], "stops_used": last["stops"]}
+    text = json.dumps(history | result, indent=1) + "\n"
     with writing(out), replaced(out / HISTORY) as new:
-        new.write_text(json.dumps(history | told, indent=1) + "\n", encoding="utf-8")
+        new.write_text(text, encoding="utf-8")
 
 
-def _told(stop: Stop, why: str) -> dict[str, Any]:
-    return {**stop._asdict(), "title": stop.title, "why": why}
+def _stop_row(stop: Stop, reason: str) -> Row:
+    return {**stop._asdict(), "title": stop.title, "why": reason}
+
+
+def _stop_of(row: Row) -> Stop:
+    return Stop(*(row[key] for key in Stop._fields))
+
+
+def _first_stops(mass_kg: float) -> list[Row]:
+    return [
+        _stop_row(Stop(speed_m_s, FULL_PA, mass_kg, 0), "mixed speeds to begin with")
+        for speed_m_s in FIRST_SPEEDS_M_S
+    ]
 
 
 # --- stops ---
 
 
-def _run(rig: str, out: Path, stops: Sequence[dict[str, Any]], seed: int, say: Say) -> list[Path]:
-    """The folders of all stops; those that are missing are run, one a core."""
-    folders = [out / "stops" / f"{k:02d}" for k in range(1, len(stops) + 1)]
-    todo = [
-        (rig, folder, Stop(*(stop[key] for key in Stop._fields)), seed)
-        for folder, stop in zip(folders, stops, strict=True)
-        if not _is_there(rig, folder, stop)
-    ]
-    brake_all(todo, lambda done: say(f"stop {len(stops) - len(todo) + done} of {len(stops)} done"))
-    if why := records.not_valid(folders):
-        raise ConfigError("; ".join([why[0], *(f"the stops show {one}" for one in shown(folders))]))
+def _run_missing(rig: str, out: Path, rows: Sequence[Row], seed: int, log: Log) -> list[Path]:
+    """Return the folders of all stops, after those that are missing have been run."""
+    folders = [out / "stops" / f"{number:02d}" for number in range(1, len(rows) + 1)]
+    jobs = []
+    for folder, row in zip(folders, rows, strict=True):
+        stop = _stop_of(row)
+        if not _has_run(rig, folder, stop):
+            jobs.append((rig, folder, stop, seed))
+    already_there = len(rows) - len(jobs)
+    brake_all(jobs, lambda done: log(f"stop {already_there + done} of {len(rows)} done"))
+
+    not_valid = records.not_valid(folders)
+    if not_valid:
+        shown = [f"the stops show {fault}" for fault in common_faults(folders)]
+        raise ConfigError("; ".join([not_valid[0], *shown]))
     return folders
 
 
+def _has_run(rig: str, folder: Path, stop: Stop) -> bool:
+    """Whether a folder holds a valid run of this stop of this rig."""
+    summary = records.summary(folder)
+    if not summary or summary["invalid_because"]:
+        return False
+    return bool(summary["config_hash"] == scenario.digest(plan_of(rig, stop)))
+
+
 def brake_all(jobs: Sequence[tuple[str, Path, Stop, int]], done: Callable[[int], None]) -> None:
-    """Run stops, one a core; `done` is told how many have been."""
-    cores = (
-        len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    )
-    with children.pool(max(min(cores, len(jobs)), 1)) as pool:
+    """Run stops in parallel, one per core; `done` receives the number of completed stops."""
+    cores = os.cpu_count() or 1
+    # the process may be limited to some of the cores
+    if hasattr(os, "sched_getaffinity"):
+        cores = len(os.sched_getaffinity(0))
+    workers = max(min(cores, len(jobs)), 1)
+    with children.pool(workers) as pool:
         for count, _ in enumerate(pool.map(brake, jobs), start=1):
             done(count)
 
 
-def _is_there(rig: str, folder: Path, stop: dict[str, Any]) -> bool:
-    found = records.summary(folder)
-    return (
-        bool(found)
-        and not found["invalid_because"]
-        and found["config_hash"]
-        == scenario.digest(plan_of(rig, Stop(*(stop[key] for key in Stop._fields))))
-    )
+def brake(job: tuple[str, Path, Stop, int]) -> Path:
+    """Run one stop on a separate bench; return its folder.
+
+    The pacing is free, but lockstep if a fault acts over the bus. `job` is (rig, folder, stop,
+    seed).
+    """
+    rig, folder, stop, seed = job
+    plan = plan_of(rig, stop)
+    needs_no_bus = all(fault.kind.acts == catalogue.TICK for fault in plan.faults)
+    pacing = "free" if needs_no_bus else "lockstep"
+    with options.waiting_processes() as processes:
+        how = options.Options(
+            pacing=pacing,
+            out=folder,
+            seed=seed,
+            recorder=processes["recorder"],
+        )
+        asyncio.run(bench.Bench(plan, how, lambda progress: None).run())
+    return folder
 
 
 def plan_of(rig: str, stop: Stop) -> scenario.Scenario:
-    """The scenario of one stop of a rig. Raises ConfigError."""
-    given, path = store.load("scenarios", rig)
+    """Return the scenario of one stop of a rig. Raises ConfigError."""
+    content, path = store.load("scenarios", rig)
+    head: dict[str, Any] = {"initial_speed_m_s": stop.initial_speed_m_s, "stand_s": 0.0}
     tables: dict[str, Any] = {
         "vehicle": {"mass_kg": stop.mass_kg},
         "bus": {"socketcand_port": 0},
         "demand": [{"from_s": RELEASED_S, "pressure_Pa": stop.pressure_Pa}],
     }
-    head: dict[str, Any] = {"initial_speed_m_s": stop.initial_speed_m_s, "stand_s": 0.0}
     if stop.held_s:
-        tables["rig"], head["duration_max_s"] = {"speed": "held"}, RELEASED_S + stop.held_s
-    # the others brake later, to bring the vehicle to a stop
-    vented = [
-        f"vent_magnet_stuck axle={j} for={LONGEST_S:g}"
-        for j in range(1, 5)
-        if stop.axle and j != stop.axle
-    ]
-    return scenario.read(given | head, path, tables=tables, faults=tuple(vented))
+        tables["rig"] = {"speed": "held"}
+        head["duration_max_s"] = RELEASED_S + stop.held_s
 
-
-def brake(job: tuple[str, Path, Stop, int]) -> Path:
-    """Run one stop on a bench of its own, in free pacing but where a fault acts over the bus; returns its folder."""
-    rig, folder, stop, seed = job
-    plan = plan_of(rig, stop)
-    pacing = (
-        "free" if all(fault.kind.acts == catalogue.TICK for fault in plan.faults) else "lockstep"
-    )
-    with options.waiting_processes() as processes:
-        how = options.Options(pacing=pacing, out=folder, seed=seed, recorder=processes["recorder"])
-        asyncio.run(bench.Bench(plan, how, lambda progress: None).run())
-    return folder
+    faults: list[str] = []
+    if stop.axle:
+        # the other axles are vented; they brake afterwards, so that the vehicle comes to a stop
+        faults = [
+            f"vent_magnet_stuck axle={axle} for={LONGEST_S:g}"
+            for axle in range(1, AXLES + 1)
+            if axle != stop.axle
+        ]
+    return scenario.read(content | head, path, tables=tables, faults=tuple(faults))
 
 
 # --- rounds ---
 
 
-def _judged(
-    folders: Sequence[Path],
-    out: Path,
-    seed: int,
-    rounds: list[dict[str, Any]],
-    say: Say,
-    progress: Progress,
-) -> Diagnosis:
-    """What the stops tell, told and put down as a round."""
-    judged = [folders[JUDGED]]
-    faults = shown(folders)
+def _explain(folders: Sequence[Path], out: Path, seed: int, progress: Progress) -> Diagnosis:
+    """Return the diagnosis of the stops; its notes name the faults that the stops show.
+
+    Raises ConfigError, with these faults, if the stops cannot be explained.
+    """
+    held_out = [folders[HELD_OUT]]
+    fitted = [folder for folder in folders if folder not in held_out]
+    faults = common_faults(folders)
     try:
-        made = run_dataset.from_folders(
-            [one for one in folders if one not in judged],
+        written = run_dataset.from_folders(
+            fitted,
             out / "dataset",
-            judged,
+            held_out,
             run_sensors.NOISE,
             run_dataset.SLOWEST_M_S,
             LONGEST_S,
         )
-        account = decision.explain_braking_runs(
-            dataset.load(made)._replace(name=out.name), seed, progress
-        )
+        data = dataset.load(written)._replace(name=out.name)
+        diagnosis = decision.explain_braking_runs(data, seed, progress)
     except ConfigError as error:
-        raise ConfigError(
-            f"the stops show {', '.join(faults)}, and cannot be explained: {error}"
-            if faults
-            else str(error)
-        ) from None
-    account.notes.extend(f"the stops show a fault: {one}" for one in faults)
-    rounds.append(
-        {
-            "stops": len(folders),
-            "verdict": account.verdict,
-            "seconds": round(account.elapsed_s, 1),
-            "causes": [[named.score_test.name, *named.confusable] for named in account.causes],
-        }
-    )
-    say(_line(len(rounds), rounds[-1]))
-    return account
+        message = str(error)
+        if faults:
+            message = f"the stops show {', '.join(faults)}, and cannot be explained: {error}"
+        raise ConfigError(message) from None
+    diagnosis.notes.extend(f"the stops show a fault: {fault}" for fault in faults)
+    return diagnosis
 
 
-def _over(rounds: Sequence[dict[str, Any]], most: int) -> bool:
-    """Whether the budget is used up, or each cause stands alone, or nothing was found again and again."""
-    quiet = [one["verdict"] == "consistent" for one in rounds[-QUIET_ROUNDS:]]
-    return (
-        rounds[-1]["stops"] >= most
-        or (all(quiet) and len(quiet) == QUIET_ROUNDS)
-        or (
-            rounds[-1]["verdict"] == "explained"
-            and all(len(names) == 1 for names in rounds[-1]["causes"])
-        )
-    )
+def common_faults(folders: Sequence[Path]) -> list[str]:
+    """Return the faults that more than half of the stops show."""
+    signs: list[str] = []
+    for folder in folders:
+        signs += fault_signs.of(records.load(folder))
+    return [sign for sign in dict.fromkeys(signs) if signs.count(sign) > len(folders) / 2]
 
 
-def _line(number: int, found: dict[str, Any]) -> str:
-    named = " and ".join(" or ".join(names) for names in found["causes"]) or "no cause named"
-    return f"round {number}, {found['stops']} stops: {found['verdict']}: {named} ({found['seconds']:.0f} s)"
-
-
-def shown(folders: Sequence[Path]) -> list[str]:
-    """The faults that more than half of some stops show."""
-    found = [one for folder in folders for one in fault_signs.of(records.load(folder))]
-    return [one for one in dict.fromkeys(found) if found.count(one) > len(folders) / 2]
-
-
-def _further(
-    account: Diagnosis, stops: Sequence[dict[str, Any]], count: int, progress: Progress
-) -> list[dict[str, Any]]:
-    """The stops that part the causes still possible best, none of them run before."""
-    fitted = planning.FittedData(account.data, account.design, account.final)
-    done = {tuple(stop[key] for key in Stop._fields) for stop in stops}
-    lib = planning.library(fitted, planning.surviving(account), progress)
-    # first those that cannot be told from one another
-    unclear = {
-        name for n in account.causes if n.confusable for name in (n.score_test.name, *n.confusable)
+def _round_row(diagnosis: Diagnosis, stops: int) -> Row:
+    """Return a round as in discover.json; each cause is followed by its confusable ones."""
+    return {
+        "stops": stops,
+        "verdict": diagnosis.verdict,
+        "seconds": round(diagnosis.elapsed_s, 1),
+        "causes": [[cause.score_test.name, *cause.confusable] for cause in diagnosis.causes],
     }
-    new = [
-        p
-        for p in planning.propose(lib, count + len(stops), tuple(unclear))
-        if tuple(p.stop) not in done
-    ]
-    return [_told(p.stop, p.reason) for p in new[:count]]
+
+
+def _round_line(number: int, row: Row) -> str:
+    causes = " and ".join(" or ".join(names) for names in row["causes"]) or "no cause identified"
+    return (
+        f"round {number}, {row['stops']} stops: {row['verdict']}: {causes} ({row['seconds']:.0f} s)"
+    )
+
+
+def _is_over(rounds: Sequence[Row], most: int) -> bool:
+    """Whether the budget is used up, all causes are unique, or the last rounds found nothing."""
+    last = rounds[-1]
+    if last["stops"] >= most:
+        return True
+    quiet = [row["verdict"] == "consistent" for row in rounds[-QUIET_ROUNDS:]]
+    if len(quiet) == QUIET_ROUNDS and all(quiet):
+        return True
+    unique = all(len(names) == 1 for names in last["causes"])
+    return last["verdict"] == "explained" and unique
+
+
+def _further_stops(
+    diagnosis: Diagnosis, rows: Sequence[Row], count: int, progress: Progress
+) -> list[Row]:
+    """Return the new stops that best distinguish the causes still possible."""
+    fitted = planning.FittedData(diagnosis.data, diagnosis.design, diagnosis.final)
+    library = planning.library(fitted, planning.surviving(diagnosis), progress)
+    # causes that are confusable with each other come before all others
+    confusable: set[str] = set()
+    for cause in diagnosis.causes:
+        if cause.confusable:
+            confusable.update((cause.score_test.name, *cause.confusable))
+
+    done = {_stop_of(row) for row in rows}
+    # as many proposals more as there are stops: any of them may have been run already
+    proposals = planning.propose(library, count + len(rows), tuple(confusable))
+    new = [proposal for proposal in proposals if proposal.stop not in done]
+    return [_stop_row(proposal.stop, proposal.reason) for proposal in new[:count]]

@@ -1,8 +1,8 @@
-"""A rig that hides one or two effects: a scenario whose file tells nothing, and the key that tells in plain words."""
+"""A rig that hides one or two effects: a scenario that does not show them, and a key in words."""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import tomli_w
@@ -14,9 +14,10 @@ from rollerrig.realtime.record.files import writing
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.mechanisms.table import BY_NAME
 
+# the least and the largest value of each parameter of an effect
 Sizes = Mapping[str, tuple[float, float]]
-# what may be hidden, and from which size to which: two to four times what six stops are known to show (assumption).
-# A first parameter that may be negative has either sign
+# The mechanisms that may be hidden. The sizes are two to four times those that six stops are known
+# to show (assumption). If the first parameter may be negative, its sign is drawn.
 MECHANISMS: Mapping[str, Sizes] = {
     "rail_cleaning": {"gain": (0.12, 0.25)},
     "speed_dependent_friction": {"slope_per_m_s": (0.006, 0.012)},
@@ -43,78 +44,115 @@ MECHANISMS: Mapping[str, Sizes] = {
     },
     "sanding": {"gain": (0.15, 0.3), "start_s": (4.0, 7.0), "duration_s": (4.0, 8.0)},
 }
-# a fault of the catalogue whose doing is one of the causes
+# faults of the catalogue that may be hidden: the cause that has the same effect, and the sizes
 FAULTS: Mapping[str, tuple[str, Sizes]] = {
     "wheel_diameter_mismatch": ("wheel_radius", {"difference_percent": (0.3, 1.0)})
 }
 
 
-def drawn(seed: int, effects: int = 0) -> dict[str, Any]:
-    """What a rig hides: `mechanisms`, `fault`, the `causes` that `explain` calls them, and in `words`."""
+class _Effect(NamedTuple):
+    """A drawn effect: a mechanism or a fault by name, with the values of its parameters."""
+
+    name: str
+    cause: str
+    axle: int  # 0: all axles
+    values: dict[str, float]
+
+    @property
+    def words(self) -> str:
+        """A description for the key."""
+        where = f" on wheelset {self.axle}" if self.axle else ""
+        values = ", ".join(f"{key} = {value:g}" for key, value in self.values.items())
+        return f"{BY_NAME[self.cause].text}{where}: {self.name}, {values}"
+
+
+def draw(seed: int, effects: int = 0) -> dict[str, Any]:
+    """Return the hidden content of a rig, with one or two effects (0: either).
+
+    It holds `mechanisms` and `fault` as in a scenario, the `causes` by which `explain` calls the
+    effects, and a description of each effect in `words`.
+    """
     rng = np.random.default_rng((seed, 15))
     names = list(rng.permutation([*MECHANISMS, *FAULTS]))
-    found: dict[str, Any] = {"mechanisms": {}, "fault": [], "causes": [], "words": []}
-    for name in names[: effects or int(rng.integers(1, 3))]:
-        cause, sizes = FAULTS[name] if name in FAULTS else (str(name), MECHANISMS[name])
-        row = BY_NAME[cause].parameters[0]
-        values = {key: float(f"{rng.uniform(*bounds):.3g}") for key, bounds in sizes.items()}
-        first = next(iter(values))
-        values[first] *= rng.choice([-1.0, 1.0]) if row.low < 0.0 else 1.0
-        axle = int(rng.integers(1, 5)) if table.BY_NAME[cause].single_axles_only else 0
-        where = f" on wheelset {axle}" if axle else ""
+    count = effects or int(rng.integers(1, 3))
+
+    hidden: dict[str, Any] = {"mechanisms": {}, "fault": [], "causes": [], "words": []}
+    for name in names[:count]:
+        effect = _draw_effect(name, rng)
         if name in FAULTS:
-            found["fault"].append({"kind": name, "axle": axle} | values)
-        elif cause in found["causes"]:
+            fault = {"kind": name, "axle": effect.axle} | effect.values
+            hidden["fault"].append(fault)
+        elif effect.cause in hidden["causes"]:
+            # a fault with the same effect is already hidden
             continue
         else:
-            found["mechanisms"] |= {f"{name}_{key}": value for key, value in values.items()}
-            found["mechanisms"] |= {f"{name}_axle": float(axle)} if axle else {}
-        found["causes"].append(cause)
-        found["words"].append(
-            f"{BY_NAME[cause].text}{where}: {name}, "
-            + ", ".join(f"{key} = {value:g}" for key, value in values.items())
-        )
-    return found
+            for key, value in effect.values.items():
+                hidden["mechanisms"][f"{name}_{key}"] = value
+            if effect.axle:
+                hidden["mechanisms"][f"{name}_axle"] = float(effect.axle)
+        hidden["causes"].append(effect.cause)
+        hidden["words"].append(effect.words)
+    return hidden
+
+
+def _draw_effect(name: str, rng: np.random.Generator) -> _Effect:
+    """Return an effect with drawn values; the order of the draws decides what a seed hides."""
+    if name in FAULTS:
+        cause, sizes = FAULTS[name]
+    else:
+        cause = str(name)
+        sizes = MECHANISMS[name]
+    values = {key: float(f"{rng.uniform(*bounds):.3g}") for key, bounds in sizes.items()}
+    if BY_NAME[cause].parameters[0].low < 0.0:
+        first = next(iter(values))
+        values[first] *= rng.choice([-1.0, 1.0])
+    axle = 0
+    if table.BY_NAME[cause].single_axles_only:
+        axle = int(rng.integers(1, 5))
+    return _Effect(name, cause, axle, values)
 
 
 def hide(scenario: str, seed: int, effects: int, out: Path, key: Path) -> None:
     """Write a sealed rig that starts from a scenario, and its key. Raises ConfigError."""
     if seed < 0 or not 0 <= effects <= 2:
         raise ConfigError(
-            f"--seed {seed}, --effects {effects}: allowed are seeds from 0 on, and 1 or 2 effects (0: "
-            "either)"
+            f"--seed {seed}, --effects {effects}: the seed must be 0 or more; allowed are 1 or 2 "
+            "effects (0: either)"
         )
-    given, _ = store.load("scenarios", scenario)
-    if "sealed" in given:
+    content, _ = store.load("scenarios", scenario)
+    if "sealed" in content:
         raise ConfigError(
-            f"{scenario} is sealed already; give the scenario that it should start from"
+            f"{scenario} is already sealed; give the scenario that the sealed rig shall start from"
         )
-    hidden = drawn(seed, effects)
-    write(out, given, hidden)
+    hidden = draw(seed, effects)
+    write(out, content, hidden)
+    lines = "".join(f"- {words}\n" for words in hidden["words"])
     with writing(key):
         key.parent.mkdir(parents=True, exist_ok=True)
-        key.write_text(
-            f"{out.name} hides:\n" + "".join(f"- {words}\n" for words in hidden["words"]),
-            encoding="utf-8",
-        )
+        key.write_text(f"{out.name} hides:\n{lines}", encoding="utf-8")
 
 
-def write(out: Path, given: Mapping[str, Any], hidden: Mapping[str, Any]) -> None:
-    """Write a sealed rig: a scenario as plain data, and what it hides. Raises ConfigError."""
-    head = {
+def write(out: Path, scenario: Mapping[str, Any], hidden: Mapping[str, Any]) -> None:
+    """Write a sealed rig from a scenario as plain data and a hidden content. Raises ConfigError."""
+    content = {
+        **scenario,
         "title": "A rig that hides something",
         "sealed": seal.encode(dict(hidden)).replace("\n", ""),
     }
+    head = (
+        "# The effects that this rig hides are encoded below. Its key describes them.\n"
+        f"# To find them from stops: rollerrig discover {out.name}\n"
+    )
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(
-            "# What this rig hides stands below, encoded; its key tells. To be found out from its stops:\n"
-            f"# rollerrig discover {out.name}\n" + tomli_w.dumps({**given, **head}),
-            encoding="utf-8",
-        )
+        out.write_text(head + tomli_w.dumps(content), encoding="utf-8")
 
 
 def causes(scenario: Path) -> set[str]:
-    """The causes that a sealed rig hides: for judging what was found, never for finding it. Raises ConfigError."""
-    given, at = store.load("scenarios", str(scenario))
-    return set(seal.decode(given.get("sealed", ""), f"{at}: sealed")["causes"])
+    """Return the causes that a sealed rig hides. Raises ConfigError.
+
+    This is for judging an answer, never for finding it.
+    """
+    content, path = store.load("scenarios", str(scenario))
+    hidden = seal.decode(content.get("sealed", ""), f"{path}: sealed")
+    return set(hidden["causes"])
