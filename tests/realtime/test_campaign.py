@@ -1,4 +1,4 @@
-"""Campaigns: the same result however the runs are spread, whatever is killed on the way."""
+"""Campaigns: the result does not depend on how the runs are spread, nor on killed processes."""
 
 import json
 import os
@@ -10,12 +10,13 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.campaign import campaign
+from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.reports import campaign as report
 
 PLAN = """
@@ -36,7 +37,9 @@ initial_speed_m_s = 3.0
 pressure_Pa = 3.8e5
 """
 MATRIX = '"adhesion.mu_cd" = [0.03, 0.06, 0.1]\ninitial_speed_m_s = [2.0, 3.0, 4.0, 5.0]'
-RANGES = '"adhesion.mu_cd" = { low = 0.03, high = 0.1, log = true }\ninitial_speed_m_s = { low = 2.0, high = 5.0 }'
+RANGES = """"adhesion.mu_cd" = { low = 0.03, high = 0.1, log = true }
+initial_speed_m_s = { low = 2.0, high = 5.0 }"""
+RUNS = 12  # of both designs
 
 
 @pytest.fixture
@@ -56,37 +59,75 @@ def content(out: Path) -> dict[str, list]:
 
 
 def run_serially(plan, out, chunks=None) -> None:
-    for chunk in campaign.open_result(plan, out) if chunks is None else chunks:
+    """Run chunks one after another; by default those that are missing."""
+    if chunks is None:
+        chunks = campaign.open_result(plan, out)
+    for chunk in chunks:
         campaign.write_chunk(out, chunk, campaign.run_chunk(plan, chunk))
+
+
+def write_times_ns(out: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in (out / "results").glob("*.parquet")}
+
+
+def assert_unchanged(times_ns: dict[Path, int]) -> None:
+    for path, time_ns in times_ns.items():
+        assert path.stat().st_mtime_ns == time_ns
+
+
+def campaign_command(plan: str, out: Path) -> list[str]:
+    """Return the command of a campaign with one worker."""
+    program = [sys.executable, "-m", "rollerrig.realtime.cli"]
+    return [*program, "campaign", plan, "--workers", "1", "--out", str(out)]
 
 
 def test_a_matrix_runs_every_combination_once(plan_file, tmp_path):
     plan = campaign.load(plan_file())
     run_serially(plan, tmp_path / "out")
     rows = content(tmp_path / "out")
-    assert rows["run"] == list(range(12))
-    assert len(set(zip(rows["adhesion.mu_cd"], rows["initial_speed_m_s"], strict=True))) == 12
+    assert rows["run"] == list(range(RUNS))
+    combinations = set(zip(rows["adhesion.mu_cd"], rows["initial_speed_m_s"], strict=True))
+    assert len(combinations) == RUNS
     assert all(rows["stopped"])
-    assert rows["error"] == [None] * 12
+    assert rows["error"] == [None] * RUNS
+
+
+def test_a_run_that_does_not_stop_in_its_time_has_the_fields_that_statistics_read(
+    plan_file, tmp_path
+):
+    plan = campaign.load(plan_file(vary="duration_max_s = [1.5, 60.0]"))
+    run_serially(plan, tmp_path / "out")
+    rows = content(tmp_path / "out")
+    assert rows["valid"] == [False, True]
+    assert rows["stopped"] == [False, True]
+    assert rows["stop_distance_m"][0] is None
+    counts, distance_m = stopping.counted(campaign.result(tmp_path / "out"))
+    assert counts.tolist() == [True, True]
+    assert np.isinf(distance_m).tolist() == [True, False]
 
 
 @pytest.mark.parametrize("design", campaign.DESIGNS[1:])
 def test_a_random_design_repeats_and_stays_within_its_bounds(plan_file, design):
-    first, second = (campaign.load(plan_file(design, RANGES)) for _ in range(2))
+    first = campaign.load(plan_file(design, RANGES))
+    second = campaign.load(plan_file(design, RANGES))
     assert first.points == second.points
-    assert len(set(first.points)) == 12
-    assert all(0.03 <= mu <= 0.1 and 2.0 <= speed <= 5.0 for mu, speed in first.points)
+    assert len(set(first.points)) == RUNS
+    for mu_cd, speed_m_s in first.points:
+        assert 0.03 <= mu_cd <= 0.1
+        assert 2.0 <= speed_m_s <= 5.0
 
 
-def test_a_campaign_that_was_cut_off_computes_only_what_is_missing(plan_file, tmp_path):
-    plan, out = campaign.load(plan_file()), tmp_path / "out"
-    todo = campaign.open_result(plan, out)
-    run_serially(plan, out, todo[:4])
-    before = {path: path.stat().st_mtime_ns for path in (out / "results").iterdir()}
-    assert campaign.open_result(plan, out) == todo[4:]
+def test_a_campaign_that_was_interrupted_computes_only_the_missing_chunks(plan_file, tmp_path):
+    plan = campaign.load(plan_file())
+    out = tmp_path / "out"
+    missing = campaign.open_result(plan, out)
+    run_serially(plan, out, missing[:4])
+    before = write_times_ns(out)
+    assert len(before) == 4
+    assert campaign.open_result(plan, out) == missing[4:]
     run_serially(plan, out)
-    assert all(path.stat().st_mtime_ns == then for path, then in before.items())
-    assert content(out)["run"] == list(range(12))
+    assert_unchanged(before)
+    assert content(out)["run"] == list(range(RUNS))
 
 
 def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
@@ -96,7 +137,7 @@ def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("design", "vary", "says"),
+    ("design", "vary", "message"),
     [
         ("matrix", '"adhesion.mu_cd" = 0.05', "list of values"),
         ("sobol", '"adhesion.mu_cd" = [0.03, 0.06]', "low = "),
@@ -105,8 +146,8 @@ def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
         ("matrix", '"adhesion.mu_cd" = [7.0]', "out of range"),
     ],
 )
-def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, says):
-    with pytest.raises(ConfigError, match=says):
+def test_a_bad_plan_is_refused_before_the_first_run(plan_file, design, vary, message):
+    with pytest.raises(ConfigError, match=message):
         campaign.load(plan_file(design, vary))
 
 
@@ -114,28 +155,32 @@ def test_the_worst_runs_are_worst_in_the_direction_of_their_figure(plan_file):
     plan = campaign.load(plan_file())
     table = pa.table(
         {
-            "run": range(12),
-            "invalid_because": pa.nulls(12),
-            "stop_distance_m": [*map(float, range(11)), None],
-            "adhesion_mean": [0.1 + 0.01 * k for k in range(12)],
+            "run": range(RUNS),
+            "invalid_because": pa.nulls(RUNS),
+            "stop_distance_m": [*map(float, range(RUNS - 1)), None],
+            "adhesion_mean": [0.1 + 0.01 * k for k in range(RUNS)],
         }
     )
-    assert [row["run"] for row in report.worst(plan, table, "stop_distance_m")] == [11, 10, 9, 8, 7]
-    assert [row["run"] for row in report.worst(plan, table, "adhesion_mean")] == [0, 1, 2, 3, 4]
+    longest = [row["run"] for row in report.worst(plan, table, "stop_distance_m")]
+    assert longest == [11, 10, 9, 8, 7]
+    least_adhesion = [row["run"] for row in report.worst(plan, table, "adhesion_mean")]
+    assert least_adhesion == [0, 1, 2, 3, 4]
 
 
 def test_the_page_shows_every_figure_against_what_was_varied(plan_file, tmp_path):
     plan = campaign.load(plan_file())
     run_serially(plan, tmp_path)
     page = report.write(plan, campaign.result(tmp_path), tmp_path, "stop_distance_m").read_text()
-    assert page.count("<svg") == 2  # a map over two inputs, and figures against each
+    # a map over two inputs, and the figures against each input
+    assert page.count("<svg") == 2
     assert page.index("Worst stop distance") < page.index("<svg")
     assert "rollerrig run " in page
-    assert all(name in page for name in (*plan.axes, "stop distance, m", "energy of sliding, MJ"))
+    for name in (*plan.axes, "stop distance, m", "energy of sliding, MJ"):
+        assert name in page
 
 
 def dying_unit():
-    """A unit whose process dies the first time that it is asked, and holds the brakes ever after."""
+    """Return a unit that kills its process in its first call; later it energises no magnet."""
     dead = Path(os.environ["ROLLERRIG_TEST_DEAD"])
 
     def unit(_inputs) -> int:
@@ -154,62 +199,48 @@ def test_a_worker_that_dies_costs_no_run(plan_file, tmp_path, monkeypatch):
     for chunk, rows in campaign.spread_local(plan, campaign.open_result(plan, out), 2):
         campaign.write_chunk(out, chunk, rows)
     assert (tmp_path / "dead").exists()
-    assert content(out)["run"] == list(range(12))
+    assert content(out)["run"] == list(range(RUNS))
     assert all(content(out)["stopped"])
 
 
-def test_a_campaign_that_is_killed_goes_on_where_it_was(plan_file, tmp_path):
+def test_a_campaign_that_was_killed_continues_where_it_stopped(plan_file, tmp_path):
     out = tmp_path / "out"
-    command = [
-        sys.executable,
-        "-m",
-        "rollerrig.realtime.cli",
-        "campaign",
-        plan_file(),
-        "--workers",
-        "1",
-        "--out",
-        str(out),
-    ]
-    first = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
-    until = time.monotonic() + 120.0
-    while len(list((out / "results").glob("*.parquet"))) < 2 and time.monotonic() < until:
+    command = campaign_command(plan_file(), out)
+    killed = subprocess.Popen(command, stderr=subprocess.DEVNULL, start_new_session=True)
+    until_s = time.monotonic() + 120.0
+    while len(write_times_ns(out)) < 2 and time.monotonic() < until_s:
         time.sleep(0.02)
-    os.killpg(first.pid, signal.SIGKILL)
-    first.wait()
-    done = {path: path.stat().st_mtime_ns for path in (out / "results").glob("*.parquet")}
-    assert len(done) >= 2
-    again = subprocess.run([*command, "--json"], capture_output=True, text=True)
-    assert again.returncode == 0, again.stderr
-    assert json.loads(again.stdout)["runs"] == 12
-    assert all(path.stat().st_mtime_ns == then for path, then in done.items())
+    os.killpg(killed.pid, signal.SIGKILL)
+    killed.wait()
+    before = write_times_ns(out)
+    assert len(before) >= 2
+
+    second = subprocess.run([*command, "--json"], capture_output=True, text=True)
+    assert second.returncode == 0, second.stderr
+    assert json.loads(second.stdout)["runs"] == RUNS
+    assert_unchanged(before)
 
 
-def test_a_full_disk_ends_a_campaign_with_status_2_and_keeps_what_is_done(plan_file, tmp_path):
-    plan, out = campaign.load(plan_file()), tmp_path / "out"
-    todo = campaign.open_result(plan, out)
-    run_serially(plan, out, todo[:2])
-    kept = {path: path.read_bytes() for path in (out / "results").iterdir()}
-    full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))  # noqa: E731
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
-            "campaign",
-            plan_file(),
-            "--workers",
-            "1",
-            "--out",
-            str(out),
-        ],
+def test_a_full_disk_stops_a_campaign_with_status_2_and_finished_chunks_are_kept(
+    plan_file, tmp_path
+):
+    plan = campaign.load(plan_file())
+    out = tmp_path / "out"
+    run_serially(plan, out, campaign.open_result(plan, out)[:2])
+    before = {path: path.read_bytes() for path in (out / "results").iterdir()}
+
+    def limit_file_size() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))
+
+    process = subprocess.run(
+        campaign_command(plan_file(), out),
         capture_output=True,
         text=True,
-        preexec_fn=full,
+        preexec_fn=limit_file_size,
     )
-    assert done.returncode == 2
-    assert "make room" in done.stderr
-    assert {path: path.read_bytes() for path in (out / "results").iterdir()} == kept
+    assert process.returncode == 2
+    assert "make room" in process.stderr
+    assert {path: path.read_bytes() for path in (out / "results").iterdir()} == before
 
 
 def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(plan_file, tmp_path):
@@ -220,25 +251,26 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(pla
     workers = [start_worker(address) for _ in range(3)]
     try:
         out = tmp_path / "cluster"
-        for done, (chunk, rows) in enumerate(
-            campaign.spread_dask(plan, campaign.open_result(plan, out), address)
-        ):
+        chunks = campaign.open_result(plan, out)
+        for count, (chunk, rows) in enumerate(campaign.spread_dask(plan, chunks, address)):
             campaign.write_chunk(out, chunk, rows)
-            if done == 0:
+            if count == 0:
                 workers[0].send_signal(signal.SIGKILL)
     finally:
         for process in (*workers, scheduler):
             process.kill()
             process.wait()
-    parts = sorted(path.name for path in (tmp_path / "local" / "results").iterdir())
-    assert sorted(path.name for path in (out / "results").iterdir()) == parts
-    for name in parts:
-        assert pq.read_table(out / "results" / name).equals(
-            pq.read_table(tmp_path / "local" / "results" / name)
-        )
+
+    local = tmp_path / "local" / "results"
+    names = sorted(path.name for path in local.iterdir())
+    assert sorted(path.name for path in (out / "results").iterdir()) == names
+    for name in names:
+        from_cluster = pq.read_table(out / "results" / name)
+        assert from_cluster.equals(pq.read_table(local / name))
 
 
 def start_scheduler() -> tuple[subprocess.Popen, str]:
+    """Start a Dask scheduler; return its process and its address when it listens."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -255,8 +287,8 @@ def start_scheduler() -> tuple[subprocess.Popen, str]:
         ],
         stderr=subprocess.DEVNULL,
     )
-    until = time.monotonic() + 60.0
-    while time.monotonic() < until:
+    until_s = time.monotonic() + 60.0
+    while time.monotonic() < until_s:
         with socket.socket() as probe:
             if not probe.connect_ex(("127.0.0.1", port)):
                 return process, f"tcp://127.0.0.1:{port}"

@@ -1,4 +1,4 @@
-"""Statistics of stopping distances: bounds that hold as often as they say, and inputs that drive the tail."""
+"""Statistics of stopping distances: the confidence of bounds, and the drivers of the tail."""
 
 import math
 
@@ -9,21 +9,22 @@ import pytest
 from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.reports import campaign as report
 
+NOT_STOPPED = "the coach did not stop within 180 s (duration_max_s)"
 
-def runs(distance_m, **more):
-    """The result of a campaign with these distances; NaN: it did not stop."""
-    why = [
-        None if math.isfinite(d) else "the coach did not stop within 180 s (duration_max_s)"
-        for d in distance_m
-    ]
-    return pa.table(
-        {
-            "stop_distance_m": [d if math.isfinite(d) else None for d in distance_m],
-            "error": pa.nulls(len(why), pa.string()),
-            "invalid_because": pa.array(why, pa.string()),
-        }
-        | more
-    )
+
+def runs(distance_m, **inputs):
+    """Return the result of a campaign with these distances; NaN: the coach did not stop."""
+    stopped = [math.isfinite(distance) for distance in distance_m]
+    known_m = [distance if math.isfinite(distance) else None for distance in distance_m]
+    reasons = [None if has_stopped else NOT_STOPPED for has_stopped in stopped]
+    columns = {
+        "stop_distance_m": known_m,
+        "stopped": stopped,
+        "valid": stopped,
+        "invalid_because": pa.array(reasons, pa.string()),
+        "error": pa.nulls(len(stopped), pa.string()),
+    }
+    return pa.table(columns | inputs)
 
 
 def plan(design="random", axes=("a", "b")):
@@ -48,17 +49,21 @@ def test_the_ranks_are_those_of_wilks(count, quantile, rank):
 
 
 @pytest.mark.parametrize("quantile", [0.5, 0.9, 0.95])
-def test_a_bound_lies_above_its_quantile_as_often_as_it_says(quantile):
-    rng, count, tries = np.random.default_rng(5), 80, 4000
+def test_a_bound_lies_above_its_quantile_with_the_stated_confidence(quantile):
+    rng = np.random.default_rng(5)
+    count, tries = 80, 4000
     drawn = np.sort(rng.exponential(size=(tries, count)), axis=1)
-    above = drawn[:, stopping.rank(count, quantile) - 1] >= -math.log1p(-quantile)
-    # the rank is whole, so the confidence is a little more than asked for, and never less
+    true_quantile = -math.log1p(-quantile)
+
+    # a rank is a whole number, so the confidence is a little above the required one, never below
+    place = stopping.rank(count, quantile) - 1
+    above = drawn[:, place] >= true_quantile
     assert stopping.CONFIDENCE - 0.01 <= above.mean() <= 1.0
-    one_less = drawn[:, stopping.rank(count, quantile) - 2] >= -math.log1p(-quantile)
-    assert one_less.mean() < stopping.CONFIDENCE + 0.01
+    above_by_lower_rank = drawn[:, place - 1] >= true_quantile
+    assert above_by_lower_rank.mean() < stopping.CONFIDENCE + 0.01
 
 
-def test_runs_that_did_not_stop_are_longer_than_any_and_failed_ones_count_nowhere():
+def test_runs_that_did_not_stop_are_longer_than_any_other_and_failed_runs_do_not_count():
     table = runs([*range(100, 195), *[math.nan] * 5])
     counts, distance_m = stopping.counted(table)
     assert counts.all()
@@ -70,23 +75,40 @@ def test_runs_that_did_not_stop_are_longer_than_any_and_failed_ones_count_nowher
         "estimate_m": 194.0,
         "bound_m": None,
     }
-    failed = table.set_column(
-        1, "error", pa.array([*[None] * 95, *["no such vehicle"] * 5], pa.string())
+
+    # a run that failed has an error, and no other result
+    columns = {name: table[name].to_pylist() for name in table.column_names}
+    for name in ("stopped", "valid", "invalid_because"):
+        columns[name][95:] = [None] * 5
+    columns["error"][95:] = ["no such vehicle"] * 5
+    assert stopping.counted(pa.table(columns))[1].tolist() == list(range(100, 195))
+
+
+def test_no_fact_about_a_run_is_read_from_its_sentences():
+    table = runs([*range(100, 110), math.nan])
+    place = table.column_names.index("invalid_because")
+    other_words = pa.array([*[None] * 10, "other words"], pa.string())
+    reworded = table.set_column(place, "invalid_because", other_words)
+    assert stopping.counted(reworded)[1][-1] == math.inf
+    # these words do not make a valid run one that did not stop
+    valid = runs([100.0, 101.0]).set_column(
+        place, "invalid_because", pa.array([NOT_STOPPED, None], pa.string())
     )
-    assert stopping.counted(failed)[1].tolist() == list(range(100, 195))
+    assert stopping.counted(valid)[1].tolist() == [100.0, 101.0]
 
 
-def test_the_input_that_drives_the_distance_comes_first_and_one_of_the_tail_alone_is_seen_there():
+def test_the_input_that_drives_all_distances_comes_first_and_a_driver_of_the_tail_shows_there():
     rng = np.random.default_rng(3)
-    a, b = rng.random(400), rng.random(400)
+    a = rng.random(400)
+    b = rng.random(400)
     table = runs(100.0 + 10.0 * a + 100.0 * np.maximum(b - 0.9, 0.0), a=a, b=b)
-    found = {key: (whole, tail) for key, whole, tail in stopping.drivers(plan(), table)}
-    assert next(iter(found)) == "a"
-    assert found["a"][0] > 0.8
-    assert found["b"][1] > found["b"][0] + 0.3
+    (first, all_of_a, _), (second, all_of_b, tail_of_b) = stopping.drivers(plan(), table)
+    assert (first, second) == ("a", "b")
+    assert all_of_a > 0.8
+    assert tail_of_b > all_of_b + 0.3
 
 
-def test_the_page_says_that_it_is_no_certificate_and_a_matrix_gives_no_statistics():
+def test_the_page_states_that_it_is_no_certificate_and_a_matrix_gives_no_statistics():
     a = np.linspace(0.0, 1.0, 60)
     table = runs(100.0 + a, a=a, b=a)
     text = "".join(report._stopping(plan(), table))
