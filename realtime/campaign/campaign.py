@@ -1,8 +1,9 @@
-"""Many runs from one plan: a matrix or a random design over any value of a scenario.
+"""Many runs from one plan: a matrix or a random design over any values of a scenario.
 
-A plan is resolved into numbered runs, cut into chunks; a chunk is one file of the result, written whole when its runs
-are done. So a campaign that was killed goes on where it stopped, nothing that is done is computed again, and the result
-is the same however the chunks were spread: over the cores of this machine, or over a Dask cluster.
+A plan is resolved into numbered runs, and these are cut into chunks. A chunk is one file of the
+result. It is written whole when its runs are done. Therefore a campaign that was killed continues
+where it stopped, and no finished run is computed again. The result does not depend on how the
+chunks were spread: over the cores of this machine, or over a Dask cluster.
 """
 
 import hashlib
@@ -30,6 +31,7 @@ from rollerrig.realtime.record import figures, summary
 from rollerrig.realtime.record.files import replaced, writing
 
 DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
+# keys at the top of a plan
 ROWS = (
     choice("title", "", (), "a sentence"),
     choice("scenario", "velim_a1", (), "configs/scenarios"),
@@ -39,46 +41,59 @@ ROWS = (
     integer("seed", 0, 0, 2**31 - 1, "of a random design"),
     integer("chunk", 20, 1, 10_000, "runs in one file of the result"),
 )
+# keys of a range in [vary]
 RANGE = (
     table.number("low", None, -1e300, 1e300, "-"),
     table.number("high", None, -1e300, 1e300, "-"),
     table.flag("log", False, "spread evenly in the logarithm"),
 )
-# how often worker processes of this machine may die before a campaign gives up
+# units that a campaign knows without importing a module
+_NAMED_UNITS = ("reference", "none")
+# after worker processes of this machine have died so often, a campaign stops with an error
 DEATHS = 4
+
+Row = dict[str, Any]  # one run of the result, by the names of its columns
 
 
 class Plan(NamedTuple):
-    """A campaign: `axes` names the varied values, `points` holds a row of them for each run."""
+    """A campaign: `axes` are the names of the varied values, `points` has a row of them per run."""
 
-    head: dict[str, Any]
+    head: dict[str, Any]  # by the names of ROWS
     axes: tuple[str, ...]
     points: tuple[tuple[Any, ...], ...]
     first: int = 0  # number of the first run in `points`
 
     @property
     def chunks(self) -> range:
-        return range(-(-len(self.points) // self.head["chunk"]))
+        """The numbers of all chunks; the last chunk may be smaller."""
+        size = self.head["chunk"]
+        # rounded up
+        return range(-(-len(self.points) // size))
+
+
+# --- the plan ---
 
 
 def load(name: str, **heads: Any) -> Plan:
-    """A plan by name or path, with other head values. Raises ConfigError.
+    """Return a plan by name or path; `heads` replace values at its top. Raises ConfigError.
 
-    The first and the last run are resolved to find bad values early.
+    The first and the last run are resolved, to find bad values early.
     """
-    given, path = store.load("campaigns", name)
-    given = given | heads
-    vary = given.pop("vary", {})
-    head = table.read(ROWS, given, str(path))
+    content, path = store.load("campaigns", name)
+    content = content | heads
+    vary = content.pop("vary", {})
+    head = table.read(ROWS, content, str(path))
     if not isinstance(vary, dict) or not vary:
         raise ConfigError(
-            f'{path}: [vary] names nothing; write, as in "adhesion.mu_cd" = [0.03, 0.06] or '
-            "{ low = 0.03, high = 0.1 }"
+            f"{path}: [vary] is empty, so no value is varied; write, for example, "
+            '"adhesion.mu_cd" = [0.03, 0.06] or { low = 0.03, high = 0.1 }'
         )
-    scene = head["scenario"]
-    if scene.endswith(".toml"):
-        head["scenario"] = str(store.find("scenarios", scene, path).resolve())
-    points = _matrix(vary, path) if head["design"] == "matrix" else _random(vary, head, path)
+    # the path of a scenario is relative to the plan, but workers may run elsewhere
+    if head["scenario"].endswith(".toml"):
+        head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
+
+    is_matrix = head["design"] == "matrix"
+    points = _matrix(vary, path) if is_matrix else _random(vary, head, path)
     plan = Plan(head, tuple(vary), tuple(points))
     _unit(head["unit"])
     resolve(plan, 0)
@@ -87,52 +102,69 @@ def load(name: str, **heads: Any) -> Plan:
 
 
 def _matrix(vary: Mapping[str, Any], path: Path) -> list[tuple[Any, ...]]:
+    """Return all combinations of the listed values."""
     for key, values in vary.items():
         if not isinstance(values, list) or not values:
             raise ConfigError(
-                f"{path} [vary] {key} = {values!r}: a matrix wants a list of values; for a range set "
-                'design = "sobol"'
+                f"{path} [vary] {key} = {values!r}: a matrix needs a list of values; "
+                'for a range set design = "sobol"'
             )
     return list(itertools.product(*vary.values()))
 
 
 def _random(vary: Mapping[str, Any], head: dict[str, Any], path: Path) -> list[tuple[Any, ...]]:
-    bounds = []
-    for key, span in vary.items():
-        if not isinstance(span, dict):
-            raise ConfigError(
-                f"{path} [vary] {key} = {span!r}: a {head['design']} design wants "
-                '{ low = ..., high = ... }; for a list set design = "matrix"'
-            )
-        span = table.read(RANGE, span, f"{path} [vary] {key}")
-        if not span["low"] < span["high"] or (span["log"] and span["low"] <= 0.0):
-            raise ConfigError(
-                f"{path} [vary] {key}: low = {span['low']:g} and high = {span['high']:g} "
-                "must rise, and be above 0 where log = true"
-            )
-        bounds.append(span)
-    design, runs, seed = head["design"], head["runs"], head["seed"]
-    if design == "random":
-        sample = np.random.default_rng(seed).random((runs, len(bounds)))
-    elif design == "sobol":
-        # a Sobol sequence is balanced only in powers of two; take the first of enough
-        sample = qmc.Sobol(len(bounds), rng=seed).random_base2(max(runs - 1, 1).bit_length())[:runs]
-    else:
-        kind = qmc.Halton if design == "halton" else qmc.LatinHypercube
-        sample = kind(len(bounds), rng=seed).random(runs)
-    return [
-        tuple(
-            span["low"] * (span["high"] / span["low"]) ** share
-            if span["log"]
-            else span["low"] + (span["high"] - span["low"]) * share
-            for share, span in zip(row, bounds, strict=True)
+    """Return the points of a random design, one per run."""
+    spans = [_span(key, span, head["design"], path) for key, span in vary.items()]
+    points = []
+    for shares in _unit_cube(head, len(spans)).tolist():
+        values = [_at(span, share) for share, span in zip(shares, spans, strict=True)]
+        points.append(tuple(values))
+    return points
+
+
+def _span(key: str, span: Any, design: str, path: Path) -> dict[str, Any]:
+    """Return the checked range of one varied value, by the names of RANGE."""
+    where = f"{path} [vary] {key}"
+    if not isinstance(span, dict):
+        raise ConfigError(
+            f"{where} = {span!r}: a {design} design needs a range "
+            '{ low = ..., high = ... }; for a list set design = "matrix"'
         )
-        for row in sample.tolist()
-    ]
+    checked = table.read(RANGE, span, where)
+    low, high = checked["low"], checked["high"]
+    if not low < high or (checked["log"] and low <= 0.0):
+        raise ConfigError(
+            f"{where}: low = {low:g} and high = {high:g} must rise, and be above 0 if log = true"
+        )
+    return checked
+
+
+def _unit_cube(head: dict[str, Any], dimensions: int) -> np.ndarray:
+    """Return the sample of a design between 0 and 1, shape (runs, dimensions)."""
+    design = head["design"]
+    runs = head["runs"]
+    seed = head["seed"]
+    if design == "random":
+        return np.random.default_rng(seed).random((runs, dimensions))
+    if design == "sobol":
+        # a Sobol sequence is balanced only in powers of two; take the first points of enough
+        exponent = max(runs - 1, 1).bit_length()
+        return np.asarray(qmc.Sobol(dimensions, rng=seed).random_base2(exponent)[:runs])
+    kind = qmc.Halton if design == "halton" else qmc.LatinHypercube
+    return np.asarray(kind(dimensions, rng=seed).random(runs))
+
+
+def _at(span: Mapping[str, Any], share: float) -> float:
+    """Return the value at a share of a range, from 0 (low) to 1 (high)."""
+    low, high = span["low"], span["high"]
+    if span["log"]:
+        return float(low * (high / low) ** share)
+    return float(low + (high - low) * share)
 
 
 def _unit(name: str) -> str | free.UnitCall:
-    if name in ("reference", "none"):
+    """Return the unit of a plan. Raises ConfigError if it cannot be imported."""
+    if name in _NAMED_UNITS:
         return name
     module, _, function = name.partition(":")
     try:
@@ -140,46 +172,51 @@ def _unit(name: str) -> str | free.UnitCall:
     except (ImportError, AttributeError, ValueError) as error:
         raise ConfigError(
             f'unit = "{name}": {error}; write reference, none, or package.module:function, '
-            "a function that returns a unit: a call from 8 integers to a byte"
+            "where the function returns a unit: a call from 8 integers to a byte"
         ) from None
 
 
 def resolve(plan: Plan, number: int) -> scenario.Scenario:
-    """The scenario of run `number`."""
+    """Return the scenario of run `number`."""
     return scenario.load(plan.head["scenario"], "", settings(plan, number))
 
 
 def settings(plan: Plan, number: int) -> tuple[str, ...]:
-    """What run `number` changes, as `--set` takes it."""
+    """Return the values that run `number` changes, in the form of `--set`."""
     values = plan.points[number - plan.first]
     return tuple(f"{key}={json.dumps(value)}" for key, value in zip(plan.axes, values, strict=True))
 
 
 def command(plan: Plan, number: int) -> str:
-    """The command line that replays a run with its record."""
-    sets = " ".join(f"--set {setting}" for setting in settings(plan, number))
-    unit = plan.head["unit"] if plan.head["unit"] in ("reference", "none") else "external"
-    pacing = "lockstep" if unit == "external" else "free"
-    return f"rollerrig run {plan.head['scenario']} --pacing {pacing} --wsp {unit} {sets}"
+    """Return the command line that repeats a run and records it."""
+    options = " ".join(f"--set {setting}" for setting in settings(plan, number))
+    unit = plan.head["unit"]
+    pacing = "free"
+    if unit not in _NAMED_UNITS:
+        unit = "external"
+        pacing = "lockstep"
+    return f"rollerrig run {plan.head['scenario']} --pacing {pacing} --wsp {unit} {options}"
+
+
+# --- a chunk ---
 
 
 def _piece(plan: Plan, chunk: int) -> Plan:
-    """The plan with the runs of one chunk, which is all that a worker needs."""
+    """Return the plan with the runs of one chunk only, which is all that a worker needs."""
     size = plan.head["chunk"]
     begin = chunk * size - plan.first
     return plan._replace(points=plan.points[begin : begin + size], first=chunk * size)
 
 
-def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
-    """Run one chunk; a row a run. One that fails has its error, one that is not valid its reasons, and no figures."""
-    piece, nothing = (
-        _piece(plan, chunk),
-        dict.fromkeys(
-            ("stopped", "valid", "invalid_because", *figures.BY_NAME, "config_hash", "error")
-        ),
-    )
-    rows: dict[int, dict[str, Any]] = {
-        number: {"run": number, **dict(zip(plan.axes, point, strict=True)), **nothing}
+def run_chunk(plan: Plan, chunk: int) -> list[Row]:
+    """Run one chunk; return one row per run.
+
+    A run that fails has an error and no figures. A run that is not valid has its reasons and no
+    figures.
+    """
+    piece = _piece(plan, chunk)
+    rows = {
+        number: _empty_row(plan, number, point)
         for number, point in enumerate(piece.points, start=piece.first)
     }
 
@@ -190,100 +227,111 @@ def run_chunk(plan: Plan, chunk: int) -> list[dict[str, Any]]:
             except RollerrigError as error:
                 row["error"] = str(error)
 
-    for number, one, channels in four_stops.together(resolved(), _unit(plan.head["unit"])):
-        found = summarize(one, channels, plan.head["unit"])
-        rows[number] |= {figure.name: figure.of(found) for figure in figures.FIGURES}
-        rows[number] |= {key: found[key] for key in ("stopped", "valid", "config_hash")}
-        rows[number]["invalid_because"] = "; ".join(found["invalid_because"]) or None
+    unit = _unit(plan.head["unit"])
+    for number, run_plan, channels in four_stops.together(resolved(), unit):
+        found = summarize(run_plan, channels, plan.head["unit"])
+        row = rows[number]
+        for figure in figures.FIGURES:
+            row[figure.name] = figure.of(found)
+        for key in ("stopped", "valid", "config_hash"):
+            row[key] = found[key]
+        row["invalid_because"] = "; ".join(found["invalid_because"]) or None
     return list(rows.values())
 
 
-def summarize(
-    plan: scenario.Scenario, channels: dict[str, np.ndarray], unit: str
-) -> dict[str, Any]:
-    """The summary of a run in memory, as a recorded run in free pacing has it."""
+def _empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
+    """Return the row of a run without results; the order of the keys is that of the columns."""
+    results = ("stopped", "valid", "invalid_because", *figures.BY_NAME, "config_hash", "error")
+    inputs = dict(zip(plan.axes, point, strict=True))
+    return {"run": number, **inputs, **dict.fromkeys(results)}
+
+
+def summarize(plan: scenario.Scenario, channels: dict[str, np.ndarray], unit: str) -> Row:
+    """Return the summary of a run in memory; it equals that of a recorded run in free pacing."""
     ticks = round(float(channels["time_s"][-1]) * plan["loop"]["tick_hz"])
-    return summary.of(
-        channels,
-        {
-            "pacing": "free",
-            "seed": 0,
-            "unit": unit,
-            "config_hash": scenario.digest(plan),
-            "scenario": plan.name,
-            "loop": {"ticks": ticks, "missed": 0},
-        },
-        plan.resolved,
-    )
+    counters = {
+        "pacing": "free",
+        "seed": 0,
+        "unit": unit,
+        "config_hash": scenario.digest(plan),
+        "scenario": plan.name,
+        "loop": {"ticks": ticks, "missed": 0},
+    }
+    return summary.of(channels, counters, plan.resolved)
 
 
 # --- the result ---
 
 
 def open_result(plan: Plan, out: Path) -> list[int]:
-    """Make or reopen a result folder; the chunks that are still to be done. Raises ConfigError."""
-    mark, text = (
-        out / "plan.json",
-        json.dumps([plan.head, plan.axes, plan.points, "valid"], sort_keys=True),
-    )
-    found = hashlib.sha256(text.encode()).hexdigest()[:16]  # what the folder belongs to
-    if mark.is_file() and json.loads(mark.read_text())["fingerprint"] != found:
+    """Create or open a result folder; return the chunks that are still missing.
+
+    Raises ConfigError if the folder holds the results of another plan.
+    """
+    # the word "valid" belongs to the version of the columns
+    identity = json.dumps([plan.head, plan.axes, plan.points, "valid"], sort_keys=True)
+    fingerprint = hashlib.sha256(identity.encode()).hexdigest()[:16]
+    mark = out / "plan.json"
+    if mark.is_file() and json.loads(mark.read_text())["fingerprint"] != fingerprint:
         raise ConfigError(
             f"{out} holds the results of another plan or version; give a new folder with --out, or "
             "remove it"
         )
+    content = {
+        "fingerprint": fingerprint,
+        "head": plan.head,
+        "axes": plan.axes,
+        "runs": len(plan.points),
+    }
     with writing(out):
         (out / "results").mkdir(parents=True, exist_ok=True)
-        mark.write_text(
-            json.dumps(
-                {
-                    "fingerprint": found,
-                    "head": plan.head,
-                    "axes": plan.axes,
-                    "runs": len(plan.points),
-                },
-                indent=1,
-            )
-        )
+        mark.write_text(json.dumps(content, indent=1))
     return [chunk for chunk in plan.chunks if not part(out, chunk).is_file()]
 
 
 def part(out: Path, chunk: int) -> Path:
-    """The file of one chunk."""
+    """Return the path of the file of one chunk."""
     return out / "results" / f"part-{chunk:06d}.parquet"
 
 
-def write_chunk(out: Path, chunk: int, rows: list[dict[str, Any]]) -> None:
-    """Put the rows of a chunk into its file, in one step. Raises RollerrigError where it cannot."""
+def write_chunk(out: Path, chunk: int, rows: list[Row]) -> None:
+    """Write the rows of a chunk to its file, in one step. Raises RollerrigError if it cannot."""
+    path = part(out, chunk)
+    try:
+        with replaced(path) as new:
+            pq.write_table(pa.Table.from_pylist(rows, schema=_schema(rows[0])), new)
+    except OSError as error:
+        raise RollerrigError(
+            f"{path}: cannot be written: {error}; finished chunks are kept: make room, and repeat "
+            "the command to continue"
+        ) from None
+
+
+def _schema(row: Row) -> pa.Schema:
+    """Return the types of all columns; a column may be empty in the rows of one chunk."""
     fixed = {
         "run": pa.int64(),
         "stopped": pa.bool_(),
         "valid": pa.bool_(),
         "vents": pa.int64(),
-        **dict.fromkeys(("invalid_because", "config_hash", "error"), pa.string()),
+        "invalid_because": pa.string(),
+        "config_hash": pa.string(),
+        "error": pa.string(),
     }
-    schema = pa.schema(
-        [
-            (key, fixed.get(key, pa.string() if isinstance(value, str) else pa.float64()))
-            for key, value in rows[0].items()
-        ]
-    )
-    try:
-        with replaced(part(out, chunk)) as new:
-            pq.write_table(pa.Table.from_pylist(rows, schema=schema), new)
-    except OSError as error:
-        raise RollerrigError(
-            f"{part(out, chunk)}: cannot be written: {error}; what is done is kept: "
-            "make room, and the same command goes on"
-        ) from None
+    fields = []
+    for key, value in row.items():
+        # the other columns are figures, or inputs: numbers or words
+        kind = pa.string() if isinstance(value, str) else pa.float64()
+        fields.append((key, fixed.get(key, kind)))
+    return pa.schema(fields)
 
 
 def result(out: Path) -> pa.Table:
-    """All rows of a result folder, by run. Raises ConfigError if there is none."""
-    parts = sorted((out / "results").glob("part-*.parquet"))
-    if not parts:
+    """Return all rows of a result folder, sorted by run. Raises ConfigError if there are none."""
+    paths = sorted((out / "results").glob("part-*.parquet"))
+    if not paths:
         raise ConfigError(f"{out}: no results; run 'rollerrig campaign PLAN --out {out}'")
-    return pa.concat_tables([pq.read_table(path) for path in parts]).sort_by("run")
+    return pa.concat_tables([pq.read_table(path) for path in paths]).sort_by("run")
 
 
 # --- spreading ---
@@ -291,8 +339,12 @@ def result(out: Path) -> pa.Table:
 
 def spread_local(
     plan: Plan, chunks: Sequence[int], workers: int
-) -> Iterator[tuple[int, list[dict[str, Any]]]]:
-    """Run chunks in processes, as they are done, anew those that a dead one took along. Raises RollerrigError."""
+) -> Iterator[tuple[int, list[Row]]]:
+    """Run chunks in processes of this machine; yield each with its rows when it is done.
+
+    If a process dies, the unfinished chunks are run again. Raises RollerrigError after DEATHS such
+    failures.
+    """
     left = dict.fromkeys(chunks)
     for _ in range(DEATHS):
         with children.pool(workers) as pool:
@@ -300,24 +352,28 @@ def spread_local(
             try:
                 for future in as_completed(futures):
                     rows = future.result()
-                    del left[futures[future]]
-                    yield futures[future], rows
+                    chunk = futures[future]
+                    del left[chunk]
+                    yield chunk, rows
                 return
             except BrokenProcessPool:
                 continue
             except BaseException:
+                # the consumer has stopped, or an error must be shown now: do not run the rest
                 pool.shutdown(cancel_futures=True)
                 raise
     raise RollerrigError(
         f"worker processes died {DEATHS} times (killed, or out of memory?): {len(left)} chunks are "
-        "left, what is done is kept; give --workers fewer, and the same command goes on"
+        "left, and finished chunks are kept; repeat the command with fewer --workers to continue"
     )
 
 
-def spread_dask(
-    plan: Plan, chunks: Sequence[int], address: str
-) -> Iterator[tuple[int, list[dict[str, Any]]]]:
-    """Run chunks on a Dask cluster, as they are done; work of a worker that dies is given to another."""
+def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tuple[int, list[Row]]]:
+    """Run chunks on a Dask cluster; yield each with its rows when it is done.
+
+    The work of a worker that dies goes to another worker. Raises ConfigError without Dask or a
+    scheduler, and RollerrigError if the cluster fails.
+    """
     try:
         from distributed import CancelledError, Client, KilledWorker
         from distributed import as_completed as completed
@@ -332,7 +388,7 @@ def spread_dask(
             "'dask scheduler --host 127.0.0.1' and workers with 'dask worker ADDRESS'"
         ) from None
     with client:
-        # nothing is scattered: data that only a lost worker had would take the work with it
+        # nothing is scattered: data that only a lost worker had would be lost with it
         futures = {
             client.submit(run_chunk, _piece(plan, chunk), chunk, pure=False, retries=3): chunk
             for chunk in chunks
@@ -343,6 +399,6 @@ def spread_dask(
                 future.release()
         except (KilledWorker, CommClosedError, CancelledError, OSError) as error:
             raise RollerrigError(
-                f"--scheduler {address}: the cluster gave up ({error}); what is done is kept, and the "
-                "same command goes on"
+                f"--scheduler {address}: the cluster failed ({error}); finished chunks are kept: "
+                "repeat the command to continue"
             ) from None

@@ -1,7 +1,8 @@
-"""The dry stop: how far the same vehicle runs under the same brake demands on clean, dry rollers.
+"""The dry stop: the distance of a vehicle under the same brake demands on clean, dry rollers.
 
-It is the plant itself, without bus, WSP, faults or changes of friction, so it holds what a computed stop leaves out:
-filling, load transfer, rotating masses, resistance. Runs of the same vehicle and demands are computed once.
+The plant itself computes it, without bus, WSP, faults or changes of friction. It therefore includes
+what a formula leaves out: filling of the cylinders, load transfer, rotating masses, resistance.
+A stop with the same vehicle and demands is computed once.
 """
 
 from collections.abc import Mapping
@@ -16,39 +17,55 @@ from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.tick import DONE
 from rollerrig.wsp_interface import signals
 
-_known: dict[str, float] = {}
+# distances in m by the text of the scenario
+_computed: dict[str, float] = {}
 
 
 def distance_m(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], ...]) -> float:
-    """Distance from the first brake demand to standstill; NaN where it does not come to that.
+    """Return the distance from the first brake demand to standstill.
 
-    `resolved`: a resolved scenario; `demands`: (time_s, pressure_Pa) in the order of time.
+    NaN if there is no demand, or no standstill. `resolved` is a resolved scenario, `demands` are
+    (time_s, pressure_Pa) in the order of time.
     """
-    braked = [time_s for time_s, pressure_Pa in demands if pressure_Pa > 0.0]
-    if not braked:
+    brake_times_s = [time_s for time_s, pressure_Pa in demands if pressure_Pa > 0.0]
+    if not brake_times_s:
         return float("nan")
-    given = {key: value for key, value in resolved.items() if key not in ("friction", "fault")}
-    # dry.toml leaves out what the defaults say already, and those are the paper's law
-    dry = given | {
-        "adhesion": dict(store.load("adhesion", "dry")[0]["adhesion"]),
-        "adhesion_set": "dry",
-        "demand": [
-            {"from_s": time_s, "pressure_Pa": pressure_Pa} for time_s, pressure_Pa in demands
-        ],
-        "stand_s": 0.0,
-        "duration_max_s": 3600.0,
-    }
+    dry = _dry_scenario(resolved, demands)
     text = tomli_w.dumps(dry)
-    if text not in _known:
-        plan = scenario.read(dry, Path("dry.toml"))
-        # its samples are lost on purpose: nobody reads them
-        stop = free.Stop(plan, tick_data.build(plan, ring.Memory(1, len(signals.COLUMNS))), "none")
-        data = stop.data
-        stop.advance(round(braked[0] * plan["loop"]["tick_hz"]))
-        from_m = float(data.state.position[0])
-        while not data.control[DONE]:
-            stop.advance()
-        _known[text] = (
-            float(data.state.position[0]) - from_m if data.state.standing[0] else float("nan")
-        )
-    return _known[text]
+    if text not in _computed:
+        _computed[text] = _compute(dry, brake_times_s[0])
+    return _computed[text]
+
+
+def _dry_scenario(
+    resolved: Mapping[str, Any], demands: tuple[tuple[float, float], ...]
+) -> dict[str, Any]:
+    """Return the scenario on dry rollers, with these demands until standstill."""
+    dry = {key: value for key, value in resolved.items() if key not in ("friction", "fault")}
+    # dry.toml leaves out the values that are equal to the defaults, which are those of the paper
+    dry["adhesion"] = dict(store.load("adhesion", "dry")[0]["adhesion"])
+    dry["adhesion_set"] = "dry"
+    dry["demand"] = [
+        {"from_s": time_s, "pressure_Pa": pressure_Pa} for time_s, pressure_Pa in demands
+    ]
+    dry["stand_s"] = 0.0
+    dry["duration_max_s"] = 3600.0
+    return dry
+
+
+def _compute(dry: dict[str, Any], braked_from_s: float) -> float:
+    """Return the distance from a time to standstill in m; NaN without a standstill."""
+    plan = scenario.read(dry, Path("dry.toml"))
+    # nobody reads the samples, so the memory holds only one of them
+    memory = ring.Memory(1, len(signals.COLUMNS))
+    stop = free.Stop(plan, tick_data.build(plan, memory), "none")
+    control = stop.data.control
+    state = stop.data.state
+
+    stop.advance(round(braked_from_s * plan["loop"]["tick_hz"]))
+    from_m = float(state.position[0])
+    while not control[DONE]:
+        stop.advance()
+    if not state.standing[0]:
+        return float("nan")
+    return float(state.position[0]) - from_m

@@ -1,13 +1,14 @@
-"""Four stops at a time: their ticks, with their reference WSP units, in one call.
+"""Runs four stops at a time: their ticks, with their reference WSP units, in one compiled call.
 
-Each does before and after its physics what `tick.run_tick` does; the physics between runs for all
-four in lanes (`rig.lanes`). One that is done waits until its place is given to the next stop. No bus,
-no clock and no Python stand between two ticks; the samples are those of `--pacing free` to rounding.
+Each stop does before and after its physics what `tick.run_tick` does. The physics in between runs
+for all four stops in lanes (`rig.lanes`). A stop that is done waits until its place is given to the
+next stop. No bus, clock or Python code runs between two ticks. The samples agree with those of
+`--pacing free` to rounding.
 """
 
 import itertools
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,37 +24,48 @@ from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import RIGS
 
-# a stop with what it is called by, and the memory of its samples
-Placed = tuple[Any, free.Stop, Memory]
-_TICKS = 1 << 20
+_MOST_TICKS = 1 << 20  # in one call
 # the unit's state as views into its buffer, for compiled code
 see_unit = buffer_viewer(logic.State, logic.PLACES)
+
+
+class _Placed(NamedTuple):
+    """A stop, the tag by which its caller knows it, and the memory of its samples."""
+
+    tag: Any
+    stop: free.Stop
+    memory: Memory
 
 
 def together(
     jobs: Iterable[tuple[Any, Scenario]], unit: free.Unit = "reference"
 ) -> Iterator[tuple[Any, Scenario, dict[str, np.ndarray]]]:
-    """Run many scenarios, four at a time where they allow it: (tag, scenario, channels) as they end.
+    """Run many scenarios, four at a time if possible; yield (tag, scenario, channels) of each.
 
-    A result does not depend on which stops ran beside it; against `free.simulate` it differs by rounding.
+    `jobs` are (tag, scenario). The results come in the order in which the stops are done. A result
+    does not depend on the stops in the other places. It differs from that of `free.simulate` by
+    rounding.
     """
+    is_compiled = unit in ("reference", "none") or isinstance(unit, logic.Params)
+    # stops in one call have the same number of steps in a tick
     groups: dict[int, list[tuple[Any, Scenario]]] = {}
     for tag, plan in jobs:
-        if (unit in ("reference", "none") or isinstance(unit, logic.Params)) and fits(plan):
+        if is_compiled and fits(plan):
             groups.setdefault(plan.params.substeps, []).append((tag, plan))
         else:
             yield tag, plan, free.channels(free.simulate(plan, unit))
+
+    with_unit = unit != "none"
+    # the compiled call needs a unit; without one, it gets a unit that never runs
+    placed_unit = unit if with_unit else "reference"
     for group in groups.values():
-        # without a unit one that is never asked takes its place
-        own = "reference" if unit == "none" else unit
-        for tag, stop, memory in _run(
-            ((tag, *free.remembered(plan, own)) for tag, plan in group), unit != "none"
-        ):
+        stops = (_Placed(tag, *free.remembered(plan, placed_unit)) for tag, plan in group)
+        for tag, stop, memory in _run(stops, with_unit):
             yield tag, stop.plan, free.channels(memory.written)
 
 
 def fits(plan: Scenario) -> bool:
-    """Whether a scenario may run beside others: one planar plant, no faults."""
+    """Whether a scenario may run together with others: one planar plant, no faults."""
     return (
         plan.rollers is None
         and not plan.faults
@@ -62,42 +74,73 @@ def fits(plan: Scenario) -> bool:
     )
 
 
-def _run(stops: Iterable[Placed], with_unit: bool) -> Iterator[Placed]:
-    """Run stops with like steps in a tick that all fit `layout.fits`, four at a time; gives back each that is done."""
-    waiting, lanes = iter(stops), np.zeros(layout.SIZE)
-    inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
+def _run(stops: Iterable[_Placed], with_unit: bool) -> Iterator[_Placed]:
+    """Run stops four at a time; yield each that is done.
+
+    All must fit (`fits`) and have the same number of steps in a tick.
+    """
+    waiting = iter(stops)
     row = list(itertools.islice(waiting, RIGS))
     if not row:
         return
-    # places without a stop of their own repeat one; they are not asked to run
+    # an empty place holds a stop of another place, and does not run
     runs = np.array([rig < len(row) for rig in range(RIGS)], dtype=np.int64)
-    row += [row[0]] * (RIGS - len(row))
-    for rig, (_, stop, _) in enumerate(row):
-        layout.load_constants(lanes, rig, stop.data.params)
+    while len(row) < RIGS:
+        row.append(row[0])
+
+    lanes = np.zeros(layout.SIZE)
+    inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
+    for rig, placed in enumerate(row):
+        layout.load_constants(lanes, rig, placed.stop.data.params)
+
     while runs.any():
-        # ticks between two cycles of a unit, 0 where it is not asked
-        syncs = np.array([stop.plan.sync_ticks * with_unit for _, stop, _ in row], dtype=np.int64)
-        units = tuple(
-            (logic.buffer_of(stop.reference_unit), stop.reference_unit.params)
-            for _, stop, _ in row
-            if stop.reference_unit
-        )
-        run_ticks(tuple(stop.data for _, stop, _ in row), units, syncs, runs, lanes, inputs, _TICKS)
+        _run_until_done(row, with_unit, runs, lanes, inputs)
         for rig in range(RIGS):
-            if runs[rig] and row[rig][1].data.control[DONE]:
-                yield row[rig]
-                following = next(waiting, None)
-                runs[rig] = following is not None
-                if following is not None:
-                    row[rig] = following
-                    layout.load_constants(lanes, rig, following[1].data.params)
+            if not runs[rig] or not row[rig].stop.data.control[DONE]:
+                continue
+            yield row[rig]
+            following = next(waiting, None)
+            if following is None:
+                runs[rig] = 0
+            else:
+                row[rig] = following
+                layout.load_constants(lanes, rig, following.stop.data.params)
+
+
+def _run_until_done(
+    row: list[_Placed],
+    with_unit: bool,
+    runs: np.ndarray,
+    lanes: np.ndarray,
+    inputs: np.ndarray,
+) -> None:
+    """Run the four stops of a row until at least one of them is done."""
+    data = tuple(placed.stop.data for placed in row)
+    units = tuple(
+        (logic.buffer_of(placed.stop.reference_unit), placed.stop.reference_unit.params)
+        for placed in row
+        if placed.stop.reference_unit
+    )
+    # ticks between two cycles of a unit; 0: it does not run
+    sync_ticks = np.array(
+        [placed.stop.plan.sync_ticks if with_unit else 0 for placed in row], dtype=np.int64
+    )
+    run_ticks(data, units, sync_ticks, runs, lanes, inputs, _MOST_TICKS)
 
 
 @kernel
 def run_ticks(four, units, syncs, runs, lanes, inputs, ticks):
-    """Run ticks until one of the stops that run is done; tuples of four, (4,) and the lanes.
+    """Run ticks until one of the running stops is done.
 
-    A unit is (buffer, parameters).
+    Parameters
+    ----------
+    four : the tick data of the four stops
+    units : their units, each as (buffer, parameters)
+    syncs : (4,), ticks between two cycles of a unit; 0: it does not run
+    runs : (4,), 0 for a place that does not run
+    lanes : the array of `rig.lanes.layout`
+    inputs : int64 scratch, as in `tick.run_ticks_with_unit`
+    ticks : the largest number of ticks
     """
     m0, m1, m2, m3 = four
     rigs = (m0.params.vehicle, m1.params.vehicle, m2.params.vehicle, m3.params.vehicle)
@@ -118,7 +161,7 @@ def run_ticks(four, units, syncs, runs, lanes, inputs, ticks):
 
 @kernel
 def before(m, unit, sync_ticks, runs, lanes, rig, inputs):
-    """What a stop does before the physics of a tick; its state then stands in its lanes."""
+    """Do what precedes the physics of a tick, and scatter the state of the stop into its lanes."""
     if runs == 0:
         return
     now = m.control[TICK]
@@ -134,10 +177,14 @@ def before(m, unit, sync_ticks, runs, lanes, rig, inputs):
 
 @kernel
 def after(m, runs, lanes, rig):
-    """What a stop does after the physics of a tick; 1 where it is done now."""
+    """Gather the state of the stop, and do what follows the physics of a tick.
+
+    Returns 1 if the stop is done now, else 0.
+    """
     if runs == 0:
         return 0
-    now, params = m.control[TICK], m.params
+    now = m.control[TICK]
+    params = m.params
     layout.gather(lanes, rig, m.state)
     m.state.time[0] = (now * params.substeps + params.substeps) * params.step_s
     heat.advance(m.state, params.heat)

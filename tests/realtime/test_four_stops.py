@@ -28,8 +28,8 @@ CASES = {
         ),
     ),
 }
-# what is a small difference of large numbers
-LOOSE = {
+# small differences of large numbers, which rounding changes by more
+NOT_COMPARED = {
     "tracking_error_1_m_s",
     "tracking_error_2_m_s",
     "tracking_error_3_m_s",
@@ -49,31 +49,33 @@ def plans():
 
 
 @pytest.fixture(scope="module")
-def abreast(plans):
+def together(plans):
+    """The channels of all cases, from stops that ran four at a time."""
     return {tag: channels for tag, _, channels in four_stops.together(plans.items())}
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_stop_among_others_is_the_stop_alone(case, plans, abreast):
-    alone, among = simulate(plans[case]), abreast[case]
+def test_a_stop_among_others_is_the_stop_alone(case, plans, together):
+    alone = simulate(plans[case])
+    among = together[case]
     for name in signals.COLUMNS:
-        if name not in LOOSE:
+        if name not in NOT_COMPARED:
             np.testing.assert_allclose(among[name], alone[name], rtol=1e-6, atol=1e-6, err_msg=name)
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_figures_of_a_stop_among_others_are_those_of_the_stop_alone(case, plans, abreast):
+def test_the_figures_of_a_stop_among_others_are_those_of_the_stop_alone(case, plans, together):
     alone = campaign.summarize(plans[case], simulate(plans[case]), "reference")
-    among = campaign.summarize(plans[case], abreast[case], "reference")
+    among = campaign.summarize(plans[case], together[case], "reference")
     for key in ("stop_distance_m", "stop_time_s", "air_consumption_NL"):
         assert among[key] == pytest.approx(alone[key], rel=1e-7)
     assert among["wsp"]["vents"] == alone["wsp"]["vents"]
 
 
-def test_who_runs_beside_a_stop_changes_no_bit_of_it(plans, abreast):
+def test_the_stops_in_the_other_places_change_no_bit_of_a_stop(plans, together):
     [(_, _, alone)] = four_stops.together([("soap", plans["soap"])])
     for name in signals.COLUMNS:
-        assert np.array_equal(alone[name], abreast["soap"][name], equal_nan=True), name
+        assert np.array_equal(alone[name], together["soap"][name], equal_nan=True), name
 
 
 def test_without_a_unit_no_magnet_is_energised(plans):
@@ -91,17 +93,17 @@ def test_without_a_unit_no_magnet_is_energised(plans):
         "mechanisms.wheel_out_of_round_amplitude=0.05",
     ],
 )
-def test_what_cannot_run_abreast_runs_alone_and_to_the_bit(setting):
+def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
     assert not four_stops.fits(plan)
     [(_, _, among)] = four_stops.together([(0, plan)])
     alone = simulate(plan)
-    assert all(np.array_equal(among[name], alone[name], equal_nan=True) for name in signals.COLUMNS)
+    for name in signals.COLUMNS:
+        assert np.array_equal(among[name], alone[name], equal_nan=True), name
 
 
-def test_compiled_views_of_a_unit_are_the_views():
-    unit = np.arange(float(logic.SIZE))
-    assert all(
-        np.array_equal(here, there)
-        for here, there in zip(four_stops.see_unit.py_func(unit), logic.views(unit), strict=True)
-    )
+def test_the_compiled_views_of_a_unit_are_those_of_the_unit():
+    buffer = np.arange(float(logic.SIZE))
+    compiled = four_stops.see_unit.py_func(buffer)
+    for view, expected in zip(compiled, logic.views(buffer), strict=True):
+        assert np.array_equal(view, expected)
