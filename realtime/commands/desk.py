@@ -1,4 +1,4 @@
-"""`rollerrig desk`: a page in the browser from which the rig is run, watched and asked about its runs."""
+"""`rollerrig desk`: serves a page for the browser that runs the rig and shows it and its runs."""
 
 import argparse
 import contextlib
@@ -10,33 +10,37 @@ from rollerrig.realtime.commands import output
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig desk`."""
     parser.add_argument(
         "--host",
         default="127.0.0.1",
         metavar="ADDRESS",
-        help="where it listens (default: 127.0.0.1); "
-        "on another address it is open to all who have the token that it prints",
+        help="address on which the desk listens (default: 127.0.0.1, for this machine only); on "
+        "another address the desk is open to everyone who has the token in the printed address",
     )
     parser.add_argument(
-        "--port", type=int, default=8530, help="0: one that is free (default: 8530)"
+        "--port",
+        type=int,
+        default=8530,
+        help="port on which the desk listens; 0 chooses a free port (default: 8530)",
     )
     parser.add_argument(
         "--folder",
         type=Path,
         default=Path(),
         metavar="DIR",
-        help="where runs, reports and campaigns stand (default: here)",
+        help="folder that holds runs, reports and campaigns (default: the current folder)",
     )
     parser.add_argument(
         "--own",
         action="store_true",
-        help="look only at benches that this desk has started, not at "
-        "others that run on this machine",
+        help="show only benches that this desk has started, and no others on this machine",
     )
-    parser.add_argument("--open", action="store_true", help="open a browser as well")
+    parser.add_argument("--open", action="store_true", help="open a browser with the page")
 
 
-def call(given: argparse.Namespace) -> int:
+def call(options: argparse.Namespace) -> int:
+    """Serve the desk until the user interrupts it. Returns PASS."""
     try:
         from rollerrig.realtime.desk import desk, server
     except ImportError as error:
@@ -44,23 +48,31 @@ def call(given: argparse.Namespace) -> int:
             f"the desk needs nicegui ({error}): pip install 'rollerrig[desk]'"
         ) from None
 
-    if not given.folder.is_dir():
+    if not options.folder.is_dir():
         raise ConfigError(
-            f"--folder {given.folder}: no such folder; make it, or give one that holds runs"
+            f"--folder {options.folder}: this folder does not exist; make it, or give a folder "
+            "that holds runs"
         )
 
-    def say(address: str, warning: str) -> None:
+    def print_address(address: str, warning: str) -> None:
         if warning:
             output.print_message(f"warning: {warning}")
-        print(
-            json.dumps({"address": address})
-            if given.json
-            else f"desk: {address} (no safety function; Ctrl-C ends it, a bench goes on)",
-            flush=True,
-        )
+        if options.json:
+            line = json.dumps({"address": address})
+        else:
+            line = (
+                f"desk: {address} (not a safety function; Ctrl-C stops the desk, and a running "
+                "bench continues)"
+            )
+        # flushed, because a program that reads the address waits for it
+        print(line, flush=True)
 
     with contextlib.suppress(KeyboardInterrupt):
         server.serve(
-            desk.Desk(given.folder.resolve(), given.own), given.host, given.port, given.open, say
+            desk.Desk(options.folder.resolve(), options.own),
+            options.host,
+            options.port,
+            options.open,
+            print_address,
         )
     return output.PASS

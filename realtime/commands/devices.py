@@ -1,4 +1,4 @@
-"""`rollerrig devices`: the files that tell other tools what stands on the rig's buses."""
+"""`rollerrig devices`: writes the files that describe the nodes of the rig to other tools."""
 
 import argparse
 from pathlib import Path
@@ -8,71 +8,76 @@ from rollerrig.realtime.commands import output
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig devices`."""
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("devices"),
         metavar="DIR",
-        help="folder to write into (default: devices)",
+        help="folder for the files (default: devices)",
     )
     parser.add_argument(
         "--scenario",
         default="velim_a1",
         metavar="NAME",
-        help="whose rig: its rated torques and pole "
-        "wheels stand in the objects' units (default: velim_a1)",
+        help="scenario of the rig; the units of the objects depend on its rated torques and pole "
+        "wheels (default: velim_a1)",
     )
     parser.add_argument(
         "--set",
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help="change one value, as in sensor.teeth=80; may be repeated",
+        help="change a value of the scenario, as in sensor.teeth=80; may be repeated",
     )
 
 
-def call(given: argparse.Namespace) -> int:
+def call(options: argparse.Namespace) -> int:
+    """Write the files of all nodes. Returns PASS."""
     from rollerrig.configs import store
     from rollerrig.firmware_sim.modbus import map
     from rollerrig.realtime.bench import scenario
     from rollerrig.realtime.record.files import writing
     from rollerrig.wsp_interface import descriptions, signals
 
-    nodes = dictionaries(scenario.load(given.scenario, settings=tuple(given.set)))
-    drives = {one.node_id: one for one in nodes if one.node_id in signals.DRIVE_NODES}
-    with writing(given.out):
-        written = [
-            *descriptions.write(given.out, nodes),
-            *map.write(given.out, drives, tuple(store.names("scenarios"))),
+    plan = scenario.load(options.scenario, settings=tuple(options.set))
+    nodes = dictionaries(plan)
+    drives = {node.node_id: node for node in nodes if node.node_id in signals.DRIVE_NODES}
+
+    with writing(options.out):
+        paths = [
+            *descriptions.write(options.out, nodes),
+            *map.write(options.out, drives, tuple(store.names("scenarios"))),
         ]
-    output.show(
-        given,
-        {"folder": str(given.out), "files": [path.name for path in written]},
-        *(str(path) for path in written),
-    )
-    if not given.json:
+
+    result = {"folder": str(options.out), "files": [path.name for path in paths]}
+    output.show(options, result, *[str(path) for path in paths])
+    if not options.json:
         output.print_message(
-            f"{len(written)} files for tools that read EDS, DBC, Modbus maps and tables"
+            f"{len(paths)} files for tools that read EDS, DBC, Modbus maps and tables"
         )
     return output.PASS
 
 
 def dictionaries(plan: Any) -> list[Any]:
-    """The object dictionaries of a scenario's nodes, from the very nodes that a run makes."""
+    """Return the object dictionaries of the nodes of a scenario.
+
+    They are those of a run, because the nodes are made as for a run.
+    """
     import numpy as np
 
     from rollerrig.realtime.bench import rig_bus
     from rollerrig.wsp_interface import events, signals
     from rollerrig.wsp_interface.bus.hub import Hub
 
-    # a hub that listens nowhere: the nodes boot, and nobody hears them
+    # the hub listens on no address: the nodes boot, and nobody receives their frames
     bus = rig_bus.RigBus(
-        Hub(lambda: 0),
-        plan,
-        np.zeros(len(signals.COLUMNS)),
-        lambda row: None,
-        events.ignore,
-        lambda: 0,
+        hub=Hub(lambda: 0),
+        scenario=plan,
+        row=np.zeros(len(signals.COLUMNS)),
+        on_command=lambda row: None,
+        on_event=events.ignore,
+        clock_ns=lambda: 0,
     )
     members: list[Any] = bus.rack.members
     return [member.dictionary for member in members if hasattr(member, "dictionary")]

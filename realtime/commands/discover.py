@@ -1,4 +1,4 @@
-"""`rollerrig hide`: a rig that hides something; `rollerrig discover`: a rig that finds out by itself what that is."""
+"""`rollerrig hide` makes a rig with hidden effects; `rollerrig discover` finds them."""
 
 import argparse
 import secrets
@@ -8,59 +8,67 @@ from rollerrig.realtime.commands import explain, output
 
 
 def hide_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig hide`."""
     parser.add_argument(
         "scenario",
         nargs="?",
         default="velim_a1",
-        help="what the rig starts from: a packaged scenario, or a TOML file (default: velim_a1)",
+        help="scenario that the rig is made from: a packaged scenario, or a TOML file "
+        "(default: velim_a1)",
     )
     parser.add_argument(
         "--out",
         type=Path,
         default=Path("sealed.toml"),
         metavar="FILE",
-        help="the sealed rig, a scenario (default: sealed.toml)",
+        help="file for the sealed rig, which is a scenario (default: sealed.toml)",
     )
     parser.add_argument(
         "--key",
         type=Path,
         metavar="FILE",
-        help="what is hidden, in plain words, for afterwards "
-        "(default: beside the rig, as sealed.key)",
+        help="file for the key, which lists the hidden effects in plain words; read it after the "
+        "search (default: next to the rig, as in sealed.key)",
     )
-    parser.add_argument("--seed", type=int, help="the same seed hides the same (default: drawn)")
     parser.add_argument(
-        "--effects", type=int, default=0, metavar="N", help="1 or 2 (default: 0, either)"
+        "--seed",
+        type=int,
+        help="seed of the choice; the same seed hides the same effects (default: random)",
+    )
+    parser.add_argument(
+        "--effects",
+        type=int,
+        default=0,
+        metavar="N",
+        help="number of hidden effects, 1 or 2; 0 leaves the number to the seed (default: 0)",
     )
 
 
-def hide(given: argparse.Namespace) -> int:
+def hide(options: argparse.Namespace) -> int:
+    """Write a sealed rig and its key. Returns PASS."""
     from rollerrig.realtime.discover import sealed_rig
 
-    key = given.key or given.out.with_suffix(".key")
-    sealed_rig.hide(
-        given.scenario,
-        secrets.randbits(32) if given.seed is None else given.seed,
-        given.effects,
-        given.out,
-        key,
-    )
+    key = options.key or options.out.with_suffix(".key")
+    seed = secrets.randbits(32) if options.seed is None else options.seed
+    sealed_rig.hide(options.scenario, seed, options.effects, options.out, key)
+
     return output.show(
-        given,
-        {"rig": str(given.out), "key": str(key)},
-        f"sealed rig: {given.out}; find out with: rollerrig discover {given.out}",
-        f"its key, to be read afterwards: {key}",
+        options,
+        {"rig": str(options.out), "key": str(key)},
+        f"sealed rig: {options.out}; search it with: rollerrig discover {options.out}",
+        f"key, to be read after the search: {key}",
     )
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("rig", help="a sealed rig, or any scenario by name or TOML file")
+    """Declare the arguments of `rollerrig discover`."""
+    parser.add_argument("rig", help="a sealed rig, or any scenario by its name or TOML file")
     parser.add_argument(
         "--stops",
         type=int,
         default=9,
         metavar="N",
-        help="stops that may be run, at least 3 (default: 9)",
+        help="largest number of stops, at least 3 (default: 9)",
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of the null simulations (default: 0)"
@@ -69,17 +77,23 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="DIR",
-        help="folder of stops, history and report; one that was "
-        "begun is gone on with (default: reports/discover_RIG)",
+        help="folder for stops, history and report; an unfinished search in it is continued "
+        "(default: reports/discover_RIG)",
     )
 
 
-def call(given: argparse.Namespace) -> int:
+def call(options: argparse.Namespace) -> int:
+    """Search a rig for hidden effects and write the report. Returns the exit status."""
     from rollerrig.realtime.discover import discover
 
-    out = given.out or Path("reports") / f"discover_{Path(given.rig).stem}"
+    out = options.out or Path("reports") / f"discover_{Path(options.rig).stem}"
     with explain.progress_bar() as progress:
-        account, history = discover.find_out(
-            given.rig, out, given.stops, given.seed, output.print_message, progress
+        diagnosis, history = discover.find_out(
+            options.rig,
+            out,
+            options.stops,
+            options.seed,
+            output.print_message,
+            progress,
         )
-        return explain.write_and_show(given, account, out, progress, history=history)
+        return explain.write_and_show(options, diagnosis, out, progress, history=history)
