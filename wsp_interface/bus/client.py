@@ -1,8 +1,10 @@
-"""One TCP client of the hub: bytes in through its protocol's session, frames out in one write.
+"""One TCP client of the hub.
 
-Frames wait in a list until the hub flushes, or longer while the socket is full. When the buffer is
-full, the newest frames are dropped and counted. The client reads small portions of bytes, so one
-that floods the bus does not delay the others.
+The session of its protocol turns received bytes into frames for the bus. Frames of the bus wait in
+a list, as encoded bytes, until the hub flushes; then they go out in one write. They wait longer
+while the socket is full. When the list has reached the hub's limit, the newest frames are dropped
+and counted. Bytes are read in small portions, so a client that floods the bus does not delay the
+others.
 """
 
 import asyncio
@@ -15,9 +17,12 @@ from rollerrig.wsp_interface.bus.session import Event, Mode
 from rollerrig.wsp_interface.events import Code
 
 PORTION_BYTES = 4096  # read in one callback: about 100 frames, one millisecond of work
-SOCKET_BYTES = 1 << 18  # send buffer in the kernel; a small one shows dropped frames sooner
+# Send buffer in the kernel. With a small one the hub notices sooner that a client does not read.
+SOCKET_BYTES = 1 << 18
 HIGH_WATER_BYTES = 1 << 16  # the transport reports a full socket above this
-ANSWERS_MAX = 64  # answers that wait for a separate segment
+ANSWERS_MAX = 64  # answers of a handshake that may wait; further ones are dropped
+# A timer may fire slightly before its time, and `flush` would then do nothing.
+TIMER_MARGIN_S = 1e-4
 
 
 class Bus(Protocol):
@@ -36,31 +41,32 @@ class Bus(Protocol):
 class Client(asyncio.BufferedProtocol):
     """A connected program.
 
-    codec: the name of its protocol.
+    protocol: the name of its protocol.
     name: the protocol with the address of the program.
+    encode: the encoder of its protocol.
     listening: whether it receives frames.
     errors: whether it receives error frames as well.
     dropped: frames and answers that it has lost.
     lost: done when the connection is closed.
     """
 
-    def __init__(self, bus: Bus, codec: str, row: Codec) -> None:
-        self.codec = codec
-        self.name = codec
-        self.encode = row.encode
+    def __init__(self, bus: Bus, protocol: str, codec: Codec) -> None:
+        self.protocol = protocol
+        self.name = protocol
+        self.encode = codec.encode
         self.listening = False
         self.errors = False
         self.dropped = 0
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._bus = bus
-        self._row = row
-        self._session = row.session(bus.name)
+        self._codec = codec
+        self._session = codec.session(bus.name)
         self._portion = bytearray(PORTION_BYTES)
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0
         self._answers_waiting = 0
         self._answer_free_s = 0.0  # when the next answer may go out, by the event loop's clock
-        self._hold_until_s = 0.0  # no frames before
+        self._hold_until_s = 0.0  # no frames go out before this time
         self._full = False  # the socket accepts no more for now
         self._transport: asyncio.Transport
 
@@ -75,7 +81,7 @@ class Client(asyncio.BufferedProtocol):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
         peer = transport.get_extra_info("peername")
         if peer:
-            self.name = f"{self.codec} {peer[0]}:{peer[1]}"
+            self.name = f"{self.protocol} {peer[0]}:{peer[1]}"
         if not self._bus.join(self):
             self._transport.abort()
             return
@@ -147,39 +153,48 @@ class Client(asyncio.BufferedProtocol):
         elif event is Mode.ERRORS:
             self.errors = True
         elif event is Mode.FOREIGN:
-            self._bus.warn(Code.HUB_FOREIGN_CLIENT, self.codec)
+            self._bus.warn(Code.HUB_FOREIGN_CLIENT, self.protocol)
             self.finish()
         elif event is Mode.CLOSE:
-            # the answer that explains the refusal may still wait
-            self._loop.call_later(2 * self._row.answer_gap_s, self.finish)
-        else:
-            self.listening = event is Mode.LISTEN
-            if self.listening and self._row.hold_s:
-                # the first frame comes only after the client has read the last answer
-                self._hold_until_s = max(self._loop.time(), self._answer_free_s) + self._row.hold_s
-                # slightly late, so that the clock has certainly passed it
-                self._loop.call_at(self._hold_until_s + 1e-4, self.flush)
+            # the answer that explains the refusal may still wait for its gap, so close later
+            self._loop.call_later(2 * self._codec.answer_gap_s, self.finish)
+        elif event is Mode.MUTE:
+            self.listening = False
+        elif event is Mode.LISTEN:
+            self.listening = True
+            self._hold_frames()
+
+    def _hold_frames(self) -> None:
+        """Hold frames until the client has read the last answer of the handshake."""
+        hold_s = self._codec.hold_s
+        if hold_s:
+            self._hold_until_s = max(self._loop.time(), self._answer_free_s) + hold_s
+            self._loop.call_at(self._hold_until_s + TIMER_MARGIN_S, self.flush)
 
     def _answer(self, wire: bytes) -> None:
         """Send an answer.
 
-        Clients compare the result of a whole `recv` with an answer of the handshake. So each answer
-        goes out in a separate segment until frames flow; after that, answers go among the frames.
+        Clients of a protocol with an `answer_gap_s` compare the result of a whole `recv` with one
+        answer of the handshake. So each answer goes out alone, a gap after the one before, until
+        the client receives frames. From then on answers wait in the list among the frames.
         """
-        if self.listening or not self._row.answer_gap_s:
+        gap_s = self._codec.answer_gap_s
+        if self.listening or not gap_s:
             self.put(wire)
             return
+
         now_s = self._loop.time()
-        at_s = max(now_s, self._answer_free_s)
-        if at_s <= now_s:
+        if self._answer_free_s <= now_s:
             self._write(wire)
-        elif self._answers_waiting < ANSWERS_MAX:
-            self._answers_waiting += 1
-            self._loop.call_at(at_s, self._send_late_answer, wire)
-        else:
+            self._answer_free_s = now_s + gap_s
+            return
+
+        if self._answers_waiting >= ANSWERS_MAX:
             self.dropped += 1
             return
-        self._answer_free_s = at_s + self._row.answer_gap_s
+        self._answers_waiting += 1
+        self._loop.call_at(self._answer_free_s, self._send_late_answer, wire)
+        self._answer_free_s += gap_s
 
     def _send_late_answer(self, wire: bytes) -> None:
         self._answers_waiting -= 1

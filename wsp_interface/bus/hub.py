@@ -214,9 +214,9 @@ class Hub:
 
     def join(self, client: Client) -> bool:
         """Add a TCP client that has connected; return False when there are too many."""
-        same_protocol = sum(other.codec == client.codec for other in self._clients)
+        same_protocol = sum(other.protocol == client.protocol for other in self._clients)
         if same_protocol >= CLIENTS_MAX:
-            self.warn(Code.HUB_FULL, client.codec, clients_max=CLIENTS_MAX)
+            self.warn(Code.HUB_FULL, client.protocol, clients_max=CLIENTS_MAX)
             return False
         self._clients = (*self._clients, client)
         return True
@@ -317,9 +317,9 @@ class Hub:
         encoded: dict[str, bytes] = {}  # by protocol
         for client in self._clients:
             if client is not sender and client.listening:
-                if client.codec not in encoded:
-                    encoded[client.codec] = client.encode(stamped)
-                client.put(encoded[client.codec])
+                if client.protocol not in encoded:
+                    encoded[client.protocol] = client.encode(stamped)
+                client.put(encoded[client.protocol])
         if then is not None:
             then()
         if encoded:

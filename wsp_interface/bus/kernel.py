@@ -1,4 +1,7 @@
-"""CAN interfaces of the Linux kernel: which exist, one bench on each, their errors and lost frames.
+"""CAN interfaces of the Linux kernel (SocketCAN).
+
+This module lists the interfaces of the machine and reserves an interface for one bench. It reports
+when the interface goes down and how many frames were lost, and it explains error frames.
 
 Sources: Linux Documentation/networking/can.rst, linux/can/error.h, linux/if_arp.h,
 linux/rtnetlink.h and linux/sock_diag.h (SO_MEMINFO).
@@ -17,55 +20,72 @@ import can
 from rollerrig.configs.errors import BusError
 
 SYSFS = Path("/sys/class/net")
-ENABLE_AF_CAN = "this kernel has no SocketCAN: sudo modprobe can_raw, or a kernel with CONFIG_CAN"
-# frames: the burst after a SYNC of 16 nodes with four PDOs each
+ENABLE_AF_CAN = (
+    "this kernel has no SocketCAN: sudo modprobe can_raw, or use a kernel with CONFIG_CAN"
+)
+# Frames that an interface should be able to queue: after a SYNC, 16 nodes may send four PDOs each
+# in one burst.
 SHORTEST_QUEUE = 64
 
 _ARPHRD_CAN = "280"  # the type of a CAN interface in sysfs, from linux/if_arp.h
 _IFF_UP = 1  # flag of an interface that is up
 
-_RECEIVE_BYTES = 1 << 22
+_RECEIVE_BYTES = 1 << 22  # receive buffer of the socket: frames wait here while the bench is busy
 # socket options of asm-generic/socket.h that Python's socket module does not name
 _SO_RCVBUFFORCE = 33
 _SO_MEMINFO = 55
-# the answer of SO_MEMINFO, and the place of the dropped frames in it
+# SO_MEMINFO returns nine numbers (linux/sock_diag.h); the last one counts the dropped frames
 _MEMORY = struct.Struct("=9I")
-_DROPS = 8
+_DROPS = 8  # SK_MEMINFO_DROPS
 
-# netlink: the head of every message, then the head of a message about a link
+# netlink: the head of every message (nlmsghdr: length, type, flags, sequence number, port), then
+# the head of a message about a link (ifinfomsg: family, type, index, flags, change mask)
 _NETLINK = struct.Struct("=IHHII")
 _LINK = struct.Struct("=BxHiII")
 _NEW_LINK = 16  # RTM_NEWLINK: a link was added or changed
 _DEL_LINK = 17  # RTM_DELLINK
 _LINK_GROUP = 1  # RTMGRP_LINK
-_NETLINK_BYTES = 1 << 16
+_NETLINK_BYTES = 1 << 16  # largest read: several messages
 
 
 class ErrorKind(NamedTuple):
-    """What an error frame reports: its class, and bits of its second data byte (0: any)."""
+    """A condition that error frames report."""
 
-    kind: int
-    bits: int
+    classes: int  # the identifier of the error frame has one of these bits
+    details: int  # and its data byte 1 has one of these bits; 0: whatever the byte is
     text: str
 
 
+# classes of errors, from linux/can/error.h
+_TX_TIMEOUT = 0x01
+_CONTROLLER = 0x04
+_PROTOCOL = 0x08
+_NO_ACKNOWLEDGE = 0x20
 BUS_OFF = 0x40
+_BUS_ERROR = 0x80
+_RESTARTED = 0x100
+# details of _CONTROLLER, each for receiving or transmitting
+_OVERFLOW = 0x03
+_WARNING = 0x0C
+_PASSIVE = 0x30
 ERRORS = (
-    ErrorKind(0x01, 0, "a frame could not be sent in time"),
-    ErrorKind(0x04, 0x03, "the controller's buffer has overflowed"),
-    ErrorKind(0x04, 0x0C, "the controller's error counter is above 96 (error warning)"),
-    ErrorKind(0x04, 0x30, "the controller is error-passive"),
+    ErrorKind(_TX_TIMEOUT, 0, "a frame could not be sent in time"),
+    ErrorKind(_CONTROLLER, _OVERFLOW, "the controller's buffer has overflowed"),
+    ErrorKind(_CONTROLLER, _WARNING, "the controller's error counter is above 96 (error warning)"),
+    ErrorKind(_CONTROLLER, _PASSIVE, "the controller is error-passive"),
     ErrorKind(
-        0x20, 0, "no node acknowledges: no other node is on the bus, or it has another bit rate"
+        _NO_ACKNOWLEDGE,
+        0,
+        "no node acknowledges: no other node is on the bus, or it has another bit rate",
     ),
     ErrorKind(BUS_OFF, 0, "the controller is bus-off"),
-    ErrorKind(0x100, 0, "the controller has been restarted after bus-off"),
-    ErrorKind(0x88, 0, "errors on the wire"),
+    ErrorKind(_RESTARTED, 0, "the controller has been restarted after bus-off"),
+    ErrorKind(_BUS_ERROR | _PROTOCOL, 0, "errors on the wire"),
 )
 
 
 class KernelCan(NamedTuple):
-    """What this machine offers of SocketCAN."""
+    """The SocketCAN sockets and interfaces of this machine."""
 
     af_can: bool  # raw CAN sockets can be opened
     up: tuple[str, ...]  # CAN interfaces that are up
@@ -158,7 +178,7 @@ def require(address: str, channel: str, instead: str, kernel: KernelCan) -> None
 
 
 class Interface:
-    """The one bench on a CAN interface that is up.
+    """A CAN interface that is up, reserved for this bench until `close`.
 
     `link` is a socket that becomes readable when the interface may have gone down: then call
     `is_down`. Raises BusError when another bench is on the interface.
@@ -172,11 +192,16 @@ class Interface:
         self.link = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW | socket.SOCK_NONBLOCK)
         self.link.bind((0, _LINK_GROUP))
         self._dropped = 0
-        # the first option needs CAP_NET_ADMIN, the second has a limit
-        for option in (_SO_RCVBUFFORCE, socket.SO_RCVBUF):
+        self._enlarge_receive_buffer()
+
+    def _enlarge_receive_buffer(self) -> None:
+        try:
+            # needs CAP_NET_ADMIN
+            self._socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BYTES)
+        except OSError:
+            # needs nothing, but the kernel limits the size (net.core.rmem_max)
             with contextlib.suppress(OSError):
-                self._socket.setsockopt(socket.SOL_SOCKET, option, _RECEIVE_BYTES)
-                break
+                self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BYTES)
 
     def is_down(self) -> bool:
         """Return whether the interface has gone down, or was removed, since the last call."""
@@ -206,12 +231,16 @@ class Interface:
                 was_removed = kind == _DEL_LINK
                 was_set_down = kind == _NEW_LINK and not flags & _IFF_UP
                 down = down or was_removed or was_set_down
-            # messages are aligned to four bytes
-            messages = messages[max((length + 3) & ~3, _NETLINK.size) :]
+            # messages are aligned to four bytes; a wrong length must not stop the loop's progress
+            aligned_length = (length + 3) & ~3
+            messages = messages[max(aligned_length, _NETLINK.size) :]
         return down
 
     def newly_dropped(self) -> int:
-        """Return how many frames the socket has lost since the last call: they came too fast."""
+        """Return how many frames the socket has lost since the last call.
+
+        It loses frames that arrive while its receive buffer is full.
+        """
         before = self._dropped
         memory = self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMORY.size)
         self._dropped = _MEMORY.unpack(memory)[_DROPS]
@@ -224,10 +253,11 @@ class Interface:
 
 
 def _mark(channel: str) -> socket.socket:
-    """Return a socket that marks the interface as used by a bench. Raises BusError if it is.
+    """Return a socket that marks the interface as used by a bench.
 
-    Its abstract name belongs to the network namespace of the interface, and the kernel removes it
-    when the process exits, however it exits.
+    Raises BusError when another bench has marked it. The mark is the abstract name of the socket.
+    It belongs to the network namespace of the interface, and the kernel removes it when the process
+    exits, however it exits.
     """
     mark = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
@@ -243,11 +273,11 @@ def _mark(channel: str) -> socket.socket:
 
 def error_texts(message: can.Message) -> list[str]:
     """Return what an error frame of a controller reports, as sentences."""
-    detail = message.data[1] if len(message.data) > 1 else 0
+    details = message.data[1] if len(message.data) > 1 else 0
     texts = []
     for error in ERRORS:
-        if not message.arbitration_id & error.kind:
+        if not message.arbitration_id & error.classes:
             continue
-        if not error.bits or detail & error.bits:
+        if error.details == 0 or details & error.details:
             texts.append(error.text)
     return texts
