@@ -21,7 +21,7 @@ from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.contact.patch import Patch, patch_for
 from rollerrig.rig.mechanisms import applied as effects
 from rollerrig.rig.mechanisms import table
-from rollerrig.rig.mechanisms.mechanism import AXLES_ALIKE, NOT
+from rollerrig.rig.mechanisms.mechanism import MODELLED_ON_ALL_AXLES, NOT_MODELLED
 from rollerrig.rig.multibody import coach as coaches
 from rollerrig.rig.multibody import compiled_coach
 from rollerrig.rig.multibody.compiled_coach import Packed
@@ -375,8 +375,8 @@ def check_coach(extra: Mapping[str, float]) -> None:
     `extra` is the checked section [mechanisms].
     """
     for mechanism in table.IN_PLANT:
-        unknown = mechanism.in_coach == NOT
-        if mechanism.in_coach == AXLES_ALIKE:
+        unknown = mechanism.in_coach == NOT_MODELLED
+        if mechanism.in_coach == MODELLED_ON_ALL_AXLES:
             # only one axle has it
             unknown = extra[f"{mechanism.name}_axle"] != 0.0
         if not unknown:

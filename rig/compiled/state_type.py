@@ -1,8 +1,9 @@
-"""How compiled code sees a state: as one address, whose fields are views at fixed places.
+"""How compiled code sees a state: as the address of one buffer, which holds all its fields.
 
-A named tuple of forty arrays would be passed from kernel to kernel as three hundred values, which
-costs more to compile than the physics does. In Python the state remains the named tuple that it is.
-Only its type is registered with numba here, and reading a field gives the same view.
+In Python a state is a named tuple of forty arrays, which are views of this buffer. Numba would pass
+it from kernel to kernel as three hundred values, which costs more to compile than the physics does.
+Therefore this module registers another type for it. A kernel receives only the address. Where it
+reads a field, numba makes the view from the address and from the place of the field in the buffer.
 
 Source: numba's documentation, "Extending Numba", low-level interface.
 """
@@ -22,13 +23,19 @@ _BYTES_OF_A_FLOAT = 8
 
 
 class Address(types.Type):
-    """The type of a state: the place of each field in its buffer; None for a field that is None."""
+    """The type of a state.
+
+    places: the place of each field in the buffer, in values; None for a field that is None.
+    """
 
     def __init__(self, places: Mapping[str, slice | None]) -> None:
         self.places = dict(places)
-        # numba takes two types with one name as the same type
-        ends = [f"{name}:{place.stop}" if place else name for name, place in places.items()]
-        super().__init__(name=f"State({' '.join(ends)})")
+        # Numba takes two types with the same name as the same type, so the name has all places.
+        # Fields follow each other without gaps, so the end of each one is enough.
+        parts = []
+        for field, place in places.items():
+            parts.append(field if place is None else f"{field}:{place.stop}")
+        super().__init__(name=f"State({' '.join(parts)})")
 
 
 @register_model(Address)
@@ -36,36 +43,41 @@ class _Model(models.StructModel):
     """In compiled code a state is a structure with one member: the address of its buffer."""
 
     def __init__(self, manager: Any, kind: Address) -> None:
-        super().__init__(manager, kind, [("first", types.CPointer(types.float64))])
+        super().__init__(manager, kind, [("address", types.CPointer(types.float64))])
 
 
 def register(named_tuple: type, places: Mapping[str, slice]) -> None:
-    """Makes numba take a named tuple of float64 views, or None, as the address of their buffer.
+    """Makes numba pass a named tuple to kernels as the address of its buffer.
 
-    The first field must be at the beginning of the buffer. This must precede the first call of a
-    kernel with such a tuple.
+    named_tuple: the class. Each field of an instance is a float64 view of one buffer, or None.
+    places: the place of each field in the buffer, in values. The first field is never None and is
+    at the beginning of the buffer. Each field begins where the field before it ends.
+
+    Call this before the first call of a kernel with such a tuple.
     """
     fields: tuple[str, ...] = named_tuple._fields  # type: ignore[attr-defined]
 
     @typeof_impl.register(named_tuple)
     def type_of_state(state: Any, context: Any) -> Address:
-        return Address(
-            {
-                name: None if view is None else places[name]
-                for name, view in zip(fields, state, strict=True)
-            }
-        )
+        present: dict[str, slice | None] = {}
+        for field, view in zip(fields, state, strict=True):
+            present[field] = None if view is None else places[field]
+        return Address(present)
 
 
 @unbox(Address)
 def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
-    """Generates the code that takes the address out of a Python object."""
+    """Generates the code that gets the address from a Python object.
+
+    It is the address of the first field's data.
+    """
     from numba.np import arrayobj  # a lazy import: only compiling needs it
 
-    # the caller keeps the buffer alive as long as the kernel runs
     view = c.unbox(_VIEW, c.pyapi.tuple_getitem(state, 0))
     value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
-    value.first = arrayobj.make_array(_VIEW)(c.context, c.builder, view.value).data
+    value.address = arrayobj.make_array(_VIEW)(c.context, c.builder, view.value).data
+    # `unbox` has counted a reference to the view, which nothing needs: the caller keeps the buffer
+    # alive as long as the kernel runs
     if c.context.enable_nrt:
         c.context.nrt.decref(c.builder, _VIEW, view.value)
     return NativeValue(value._getvalue(), is_error=view.is_error)
@@ -77,11 +89,13 @@ class _Fields(templates.AttributeTemplate):
 
     key = Address
 
-    # numba declares it as a value, NotImplemented
+    # numba's base class has the value NotImplemented in place of this method
     def generic_resolve(self, kind: Address, field: str) -> Any:  # type: ignore[override]
         if field not in kind.places:
-            return None
-        return _VIEW if kind.places[field] else types.none
+            return None  # numba then reports an unknown attribute
+        if kind.places[field] is None:
+            return types.none
+        return _VIEW
 
 
 @imputils.lower_getattr_generic(Address)
@@ -91,13 +105,13 @@ def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) ->
 
     place = kind.places[field]
     if place is None:
-        return context.get_dummy_value()
-    first = cgutils.create_struct_proxy(kind)(context, builder, state).first
+        return context.get_dummy_value()  # numba's representation of None
+    address = cgutils.create_struct_proxy(kind)(context, builder, state).address
     item_bytes = context.get_constant(types.intp, _BYTES_OF_A_FLOAT)
     view = arrayobj.make_array(_VIEW)(context, builder)
     arrayobj.populate_array(
         view,
-        data=builder.gep(first, [context.get_constant(types.intp, place.start)]),
+        data=builder.gep(address, [context.get_constant(types.intp, place.start)]),
         shape=[context.get_constant(types.intp, place.stop - place.start)],
         strides=[item_bytes],
         itemsize=item_bytes,

@@ -8,8 +8,11 @@ depends only on A/B, and its size grows with the cube root of the load.
      R_y the relative lateral radius of wheel and rail head
 [H2] kappa = minor / major semi-axis, m = 1 - kappa^2, K and E the complete elliptic integrals,
      D = (K - E) / m:    larger / smaller curvature = (K - D) / (kappa^2 D)
-[H3] 1/E* = 2 (1 - nu^2) / E for equal materials;  major^3 = 3 N D / (2 pi E* smaller curvature)
+[H3] 1/E* = 2 (1 - nu^2) / Y for equal materials of Young's modulus Y and Poisson's ratio nu;
+     major^3 = 3 N D / (2 pi E* smaller curvature), N the load
 [H4] p_0 = 3 N / (2 pi a b);  approach = 3 N K / (2 pi E* major);  N = k_h approach^(3/2)
+
+The curvatures of [H2] and [H3] are A and B. a and b are the semi-axes along x and y.
 
 Source: Hertz 1881 as in Johnson, Contact Mechanics (1985), section 4.2; paper eq. 5. Smooth,
 non-conformal surfaces and a half-space: not for worn, conforming profiles.
@@ -37,34 +40,41 @@ def curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m):
 def elliptic_integrals(kappa):
     """Return the complete elliptic integrals (K, D) for the complementary modulus 0 < kappa <= 1.
 
-    K is the one of the first kind. D = (K - E) / (1 - kappa^2) is kept free of cancellation up to
-    kappa = 1: the terms of the arithmetic-geometric mean are summed after division by
-    m = 1 - kappa^2. Source: Abramowitz and Stegun 17.6.
+    K is the integral of the first kind. D is (K - E) / m with m = 1 - kappa^2 [H2].
+
+    The arithmetic-geometric mean gives K = pi / (2 a_n) and K - E = K sum 2^(n-1) c_n^2. Near
+    kappa = 1 a division of K - E by m would lose digits. Therefore the sum is of c_n^2 / m, which
+    follows from c_0^2 = m and c_(n+1) = c_n^2 / (4 a_(n+1)). Source: Abramowitz and Stegun 17.6.
     """
     m = (1.0 - kappa) * (1.0 + kappa)
-    mean, geometric = 1.0, kappa
-    share = 1.0  # c_n^2 / m
+    # a_n and b_n, the arithmetic and the geometric mean
+    arithmetic, geometric = 1.0, kappa
+    c_squared_over_m = 1.0  # c_n^2 / m
     weight = 0.5  # 2^(n-1)
     total = 0.5  # sum of 2^(n-1) c_n^2 / m
     for _ in range(AGM_STEPS):
-        mean, geometric = 0.5 * (mean + geometric), math.sqrt(mean * geometric)
-        share = share * share * m / (16.0 * mean * mean)
+        arithmetic, geometric = 0.5 * (arithmetic + geometric), math.sqrt(arithmetic * geometric)
+        c_squared_over_m = (
+            c_squared_over_m * c_squared_over_m * m / (16.0 * arithmetic * arithmetic)
+        )
         weight *= 2.0
-        total += weight * share
-        if weight * share <= 1e-17 * total:
+        total += weight * c_squared_over_m
+        if weight * c_squared_over_m <= 1e-17 * total:
             break
-    K = 0.5 * math.pi / mean
+    K = 0.5 * math.pi / arithmetic
     return K, K * total
 
 
 @kernel
 def axis_ratio(curvature_ratio):
-    """Return minor over major semi-axis [H2], with K and D of `elliptic_integrals` there.
+    """Return (kappa, K, D): minor over major semi-axis [H2], and `elliptic_integrals(kappa)`.
 
-    `curvature_ratio` is the larger over the smaller curvature, at least 1. Newton's method runs on
-    the logarithms: there the slope lies between -2 and -1.5, so it always converges.
+    `curvature_ratio` is the larger over the smaller curvature, at least 1. Newton's method solves
+    [H2] for ln kappa. The slope of ln(curvature ratio) over ln kappa lies between -2 and -1.5, so
+    the method always converges.
     """
     target = math.log(min(curvature_ratio, LARGEST_RATIO))
+    # first estimate: a constant slope of -1 / 0.6, which lies between these limits
     kappa = math.exp(-0.6 * target)
     K, D = elliptic_integrals(kappa)
     for _ in range(NEWTON_STEPS):
@@ -72,9 +82,10 @@ def axis_ratio(curvature_ratio):
         m = (1.0 - kappa) * (1.0 + kappa)
         misfit = math.log((K - D) / D) - 2.0 * math.log(kappa) - target
 
-        # derivatives to m; near a circle dD is 0/0, and its limit is used
+        # derivatives of K and D to m; near a circle dD is 0/0, and its limit 3 pi / 32 is used
         dK = 0.5 * (K - D) / square
         dD = (0.5 * ((K - D) / square - D)) / m if m > 1e-5 else 0.09375 * math.pi
+        # derivative of the misfit to ln kappa, with dm / d(ln kappa) = -2 kappa^2
         slope = -2.0 - 2.0 * square * ((dK - dD) / (K - D) - dD / D)
 
         step = misfit / slope
@@ -89,7 +100,8 @@ def axis_ratio(curvature_ratio):
 def semi_axes(A_1_m, B_1_m, load_N, young_Pa, poisson):
     """Return size, peak pressure and approach of the patch [H3] [H4].
 
-    Without load, or without curvature (no ellipse), all four results are 0.
+    All four results are 0 unless the load and both curvatures are positive: then there is no
+    ellipse. NaN counts as not positive.
 
     Parameters
     ----------
@@ -103,19 +115,22 @@ def semi_axes(A_1_m, B_1_m, load_N, young_Pa, poisson):
     peak_pressure_Pa : p_0
     approach_m : by how much the bodies approach each other
     """
+    # not (x > 0.0) instead of x <= 0.0, because it is also true for NaN
     if not (load_N > 0.0 and A_1_m > 0.0 and B_1_m > 0.0):
         return 0.0, 0.0, 0.0, 0.0
     small = min(A_1_m, B_1_m)
     large = max(A_1_m, B_1_m)
     kappa, K, D = axis_ratio(large / small)
 
-    pliancy = 3.0 * (1.0 - poisson * poisson) / (math.pi * young_Pa)  # 3 / (2 pi E*)
-    unit = (pliancy * D / small) ** (1.0 / 3.0)  # major semi-axis under 1 N [H3]
+    compliance = 3.0 * (1.0 - poisson * poisson) / (math.pi * young_Pa)  # 3 / (2 pi E*)
+    # major semi-axis under a load of 1 N [H3]
+    major_of_1_N = (compliance * D / small) ** (1.0 / 3.0)
+    # the semi-axes and the pressure grow with this factor
     growth = load_N ** (1.0 / 3.0)
-    major = unit * growth
-    minor = kappa * unit * growth
-    pressure = 1.5 / (math.pi * kappa * unit * unit) * growth  # [H4]
-    approach = pliancy * K / unit * growth * growth
+    major = major_of_1_N * growth
+    minor = kappa * major_of_1_N * growth
+    pressure = 1.5 / (math.pi * kappa * major_of_1_N * major_of_1_N) * growth  # [H4]
+    approach = compliance * K / major_of_1_N * growth * growth  # [H4]
 
     # the ellipse is longer where the bodies are less curved
     if A_1_m <= B_1_m:
@@ -134,5 +149,5 @@ def stiffness(A_1_m, B_1_m, young_Pa, poisson):
     small = min(A_1_m, B_1_m)
     large = max(A_1_m, B_1_m)
     _, K, D = axis_ratio(large / small)
-    pliancy = 3.0 * (1.0 - poisson * poisson) / (math.pi * young_Pa)  # 3 / (2 pi E*)
-    return math.sqrt(D / (small * K)) / (pliancy * K)
+    compliance = 3.0 * (1.0 - poisson * poisson) / (math.pi * young_Pa)  # 3 / (2 pi E*)
+    return math.sqrt(D / (small * K)) / (compliance * K)

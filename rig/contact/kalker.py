@@ -1,7 +1,15 @@
 """Kalker's linear creep coefficients of an elliptic patch.
 
 At vanishing creepage the whole patch sticks, and the creep force is proportional to creepage and
-spin: F_x = -G a b c11 xi, F_y = -G a b (c22 eta + sqrt(a b) c23 phi), M_z = -G a b (... c33 phi).
+spin:
+
+    F_x = -G a b c11 xi
+    F_y = -G a b (c22 eta + sqrt(a b) c23 phi)
+    M_z = G (a b)^1.5 c23 eta - G (a b)^2 c33 phi
+
+Here a and b are the semi-axes of the patch along and across the rolling direction, and G is the
+shear modulus. xi, eta and phi are longitudinal creepage, lateral creepage and spin.
+
 Kalker tabulated the four factors over the shape of the patch and Poisson's ratio. This module
 interpolates between his rows. Beyond them (slender patches) it follows his asymptotes.
 
@@ -10,8 +18,9 @@ interpolates between his rows. Beyond them (slender patches) it follows his asym
 [K3] g < 0.1: c = asymptote(g) [1 + (c(0.1) / asymptote(0.1) - 1) g / 0.1], continuous at g = 0.1
 
 Source: Kalker 1967; Three-Dimensional Elastic Bodies in Rolling Contact (1990), Table E3.
-C23(a/b = 0.8, nu = 1/4) is 1.25; some codes carry the misprint 1.15. Doubt: c33 for a > b is not
-verified, the asymptotes are quoted from memory (they meet the table's ends within 7 %).
+c23(a/b = 0.8, nu = 1/4) is 1.25; some codes carry the misprint 1.15.
+Limits: c33 for a > b is not verified. The asymptotes are quoted from memory; they meet the ends of
+the table within 7 %.
 """
 
 import math
@@ -46,9 +55,9 @@ TABLE = np.array((
 ))
 # fmt: on
 END = 0.1  # smallest g = min(a/b, b/a) of the table
-SPACING = 0.1  # of g from row to row
-LAST = len(TABLE) - 1
-SLENDEREST = 1e-6  # more slender patches count as this
+SPACING = 0.1  # change of g from row to row
+LAST_ROW = len(TABLE) - 1
+SLENDEREST = 1e-6  # smallest g; a more slender patch counts as this one
 # columns of the coefficients in TABLE, and layers of the Poisson's ratios
 _C11, _C22, _C23, _C33 = range(4)
 _NU_0, _NU_QUARTER, _NU_HALF = range(3)
@@ -58,37 +67,41 @@ _NU_0, _NU_QUARTER, _NU_HALF = range(3)
 def coefficients(a_over_b, poisson):
     """Return Kalker's (c11, c22, c23, c33) of an elliptic patch.
 
-    `a_over_b` is the semi-axis along over the one across; it counts as 1e-6 .. 1e6. `poisson`
-    counts as 0 .. 0.5.
+    `a_over_b` is the semi-axis along the rolling direction over the one across it. Values beyond
+    1e-6 .. 1e6, and a `poisson` beyond 0 .. 0.5, are replaced by the nearest limit.
     """
     nu = min(max(poisson, 0.0), 0.5)
     ratio = min(max(a_over_b, SLENDEREST), 1.0 / SLENDEREST)
     long_patch = ratio > 1.0
     g = 1.0 / ratio if long_patch else ratio
 
-    # one coordinate over all rows: 0.1 .. 1 is a/b, 1 .. 1.9 is 2 - b/a
-    along = max(g, END)
-    place = ((2.0 - along if long_patch else along) - END) / SPACING
-    if g >= END:
-        return _interpolated(place, nu)
-
-    # more slender than the table: the asymptote, matched to the table's end [K3]
+    # one coordinate over all rows of the table: 0.1 .. 1 is a/b, 1 .. 1.9 is 2 - b/a
+    coordinate = max(g, END)
+    if long_patch:
+        coordinate = 2.0 - coordinate
+    # a fractional row; that of the first or last row where the patch is more slender than these
+    place = (coordinate - END) / SPACING
     c11, c22, c23, c33 = _interpolated(place, nu)
-    e11, e22, e23, e33 = _asymptote(END, long_patch, nu)
-    s11, s22, s23, s33 = _asymptote(g, long_patch, nu)
-    part = g / END
+    if g >= END:
+        return c11, c22, c23, c33
+
+    # more slender than the table: the asymptote at g, corrected by how far table and asymptote
+    # differ at the end of the table, with a weight that falls to 0 with g
+    end11, end22, end23, end33 = _asymptote(END, long_patch, nu)
+    g11, g22, g23, g33 = _asymptote(g, long_patch, nu)
+    weight = g / END
     return (
-        s11 * (1.0 + (c11 / e11 - 1.0) * part),
-        s22 * (1.0 + (c22 / e22 - 1.0) * part),  # [K3]
-        s23 * (1.0 + (c23 / e23 - 1.0) * part),
-        s33 * (1.0 + (c33 / e33 - 1.0) * part),
+        g11 * (1.0 + (c11 / end11 - 1.0) * weight),  # [K3], also the next three lines
+        g22 * (1.0 + (c22 / end22 - 1.0) * weight),
+        g23 * (1.0 + (c23 / end23 - 1.0) * weight),
+        g33 * (1.0 + (c33 / end33 - 1.0) * weight),
     )
 
 
 @kernel
 def _interpolated(place, nu):
     """Return the four coefficients at a fractional row `place` of TABLE and a Poisson's ratio."""
-    row = min(max(int(place), 0), LAST - 1)
+    row = min(max(int(place), 0), LAST_ROW - 1)
     share = place - row
     return (
         _coefficient(row, share, nu, _C11),
@@ -99,14 +112,15 @@ def _interpolated(place, nu):
 
 
 @kernel
-def _coefficient(row, share, nu, which):
-    """Return one coefficient, `share` of the way from `row` to the next one."""
+def _coefficient(row, share, nu, column):
+    """Return the coefficient of a column of TABLE, `share` of the way from `row` to the next."""
     # at the three tabulated Poisson's ratios [K1]
-    low = TABLE[row, _NU_0, which] * (1.0 - share) + TABLE[row + 1, _NU_0, which] * share
+    low = TABLE[row, _NU_0, column] * (1.0 - share) + TABLE[row + 1, _NU_0, column] * share
     mid = (
-        TABLE[row, _NU_QUARTER, which] * (1.0 - share) + TABLE[row + 1, _NU_QUARTER, which] * share
+        TABLE[row, _NU_QUARTER, column] * (1.0 - share)
+        + TABLE[row + 1, _NU_QUARTER, column] * share
     )
-    top = TABLE[row, _NU_HALF, which] * (1.0 - share) + TABLE[row + 1, _NU_HALF, which] * share
+    top = TABLE[row, _NU_HALF, column] * (1.0 - share) + TABLE[row + 1, _NU_HALF, column] * share
     # Lagrange's parabola through the three inverses [K2]
     return 1.0 / (
         (1.0 - 4.0 * nu) * (1.0 - 2.0 * nu) / low
@@ -117,10 +131,11 @@ def _coefficient(row, share, nu, which):
 
 @kernel
 def _asymptote(g, long_patch, nu):
-    """Return (c11, c22, c23, c33) of a slender patch, g = min(a/b, b/a) -> 0.
+    """Return (c11, c22, c23, c33) of a slender patch: Kalker's formulas for g -> 0.
 
-    `long_patch` is true for a > b.
+    g is min(a/b, b/a). `long_patch` is true for a > b.
     """
+    # abbreviations for terms that the formulas repeat; L is Kalker's Lambda
     L = math.log(16.0 / (g * g))
     s = (1.0 - nu) * L
     tail = 3.0 - math.log(4.0)

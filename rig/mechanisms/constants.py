@@ -11,9 +11,9 @@ from rollerrig.configs.vehicle import RESISTANCE, running_resistance, track_grad
 from rollerrig.rig.mechanisms.mechanism import (
     ALONE,
     AXLE,
-    AXLES_ALIKE,
     CONTACT,
-    NOT,
+    MODELLED_ON_ALL_AXLES,
+    NOT_MODELLED,
     VEHICLE,
     WHEEL,
     number,
@@ -79,7 +79,7 @@ ROWS = (
         "the wheels of one axle differ in radius",
         "assumption",
         ("wheel_radius_m",),
-        in_coach=AXLES_ALIKE,
+        in_coach=MODELLED_ON_ALL_AXLES,
     ),
     row_of(
         WHEEL,
@@ -88,7 +88,7 @@ ROWS = (
         "the inertia of the wheelsets differs",
         "assumption",
         ("wheelset_inertia_kgm2",),
-        in_coach=AXLES_ALIKE,
+        in_coach=MODELLED_ON_ALL_AXLES,
     ),
     row_of(
         CONTACT,
@@ -97,7 +97,7 @@ ROWS = (
         "the curvature at the contact patch differs",
         "Hertz 1882; Kalker 1967",
         ("eps1",),
-        in_coach=NOT,
+        in_coach=NOT_MODELLED,
     ),
     row_of(
         CONTACT,

@@ -11,7 +11,7 @@ from rollerrig.rig.mechanisms.mechanism import (
     AXLE,
     CONTACT,
     LOAD,
-    NOT,
+    NOT_MODELLED,
     SENSOR,
     Mechanism,
     number,
@@ -50,7 +50,7 @@ ROWS = (
         "lambda_0 = 1 - exp(-tau W) of the work W done meanwhile, not that of the base model",
         "recovery lags the dissipated energy",
         "assumption",
-        in_coach=NOT,
+        in_coach=NOT_MODELLED,
     ),
     Mechanism(
         "speed_sensor_delay",
@@ -75,7 +75,7 @@ ROWS = (
         "the load swings once a turn",
         "assumption",
         share=True,
-        in_coach=NOT,
+        in_coach=NOT_MODELLED,
     ),
     row_of(
         LOAD,
@@ -86,6 +86,6 @@ ROWS = (
         courses=(load_transfer, bogie_transfer),
         share=True,
         free=2,
-        in_coach=NOT,
+        in_coach=NOT_MODELLED,
     ),
 )

@@ -1,9 +1,15 @@
 """The type of a mechanism's row: its place in the model, its parameters, its formula.
 
-A formula is one of two things. A course is a kernel whose arguments are covariates by their names
-(COVARIATES), followed by the shape parameters of the row in their order. Or it is a function of the
-constants of the model by their names, which returns the constants that it changes. The docstring is
-the formula that reports show. Plant, coach and replay call the same formula.
+The formula of a mechanism is a function of one of two kinds:
+
+- A course is a kernel. It returns the effect that one unit of the mechanism's coefficient has at
+  one moment. Its first arguments are covariates (names in COVARIATES). The shape parameters of the
+  mechanism follow, in the order of its row.
+- A function of constants changes constants of a model. Its first argument maps the names of these
+  constants to their values. All parameters of the mechanism's formula follow, in the order of its
+  row. It returns the constants that it changes, by name.
+
+Plant, coach and replay call the same function. Reports show the first paragraph of its docstring.
 """
 
 import inspect
@@ -23,24 +29,25 @@ VEHICLE = "vehicle"
 SENSOR = "sensor"
 WHEEL = "wheel"
 CONTACT = "contact"
-# a scale this wide has no effect
+# A scale of this value or above has no effect: the mechanism does not level off (see `saturating`).
+# The unit is that of the scale: m/s, s or MJ. No speed, time or heat of a stop comes near it.
 WIDE = 1e4
-# whether the coach in 3D contains a mechanism: completely, only for all axles alike, or not
-WHOLLY = "wholly"
-AXLES_ALIKE = "all axles alike"
-NOT = "not"
+# whether the coach in 3D models a mechanism: completely, only on all axles alike, or not at all
+MODELLED = "completely"
+MODELLED_ON_ALL_AXLES = "all axles alike"
+NOT_MODELLED = "not"
 
 
 class Covariate(NamedTuple):
-    """A quantity that a course may depend on, under its name in prepared runs.
+    """A quantity that a course may depend on.
 
-    `of_plant` is the expression of it in the plant, for `axle` at `place_m`. `word` is its name in
-    the formula of an empirical term; its code there is its place in the table, from 1.
+    An empirical term identifies its covariate by a number: 1 is the first row of COVARIATES. Rows
+    with a `word` must come first there, because the plant counts only these.
     """
 
-    name: str
-    of_plant: str
-    word: str = ""
+    name: str  # as an argument of a course, and as a field of prepared runs
+    of_plant: str  # Python expression in the plant; its variables are `applied._ARGUMENTS`
+    word: str = ""  # name in the formula of an empirical term; empty: never in such a term
     unit: str = ""
 
 
@@ -65,25 +72,23 @@ COVARIATES = (
 class Mechanism(NamedTuple):
     """One possible cause.
 
-    `acts_on` is its place in the model. Its formula is in `courses` or in `constants`. The first
-    `free` parameters are coefficients, 0 when the mechanism is absent, each with its course. The
-    others are shape parameters. A coefficient whose lower bound is 0 has a fixed sign by nature.
-    With `share` a course is a share of the torque or load. `constants` changes the constants in
-    `changes`.
+    Its first `free` parameters are coefficients. A coefficient is 0 when the mechanism is absent; a
+    lower bound of 0 means that its sign is fixed by nature. The other parameters are shape
+    parameters. AXLE comes last if the mechanism has it.
     """
 
     name: str
-    acts_on: str
+    acts_on: str  # its place in the model: FRICTION, TORQUE, ...
     parameters: tuple[Row, ...]
-    formula: str
-    text: str
+    formula: str  # as reports show it
+    text: str  # what is wrong when this is the cause; reports show it
     source: str
-    courses: tuple[Any, ...] = ()
-    share: bool = False
-    constants: Callable[..., dict[str, Any]] | None = None
-    changes: tuple[str, ...] = ()
-    free: int = 1
-    in_coach: str = WHOLLY
+    courses: tuple[Any, ...] = ()  # a kernel for each coefficient
+    share: bool = False  # a course is a share of the torque or load, not an addition in its unit
+    constants: Callable[..., dict[str, Any]] | None = None  # function of constants
+    changes: tuple[str, ...] = ()  # names of the constants that `constants` changes
+    free: int = 1  # number of coefficients
+    in_coach: str = MODELLED
 
     @property
     def axlewise(self) -> bool:
@@ -92,11 +97,15 @@ class Mechanism(NamedTuple):
 
     @property
     def formula_parameters(self) -> tuple[Row, ...]:
-        """The parameters of the formula, without those that choose an axle or a friction."""
-        choosing = {AXLE.name}
+        """The parameters that are arguments of the formula.
+
+        The model itself reads the others: the axle, and for friction `contaminant_alone`. A
+        function of constants reads `contaminant_alone` itself.
+        """
+        read_by_model = {AXLE.name}
         if self.acts_on == FRICTION:
-            choosing.add(ALONE.name)
-        return tuple(row for row in self.parameters if row.name not in choosing)
+            read_by_model.add(ALONE.name)
+        return tuple(row for row in self.parameters if row.name not in read_by_model)
 
     @property
     def coefficients(self) -> tuple[str, ...]:
@@ -104,14 +113,17 @@ class Mechanism(NamedTuple):
         return tuple(f"{self.name}_{row.name}" for row in self.parameters[: self.free])
 
 
-def arguments(course: Any, shape: int) -> list[str]:
-    """Returns the covariates of a course that has this many shape parameters."""
+def arguments(course: Any, shape_count: int) -> list[str]:
+    """Returns the arguments of a course without its last `shape_count`, the shape parameters.
+
+    These are the names of its covariates.
+    """
     names = list(inspect.signature(course).parameters)
-    return names[: len(names) - shape]
+    return names[: len(names) - shape_count]
 
 
 def number(name: str, low: float, high: float, unit: str, default: float = 0.0) -> Row:
-    """Returns a parameter of a mechanism."""
+    """Returns a parameter of a mechanism. `unit` may also be a short text that explains it."""
     return table.number(name, default, low, high, unit)
 
 
@@ -124,9 +136,12 @@ def row_of(
     changes: tuple[str, ...] = (),
     **more: Any,
 ) -> Mechanism:
-    """Returns the row of a course or, with `changes`, of a function of constants.
+    """Returns the row of a mechanism with one formula.
 
-    The function gives the row its name, and the first paragraph of its docstring the formula.
+    `formula` is a course. With `changes` it is a function of constants, and `changes` are the
+    constants that it changes. The mechanism has the name of this function, and the text of its
+    formula is the first paragraph of the function's docstring. `more` are further fields of
+    `Mechanism`; `courses` among them replaces the single course.
     """
     fields: dict[str, Any] = {"courses": (formula,)}
     if changes:
@@ -151,5 +166,5 @@ ALONE = number("contaminant_alone", 0.0, 1.0, "-")
 
 @kernel
 def saturating(x, scale):
-    """Returns x levelled off at a scale: scale (1 - exp(-x / scale)); x where the scale is wide."""
+    """Returns x levelled off at a scale: scale (1 - exp(-x / scale)), or x for a scale >= WIDE."""
     return x if scale >= WIDE else -scale * math.expm1(-x / scale)

@@ -3,10 +3,15 @@
 Every wheelset of every run is one segment of flat arrays. The vehicle's speed is smoothed with the
 vehicle's force balance [P1], so that its noise does not enter the sliding. Loads are smoothed,
 because noise in an input would look like physics. Covariates come from the measurement and the
-wheel balance alone and never from a fit, so that no cause can shape its evidence.
+balance of the wheelset [P2] alone, never from a fit. So a cause cannot change the evidence for it.
 
-    [P1] u = v + sum J omega / (M r), du/dt = -(sum C / r + resistance) / M + slow disturbance
+    [P1] u = v + sum J omega / (M r), du/dt = -(sum C / r + resistance) / M + d
     [P2] f = (J domega/dt + C) / (r N)
+
+v is the speed of the vehicle, M its mass. omega, J, r, C and N are speed, inertia, radius, brake
+torque and load of a wheelset, and f is its adhesion. The sums are over all wheelsets. u is the
+momentum of vehicle and wheelsets together, divided by M. Adhesion does not change it, so [P1] needs
+no adhesion. d is a slow disturbance, an unknown acceleration.
 """
 
 from typing import NamedTuple
@@ -23,10 +28,18 @@ from rollerrig.rig.identify.data.smoothing import smoothed
 WINDOW_S = 0.21  # window of the derivative of wheel speed, s
 LOAD_SMOOTHING_S = 0.2
 BRAKED_SHARE = 0.02  # above this share of a wheelset's largest torque its brake is applied
-DISTURBANCE_M_S2 = 0.03  # change in a second of the slow disturbance of [P1]
-LEAST_SURFACE_SPEED_M_S = 0.05  # creepage is sliding over a speed that is never 0
+DISTURBANCE_M_S2 = 0.03  # standard deviation of the change of d in [P1] in a second
+LEAST_SURFACE_SPEED_M_S = 0.05  # creepage divides by the surface speed, which must not be 0
 
-# Noise that the accuracy does not state is estimated from third differences, but not below these.
+# The torque of the released brake is the mean over the beginning of a recording, up to a margin
+# before the smoothed torque exceeds a share of its largest value.
+RELEASED_SMOOTHING_S = 0.05
+RELEASED_SHARE = 0.06
+RELEASED_MARGIN_S = 0.15
+LEAST_RELEASED_S = 0.3  # a shorter beginning gives no value
+
+# Noise that the data set does not state in [accuracy] is estimated from third differences. These
+# are the smallest estimates.
 LEAST_SPEED_NOISE_M_S = 1e-4
 LEAST_WHEEL_NOISE_RAD_S = 1e-3
 LEAST_TORQUE_NOISE_NM = 5.0
@@ -44,7 +57,7 @@ class Design(NamedTuple):
     run: np.ndarray  # (segments,) number of the run
     axle: np.ndarray  # (segments,) 0 is the leading wheelset
     mass_kg: np.ndarray  # (runs,)
-    # flat arrays, a value for each sample of each wheelset
+    # flat arrays, a value for each sample of each wheelset; many are covariates of mechanisms
     measured_rad_s: np.ndarray
     torque_Nm: np.ndarray
     brake_Nm: np.ndarray  # torque_Nm, smoothed over WINDOW_S
@@ -54,9 +67,9 @@ class Design(NamedTuple):
     place_m: np.ndarray
     sliding_m_s: np.ndarray  # smoothed
     adhesion: np.ndarray  # [P2]
-    energy_J_m: np.ndarray
-    cleaned_J_m: np.ndarray  # work of the wheels in front on this metre
-    heat_MJ: np.ndarray
+    energy_J_m: np.ndarray  # work of one wheel of the wheelset on a metre
+    cleaned_J_m: np.ndarray  # work of the wheels in front on this metre of rail
+    heat_MJ: np.ndarray  # work of the brake so far
     slid_m: np.ndarray
     braked_rad: np.ndarray  # angle turned while the brake was applied
     deceleration_m_s2: np.ndarray
@@ -68,13 +81,13 @@ class Design(NamedTuple):
     speed_noise_m_s: float
     wheel_noise_rad_s: float
     torque_noise_Nm: np.ndarray  # (runs,)
-    calibration: float
-    form: float
+    calibration: float  # of torque, load and mass, as a share
+    form: float  # how far the law of a cause may differ from the true law, as a share of its effect
     # the model
-    base: np.ndarray  # (PARAMETERS,) of `parameters`
-    resistance: np.ndarray  # A, B, C
+    base: np.ndarray  # (PARAMETERS,), columns of `parameters`
+    resistance: np.ndarray  # A, B, C of the running resistance A + B v + C v^2
     released_Nm: np.ndarray  # (segments,) mean torque of the released brake; NaN: never released
-    released_sd_Nm: np.ndarray
+    released_sd_Nm: np.ndarray  # (segments,) standard error of this mean
     places_m: tuple[float, float]  # where the bins of place begin and end
     ends_s: tuple[float, ...]  # where the bins of time of each run end
 
@@ -100,25 +113,36 @@ class Design(NamedTuple):
 def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
     """Returns the smoothed u of [P1], shape (n,), by a forward filter and a backward smoother.
 
-    The state is u and the slow disturbance d. `measured` and `force_over_mass` have the shape (n,);
-    `noise` in m/s, `torque_noise` in m/s2 of one sample, `drift` in m/s2 in a second.
+    The state is u and the slow disturbance d.
+
+    Parameters
+    ----------
+    measured : (n,), u from measured speeds, m/s
+    force_over_mass : (n,), deceleration from sample k to k + 1 by [P1], m/s2
+    step_s : time between two samples
+    noise : standard deviation of `measured`, m/s
+    torque_noise : standard deviation of `force_over_mass` by noise of the torques, m/s2
+    drift : standard deviation of the change of d in a second, m/s2
     """
     n = measured.size
     u = measured[0]
     d = 0.0
-    # covariances of u and d
+    # covariance of (u, d); d is 0 with a standard deviation of 0.01 m/s2 at the beginning
     puu = noise * noise
     pud = 0.0
     pdd = 1e-4
+    # growth of the variances of u and d in one step; 1e-12 keeps that of u above 0 where an
+    # infinite mass makes `torque_noise` 0
     quu = (torque_noise * step_s) ** 2 + 1e-12
     qdd = drift * drift * step_s
 
-    # forward filter
+    # forward filter; the columns of both arrays are u, d, puu, pud, pdd
     filtered = np.empty((n, 5))
     predicted = np.empty((n, 5))
     for k in range(n):
         predicted[k] = np.array([u, d, puu, pud, pdd])
 
+        # correct by the measurement; pdd comes before pud, because it needs the old pud
         gain_u = puu / (puu + noise * noise)
         gain_d = pud / (puu + noise * noise)
         innovation = measured[k] - u
@@ -129,6 +153,7 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
         pud *= 1.0 - gain_u
         filtered[k] = np.array([u, d, puu, pud, pdd])
 
+        # predict the next sample; d stays
         u += step_s * (d - force_over_mass[k])
         puu = puu + 2.0 * step_s * pud + step_s * step_s * pdd + quu
         pud += step_s * pdd
@@ -143,7 +168,8 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
         filtered_u, filtered_d, fuu, fud, fdd = filtered[k]
         predicted_u, predicted_d, puu, pud, pdd = predicted[k + 1]
 
-        # gain = P F' Ppred^-1, F = [[1, h], [0, 1]]
+        # gain g = m Ppred^-1, m = P F': P is the filtered covariance at k, Ppred the predicted one
+        # at k + 1, F = [[1, step_s], [0, 1]]
         m11 = fuu + step_s * fud
         m12 = fud
         m21 = fud + step_s * fdd
@@ -163,20 +189,25 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
 
 
 def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Design:
-    """Returns the design of some runs of a dataset. With `like` it has the bins of that design."""
+    """Returns the design of some runs of a dataset.
+
+    With `like` the design has the bins of place and time of that design, so that a cause that is a
+    bin means the same in both.
+    """
     vehicle = data.sections["vehicle"]
     radius_m = vehicle["wheel_radius_m"]
     inertia_kgm2 = vehicle["wheelset_inertia_kgm2"]
     step_s = data.sample_time_s
     resistance = np.array([vehicle[key] for key in RESISTANCE.values()])
 
+    # three arrays of shape (runs,)
     speed_noise, wheel_noise, torque_noise = np.array([_noise(data, run) for run in runs]).T
     speed_noise_m_s = float(np.median(speed_noise))
 
     parts = []
     for run, torque_noise_Nm in zip(runs, torque_noise, strict=True):
         parts.append(
-            _run(
+            _flat_fields(
                 run,
                 data,
                 radius_m,
@@ -190,9 +221,13 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
     # (samples, AXLES) of each run becomes one flat array, wheelset after wheelset
     flat = {key: np.concatenate([part[key].T.ravel() for part in parts]) for key in parts[0]}
 
-    released = np.array(
-        [_released(run.torque_Nm[:, axle], step_s) for run in runs for axle in range(AXLES)]
-    )
+    # (segments, 2): mean torque of the released brake and its standard error
+    released_rows = []
+    for run in runs:
+        for axle in range(AXLES):
+            released_rows.append(_released_torque(run.torque_Nm[:, axle], step_s))
+    released = np.array(released_rows)
+
     sizes = np.array([run.time_s.size for run in runs])
     if like is None:
         places_m = (float(flat["place_m"].min()), float(flat["place_m"].max()))
@@ -200,6 +235,7 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
     else:
         places_m = like.places_m
         ends_s = like.ends_s
+
     return Design(
         names=tuple(run.name for run in runs),
         step_s=step_s,
@@ -225,9 +261,10 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
-    """Returns the standard deviations of vehicle speed, wheel speed and torque.
+    """Returns the standard deviations of vehicle speed (m/s), wheel speed (rad/s) and torque (N m).
 
-    Each is the one that the accuracy states, or is estimated.
+    A value comes from the section [accuracy] of the data set. A negative value means that the
+    section does not give it; then it is estimated from the run.
     """
     accuracy = data.accuracy
 
@@ -239,36 +276,38 @@ def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
     if wheel_rad_s <= 0:
         wheel_rad_s = max(_estimated_noise(run.wheel_speed_rad_s), LEAST_WHEEL_NOISE_RAD_S)
 
-    torque_Nm = accuracy["torque_fraction"] * float(np.max(run.torque_Nm))
-    if accuracy["torque_fraction"] <= 0:
+    if accuracy["torque_fraction"] > 0:
+        torque_Nm = accuracy["torque_fraction"] * float(np.max(run.torque_Nm))
+    else:
         torque_Nm = _estimated_noise(run.torque_Nm)
     return speed_m_s, wheel_rad_s, max(torque_Nm, LEAST_TORQUE_NOISE_NM)
 
 
 def _estimated_noise(values: np.ndarray) -> float:
-    """Returns the standard deviation of white noise on a smooth course, from third differences."""
+    """Returns the standard deviation of white noise on a smooth signal, from third differences."""
     third = np.diff(values, n=3, axis=0)
-    # 0.6745: median of |x| of a normal law; a third difference has 20 times the variance
+    # 0.6745 is the median of |x| for a normal distribution of standard deviation 1. A third
+    # difference of white noise has 1 + 9 + 9 + 1 = 20 times its variance.
     return float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-9
 
 
-def _released(torque_Nm: np.ndarray, step_s: float) -> tuple[float, float]:
+def _released_torque(torque_Nm: np.ndarray, step_s: float) -> tuple[float, float]:
     """Returns the mean torque before the brake applies and its standard error.
 
-    Both are NaN where the recording begins with the brake applied.
+    Both are NaN where less than LEAST_RELEASED_S of the recording is with the brake released.
     """
-    smooth = gaussian_filter1d(torque_Nm, 0.05 / step_s)
-    applied = np.flatnonzero(smooth > 0.06 * np.max(smooth))
+    smooth = gaussian_filter1d(torque_Nm, RELEASED_SMOOTHING_S / step_s)
+    applied = np.flatnonzero(smooth > RELEASED_SHARE * np.max(smooth))
     samples = 0
     if applied.size:
-        samples = int(applied[0]) - int(0.15 / step_s)
-    if samples < 0.3 / step_s:
+        samples = int(applied[0]) - int(RELEASED_MARGIN_S / step_s)
+    if samples < LEAST_RELEASED_S / step_s:
         return float("nan"), float("nan")
-    part = torque_Nm[:samples]
-    return float(part.mean()), float(part.std(ddof=1) / np.sqrt(part.size))
+    before = torque_Nm[:samples]
+    return float(before.mean()), float(before.std(ddof=1) / np.sqrt(before.size))
 
 
-def _run(
+def _flat_fields(
     run: Run,
     data: Dataset,
     radius_m: float,
@@ -278,28 +317,40 @@ def _run(
     torque_noise_Nm: float,
     resistance: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """Returns the fields of `Design` that are flat arrays, of one run, each of shape (n, AXLES)."""
+    """Returns the part of one run in the flat arrays of `Design`, each of shape (n, AXLES)."""
     measured_m_s = run.speed_m_s
-    window = max(5, 2 * int(0.5 * WINDOW_S / step_s) + 1)
+    window = max(5, 2 * int(0.5 * WINDOW_S / step_s) + 1)  # samples, odd
 
     # vehicle speed, smoothed with the force balance [P1]
     coast_N = (
         resistance[0] + resistance[1] * measured_m_s + resistance[2] * measured_m_s * measured_m_s
     )
     force_over_mass = (run.torque_Nm.sum(axis=1) / radius_m + coast_N) / run.mass_kg
-    middle = 0.5 * (force_over_mass + np.append(force_over_mass[1:], force_over_mass[-1]))
+    # the mean of each sample and the next one, for the step between them
+    force_over_mass_of_step = 0.5 * (
+        force_over_mass + np.append(force_over_mass[1:], force_over_mass[-1])
+    )
+    # sum J omega / (M r), the part of u that the wheelsets contribute
     turning_m_s = inertia_kgm2 * run.wheel_speed_rad_s.sum(axis=1) / (run.mass_kg * radius_m)
+    # the noise of the sum of four independent torques is sqrt(4) = 2 times that of one
+    torques_noise_m_s2 = 2.0 * torque_noise_Nm / (radius_m * run.mass_kg)
     u = smooth_speed(
         measured_m_s + turning_m_s,
-        middle,
+        force_over_mass_of_step,
         step_s,
         speed_noise_m_s,
-        2.0 * torque_noise_Nm / (radius_m * run.mass_kg),
+        torques_noise_m_s2,
         DISTURBANCE_M_S2,
     )
-    smooth_rad_s = smoothed(run.wheel_speed_rad_s, window, 3)
+    smooth_rad_s = smoothed(run.wheel_speed_rad_s, window, order=3)
     speed_m_s = u - inertia_kgm2 * smooth_rad_s.sum(axis=1) / (run.mass_kg * radius_m)
-    deceleration_m_s2 = -smoothed(speed_m_s, 2 * window + 1, 2, 1, step_s)
+    deceleration_m_s2 = -smoothed(
+        speed_m_s,
+        2 * window + 1,
+        order=2,
+        derivative=1,
+        step=step_s,
+    )
 
     # speed of the surface under the wheels: of the rollers, or of the vehicle on a track
     surface_m_s = speed_m_s[:, None] if run.surface_m_s is None else run.surface_m_s
@@ -309,13 +360,20 @@ def _run(
 
     # adhesion and specific work of each wheelset
     load_N = gaussian_filter1d(run.load_N, LOAD_SMOOTHING_S / step_s, axis=0, mode="nearest")
-    rate_rad_s2 = smoothed(run.wheel_speed_rad_s, window, 3, 1, step_s)
-    brake_Nm = smoothed(run.torque_Nm, window, 3)
+    rate_rad_s2 = smoothed(
+        run.wheel_speed_rad_s,
+        window,
+        order=3,
+        derivative=1,
+        step=step_s,
+    )
+    brake_Nm = smoothed(run.torque_Nm, window, order=3)
     adhesion = (inertia_kgm2 * rate_rad_s2 + brake_Nm) / (radius_m * load_N)  # [P2]
     sliding_m_s = surface_m_s - radius_m * smooth_rad_s
+    # friction force times creepage; 0.5: a wheel carries half of the load of its wheelset
     energy_J_m = np.maximum(adhesion * 0.5 * load_N * sliding_m_s / surface_m_s, 0.0)
 
-    # place on the rail
+    # place on the rail; without a measured position, the integral of the speed (trapezoids)
     if run.position_m is not None:
         travelled_m = run.position_m
     else:
@@ -323,6 +381,7 @@ def _run(
         travelled_m = np.concatenate([[0.0], np.cumsum(steps_m)])
     place_m = travelled_m[:, None] - data.axle_position_m
 
+    # integrals over time, as sums over samples
     turned_rad = step_s * run.wheel_speed_rad_s
     braked = brake_Nm > BRAKED_SHARE * brake_Nm.max(axis=0)
     heat_W = np.maximum(brake_Nm * smooth_rad_s, 0.0)
@@ -342,15 +401,20 @@ def _run(
         "slid_m": np.cumsum(np.abs(sliding_m_s), axis=0) * step_s,
         "braked_rad": np.cumsum(turned_rad * braked, axis=0),
         "deceleration_m_s2": np.repeat(deceleration_m_s2[:, None], AXLES, axis=1),
+        # the last sample counts half: the angle at the time of the sample
         "angle_rad": np.cumsum(run.wheel_speed_rad_s, axis=0) * step_s - 0.5 * turned_rad,
     }
 
 
 def _work_in_front(place_m: np.ndarray, energy_J_m: np.ndarray) -> np.ndarray:
-    """Returns the work that the wheels in front have done on each place, shape (n, AXLES)."""
+    """Returns the work that the wheels in front have done on each metre of rail, (n, AXLES).
+
+    The leading wheelset has no wheels in front.
+    """
     work_J_m = np.zeros_like(energy_J_m)
     for axle in range(1, energy_J_m.shape[1]):
         for front in range(axle):
+            # 0 on rail that the wheel in front had passed before the recording began
             work_J_m[:, axle] += np.interp(
                 place_m[:, axle], place_m[:, front], energy_J_m[:, front], left=0.0
             )
