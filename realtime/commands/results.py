@@ -1,15 +1,27 @@
-"""Finished runs: `rollerrig compare`, `view` and `export`; and a rig to take elsewhere: `rollerrig export-fmu`."""
+"""Verbs for finished runs: `rollerrig compare`, `view` and `export`. Also `rollerrig export-fmu`.
+
+`export-fmu` writes the rig as an FMU for other simulation programs.
+"""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output
 
-_SHOWN = 12
+if TYPE_CHECKING:
+    from rollerrig.realtime.record.compare import Difference
+    from rollerrig.realtime.record.records import Run
+
+# rows of the table of differences; --json has all of them
+_TABLE_ROWS = 12
+_THIRDS = ("first third", "second third", "last third")
 
 
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig compare`."""
     parser.add_argument(
         "run", nargs="+", type=Path, help="folders of runs; the first is the reference"
     )
@@ -18,115 +30,175 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="UNIT=VALUE",
-        help="largest difference allowed for a unit (m_s=0.1) or a channel "
-        "(sliding_1_m_s=0.5); may be repeated; beyond it the status is 1",
+        help="largest allowed difference for a unit (m_s=0.1) or a channel "
+        "(sliding_1_m_s=0.5); may be repeated; a larger difference gives exit status 1",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the overlay as .rrd")
-
-
-def compare(given: argparse.Namespace) -> int:
-    from rollerrig.realtime.record import compare as by_value
-    from rollerrig.realtime.record import figures, records
-    from rollerrig.realtime.telemetry import viewer
-
-    limits = by_value.tolerances(given.tolerance)
-    if len(given.run) < 2:
-        raise ConfigError(
-            "compare needs at least two run folders, as in: rollerrig compare runs/a runs/b"
-        )
-    runs = [records.load(folder) for folder in given.run]
-    rows, not_valid = by_value.differences(runs, limits), records.not_valid(given.run)
-    shown = [
-        (one.title, one.unit, [one.shown(run.summary) for run in runs]) for one in figures.FIGURES
-    ]
-    failed = [row for row in rows if row.failed]
-    drifts = [by_value.drifts(run) for run in runs]
-    shown += [
-        (f"{name}, {part} third", "", [drift[name][k] for drift in drifts])
-        for name in drifts[0]
-        for k, part in enumerate(("first", "second", "last"))
-    ]
-    if given.out:
-        viewer.overlay(given.run, given.out)
-    output.show(
-        given,
-        {
-            "runs": [str(run.folder) for run in runs],
-            "warnings": not_valid,
-            "figures": [
-                {"name": title, "unit": unit, "values": values} for title, unit, values in shown
-            ],
-            "differences": [row._asdict() | {"failed": row.failed} for row in rows],
-            "overlay": str(given.out) if given.out else None,
-            "passed": not (failed or not_valid),
-        },
-        (
-            None,
-            ("", "unit", *(run.folder.name for run in runs)),
-            (
-                (title, unit, *("-" if value is None else f"{value:.4g}" for value in values))
-                for title, unit, values in shown
-            ),
-        ),
-        *(
-            [
-                (
-                    None,
-                    ("run", "channel", "largest difference", "rms", "at s", "tolerance"),
-                    (
-                        (
-                            Path(row.run).name,
-                            row.channel,
-                            f"{row.largest:.4g}",
-                            f"{row.rms:.4g}",
-                            f"{row.at_s:.2f}",
-                            f"{row.tolerance:.4g}",
-                        )
-                        for row in failed[:_SHOWN]
-                    ),
-                )
-            ]
-            if failed
-            else ()
-        ),
-        *([f"{len(failed)} of {len(rows)} channels beyond their tolerance"] if limits else ()),
-        *([f"overlay: {given.out}"] if given.out else ()),
-    )
-    return output.FAILED if failed else output.INVALID if not_valid and limits else output.PASS
-
-
-def view_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("run", nargs="+", type=Path, help="folders of runs; several are overlaid")
     parser.add_argument(
-        "--png", type=Path, metavar="FILE", help="write a picture instead, headless"
+        "--out", type=Path, metavar="FILE", help="write a Rerun recording (.rrd) of all runs"
     )
-    parser.add_argument("--size", default="1600x1000", metavar="WxH", help="of the picture")
-    parser.add_argument("--time", type=float, metavar="S", help="time shown in the picture")
 
 
-def view(given: argparse.Namespace) -> int:
+def compare(options: argparse.Namespace) -> int:
+    """Print the figures of several runs, and the channels that differ too much from the first run.
+
+    Returns FAILED if a channel exceeds its tolerance. Returns INVALID if a run is not valid and
+    tolerances are given. Returns PASS otherwise.
+    """
+    # imported here, so that the other verbs start quickly
+    from rollerrig.realtime.record import compare as comparison
     from rollerrig.realtime.record import records
     from rollerrig.realtime.telemetry import viewer
 
-    warnings = records.not_valid(run for run in given.run if run.is_dir())
-    if given.png:
-        try:
-            width, height = (int(part) for part in given.size.split("x"))
-        except ValueError:
-            raise ConfigError(
-                f"--size {given.size}: write width x height, as in 1600x1000"
-            ) from None
-        result = {"picture": str(viewer.picture(given.run, given.png, (width, height), given.time))}
-    else:
-        result = viewer.open_run(given.run)
-    return output.show(
-        given,
-        result | {"warnings": warnings},
-        *(f"{key}: {value}" for key, value in result.items()),
+    tolerances = comparison.tolerances(options.tolerance)
+    if len(options.run) < 2:
+        raise ConfigError(
+            "compare needs at least two run folders, as in: rollerrig compare runs/a runs/b"
+        )
+
+    runs = [records.load(folder) for folder in options.run]
+    differences = comparison.differences(runs, tolerances)
+    warnings = records.not_valid(options.run)
+    failed = [difference for difference in differences if difference.failed]
+    figures = _figures(runs)
+    if options.out:
+        viewer.overlay(options.run, options.out)
+
+    result = {
+        "runs": [str(run.folder) for run in runs],
+        "warnings": warnings,
+        "figures": [figure._asdict() for figure in figures],
+        "differences": [
+            difference._asdict() | {"failed": difference.failed} for difference in differences
+        ],
+        "overlay": str(options.out) if options.out else None,
+        "passed": not (failed or warnings),
+    }
+
+    items: list[Any] = [_figure_table(runs, figures)]
+    if failed:
+        items.append(_difference_table(failed))
+    if tolerances:
+        items.append(f"{len(failed)} of {len(differences)} channels exceed their tolerance")
+    if options.out:
+        items.append(f"overlay: {options.out}")
+    output.show(options, result, *items)
+
+    if failed:
+        return output.FAILED
+    # without tolerances, nothing is judged
+    if warnings and tolerances:
+        return output.INVALID
+    return output.PASS
+
+
+class _Figure(NamedTuple):
+    """One figure of all compared runs. The field names are keys of the JSON result."""
+
+    name: str
+    unit: str
+    values: list[float | None]
+
+
+def _figures(runs: "Sequence[Run]") -> list[_Figure]:
+    """Return the figures of the summaries, then the drifts over the thirds of each stop."""
+    from rollerrig.realtime.record import compare as comparison
+    from rollerrig.realtime.record import figures
+
+    compared: list[_Figure] = []
+    for figure in figures.FIGURES:
+        values = [figure.shown(run.summary) for run in runs]
+        compared.append(_Figure(figure.title, figure.unit, values))
+
+    drifts = [comparison.drifts(run) for run in runs]
+    for name in drifts[0]:
+        for number, third in enumerate(_THIRDS):
+            values = [drift[name][number] for drift in drifts]
+            compared.append(_Figure(f"{name}, {third}", "", values))
+    return compared
+
+
+def _figure_table(runs: "Sequence[Run]", figures: Sequence[_Figure]) -> tuple[Any, ...]:
+    """Return the table of figures for `output.show`: one column per run, "-" for no value."""
+    head = ("", "unit", *(run.folder.name for run in runs))
+    rows = []
+    for figure in figures:
+        cells = ["-" if value is None else f"{value:.4g}" for value in figure.values]
+        rows.append((figure.name, figure.unit, *cells))
+    return None, head, rows
+
+
+def _difference_table(differences: "Sequence[Difference]") -> tuple[Any, ...]:
+    """Return the table of the first differences for `output.show`."""
+    head = ("run", "channel", "largest difference", "rms", "at s", "tolerance")
+    rows = [
+        (
+            Path(difference.run).name,
+            difference.channel,
+            f"{difference.largest:.4g}",
+            f"{difference.rms:.4g}",
+            f"{difference.at_s:.2f}",
+            f"{difference.tolerance:.4g}",
+        )
+        for difference in differences[:_TABLE_ROWS]
+    ]
+    return None, head, rows
+
+
+def view_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig view`."""
+    parser.add_argument(
+        "run", nargs="+", type=Path, help="folders of runs; several runs are overlaid"
+    )
+    parser.add_argument(
+        "--png",
+        type=Path,
+        metavar="FILE",
+        help="write a picture and open no window; this works without a display",
+    )
+    parser.add_argument(
+        "--size",
+        default="1600x1000",
+        metavar="WxH",
+        help="size of the picture in pixels (default: 1600x1000)",
+    )
+    parser.add_argument(
+        "--time", type=float, metavar="S", help="time in the run that the picture shows"
     )
 
 
+def view(options: argparse.Namespace) -> int:
+    """Open runs in the viewer, or write a picture of them. Returns PASS."""
+    from rollerrig.realtime.record import records
+    from rollerrig.realtime.telemetry import viewer
+
+    warnings = records.not_valid(run for run in options.run if run.is_dir())
+    if options.png:
+        size = _picture_size(options.size)
+        picture = viewer.picture(options.run, options.png, size, options.time)
+        result = {"picture": str(picture)}
+    else:
+        result = viewer.open_run(options.run)
+
+    lines = [f"{key}: {value}" for key, value in result.items()]
+    return output.show(options, result | {"warnings": warnings}, *lines)
+
+
+def _picture_size(text: str) -> tuple[int, int]:
+    """Return width and height in pixels, read from a text such as "1600x1000".
+
+    Raises ConfigError.
+    """
+    try:
+        width, height = (int(part) for part in text.split("x"))
+    except ValueError:
+        raise ConfigError(
+            f"--size {text}: write width x height in pixels, as in 1600x1000"
+        ) from None
+    return width, height
+
+
 def export_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig export`."""
     parser.add_argument("run", type=Path, help="folder of a run")
     parser.add_argument(
         "--format",
@@ -138,35 +210,43 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=Path,
         metavar="FILE",
-        help="the file (default: in the run's folder, called as the run)",
+        help="the file to write (default: in the folder of the run, with the name of the folder)",
     )
 
 
-def export(given: argparse.Namespace) -> int:
+def export(options: argparse.Namespace) -> int:
+    """Write a run in the format of another program. Returns PASS."""
     from rollerrig.realtime.record import export as formats
     from rollerrig.realtime.record import records
     from rollerrig.realtime.reports import stop
 
-    run = records.load(given.run)
-    out = (
-        given.out or given.run / f"{given.run.resolve().name}{formats.SUFFIX.get(given.format, '')}"
-    )
-    files = formats.write(run, given.format, out, {"svg": stop.write})
-    samples, channels, events = len(run.table), len(run.table.column_names), len(run.events)
+    run = records.load(options.run)
+    out = options.out
+    if not out:
+        suffix = formats.SUFFIX.get(options.format, "")
+        out = options.run / f"{options.run.resolve().name}{suffix}"
+    files = formats.write(run, options.format, out, {"svg": stop.write})
+
+    samples = len(run.table)
+    channels = len(run.table.column_names)
+    events = len(run.events)
+    result = {
+        "files": [str(file) for file in files],
+        "samples": samples,
+        "channels": channels,
+        "events": events,
+        "warnings": records.not_valid([options.run]),
+    }
+    names = ", ".join(map(str, files))
     return output.show(
-        given,
-        {
-            "files": [str(file) for file in files],
-            "samples": samples,
-            "channels": channels,
-            "events": events,
-            "warnings": records.not_valid([given.run]),
-        },
-        f"{samples} samples of {channels} channels and {events} events in {', '.join(map(str, files))}",
+        options,
+        result,
+        f"{samples} samples of {channels} channels and {events} events in {names}",
     )
 
 
 def fmu_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig export-fmu`."""
     parser.add_argument("scenario", help="name of a packaged scenario, or a TOML file")
     parser.add_argument(
         "--out",
@@ -185,16 +265,18 @@ def fmu_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def export_fmu(given: argparse.Namespace) -> int:
+def export_fmu(options: argparse.Namespace) -> int:
+    """Write the rig with a scenario as an FMU. Returns PASS."""
     from rollerrig.firmware_sim.faults import panel
     from rollerrig.realtime.bench import as_fmu, scenario
 
-    plan = scenario.load(given.scenario, given.model, tuple(given.set))
+    plan = scenario.load(options.scenario, options.model, tuple(options.set))
+    # an FMU runs without buses, as pacing "free" does, so faults of a bus are refused
     panel.check_pacing(plan.faults, "free")
-    count = as_fmu.write(plan, given.out)
+    variables = as_fmu.write(plan, options.out)
     return output.show(
-        given,
-        {"file": str(given.out), "variables": count, "step_s": as_fmu.STEP_S},
-        f"{given.out}: {count} variables, FMI 3.0, steps of {as_fmu.STEP_S:g} s; where it runs, Python "
-        "with rollerrig has to be installed",
+        options,
+        {"file": str(options.out), "variables": variables, "step_s": as_fmu.STEP_S},
+        f"{options.out}: {variables} variables, FMI 3.0, steps of {as_fmu.STEP_S:g} s; Python with "
+        "rollerrig must be installed where the FMU runs",
     )
