@@ -1,8 +1,8 @@
-"""Opens recorded runs in the Rerun viewer, lays runs over one another, and takes pictures of them.
+"""Opens recorded runs in the Rerun viewer, overlays several runs, and takes pictures of them.
 
-The viewer is a program of its own. It listens on loopback only, and its own reporting of use is
-switched off by a configuration folder that it is given. Without a display the command is told
-that serves the run to a browser on this machine.
+The viewer is a separate program. It listens on loopback only. A configuration folder switches off
+its reporting of use. On a machine without a display, the result is a command that serves the run to
+a browser on this machine.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import rerun as rr
 from PIL import Image
@@ -31,57 +31,79 @@ from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing
 
 LOOPBACK = "127.0.0.1"
-GRPC_PORT, WEB_PORT = 9876, 9090
-_TITLE_BAR = 36  # points
+# the usual ports of Rerun
+GRPC_PORT = 9876
+WEB_PORT = 9090
+
+# height of the viewer's title bar, points
+_TITLE_BAR = 36
+# s; the viewer has drawn something after this time
+_FIRST_SHOT_S = 0.8
+# s; between two screenshots
+_NEXT_SHOT_S = 0.3
+# s; between two attempts to connect
+_CONNECT_AGAIN_S = 0.1
+# s; a viewer that is terminated has exited after this time
+_EXIT_S = 10.0
+# characters of the viewer's message that are shown
+_MESSAGE_LENGTH = 160
 _NO_GRAPHICS = (
-    "no picture: the viewer ended, most likely for want of a Vulkan driver ({why}); install one, "
-    "on Debian or Ubuntu with 'apt-get install mesa-vulkan-drivers libvulkan1' (it renders in "
+    "no picture: the viewer exited, probably because there is no Vulkan driver ({why}); install "
+    "one. On Debian or Ubuntu: 'apt-get install mesa-vulkan-drivers libvulkan1' (it renders in "
     "software and needs no display)"
 )
 
+# fields of a row of /proc/net/tcp, and the value for an open connection
+_TCP_LOCAL_ADDRESS = 1
+_TCP_STATE = 3
+_TCP_ESTABLISHED = "01"
+
 
 def has_display() -> bool:
-    """Whether a window can be opened here."""
-    return sys.platform in ("darwin", "win32") or any(
-        os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")
-    )
+    """Return whether a window can be opened here."""
+    if sys.platform in ("darwin", "win32"):
+        return True
+    return any(os.environ.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY"))
 
 
 def environment() -> dict[str, str]:
-    """The environment for viewers: as ours, with the viewer's reporting of use switched off."""
+    """Return the environment for viewers: that of this process, without reporting of use."""
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     try:
         home = _switched_off(cache / "rollerrig" / "viewer")
     except OSError:
-        # no writable home: a folder of this process's own
+        # there is no writable home
         home = _switched_off(Path(tempfile.mkdtemp(prefix="rollerrig-viewer-")))
     level = os.environ.get("RUST_LOG", "error")
     return os.environ | {"XDG_CONFIG_HOME": str(home), "RUST_LOG": level}
 
 
 def _switched_off(home: Path) -> Path:
-    """A folder for XDG_CONFIG_HOME in which the viewer finds its reporting switched off."""
-    own = home / "rerun" / "analytics.json"
+    """Return `home` as a folder for XDG_CONFIG_HOME that switches off the viewer's reporting.
+
+    Raises OSError if the folder is not writable.
+    """
+    settings = home / "rerun" / "analytics.json"
     content = json.dumps(
         {
             "analytics_enabled": False,
             "analytics_id": "off",
             "metadata": {},
-            "config_file_path": str(own),
+            "config_file_path": str(settings),
             "data_dir_path": str(home / "data"),
         }
     )
-    own.parent.mkdir(parents=True, exist_ok=True)
-    # written once: a viewer that starts meanwhile shall not find it half written
-    if not own.is_file() or own.read_text() != content:
-        new = own.with_suffix(f".{os.getpid()}")
+    settings.parent.mkdir(parents=True, exist_ok=True)
+    if not settings.is_file() or settings.read_text() != content:
+        # replace it in one step: a viewer that starts now must not read half a file
+        new = settings.with_suffix(f".{os.getpid()}")
         new.write_text(content)
-        new.replace(own)
+        new.replace(settings)
     return home
 
 
 def command(*arguments: str) -> list[str]:
-    """The viewer's command line, bound to loopback."""
+    """Return the command line of the viewer, bound to loopback."""
     return [
         sys.executable,
         "-m",
@@ -94,12 +116,12 @@ def command(*arguments: str) -> list[str]:
 
 
 def serve_command(target: str, web_port: int = WEB_PORT) -> str:
-    """What to type to see a file or an address in a browser on this machine."""
+    """Return the command that shows a file or an address in a browser on this machine."""
     return f"rerun --serve-web --bind {LOOPBACK} --web-viewer-port {web_port} {shlex.quote(target)}"
 
 
 def page_address(web_port: int, port: int) -> str:
-    """The address of the viewer's page that shows what a server on another port has."""
+    """Return the address of a viewer page; it shows the data of the Rerun server on `port`."""
     return f"http://{LOOPBACK}:{web_port}/?url=rerun%2Bhttp://{LOOPBACK}:{port}/proxy"
 
 
@@ -109,51 +131,68 @@ def server_address(port: int) -> str:
 
 
 def spawn(*arguments: str) -> subprocess.Popen:
-    """Start a viewer that outlives us."""
-    return subprocess.Popen(
-        command(*arguments),
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    """Start a viewer that outlives this process."""
+    return _start(command(*arguments))
 
 
 def serve_page(web_port: int, address: str) -> subprocess.Popen:
-    """Serve the page that shows what a server at an address has, as long as the calling thread lives."""
-    program = Path(rr.__file__).parents[1] / "rerun_cli" / "rerun"
+    """Serve a page that shows the data of the server at an address.
+
+    The page is served as long as the calling thread lives.
+    """
     words = command("--serve-web", "--web-viewer-port", str(web_port), address)
-    words[:3] = (
-        [str(program)] if program.is_file() else words[:3]
-    )  # Python's would leave its own child behind
+    # `python -m rerun_cli` starts this program as a child and would leave it behind
+    program = Path(rr.__file__).parents[1] / "rerun_cli" / "rerun"
+    if program.is_file():
+        python_and_module = 3
+        words = [str(program), *words[python_and_module:]]
+    return _start(children.command(*words))
+
+
+def _start(words: list[str], output: int | IO[bytes] = subprocess.DEVNULL) -> subprocess.Popen:
+    """Start a viewer as the leader of a new process group.
+
+    So `terminate` also reaches the child processes of the viewer.
+    """
     return subprocess.Popen(
-        children.command(*words),
+        words,
         env=environment(),
         stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
+        stdout=output,
+        stderr=output,
         start_new_session=True,
     )
 
 
 def terminate(process: subprocess.Popen) -> None:
-    """End a viewer that `spawn` has started: it is a child of the process that we know."""
+    """Terminate a viewer that `spawn` has started, together with its child processes."""
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGTERM)
 
 
 def has_client(port: int) -> bool:
-    """Whether anybody is connected to a TCP port of this machine; where the system does not tell: yes."""
+    """Return whether a client is connected to a TCP port of this machine.
+
+    True if the system does not report its connections.
+    """
     try:
-        rows = [line.split() for line in Path("/proc/net/tcp").read_text().splitlines()[1:]]
+        lines = Path("/proc/net/tcp").read_text().splitlines()
     except OSError:
         return True
-    return any(row[3] == "01" and int(row[1].rpartition(":")[2], 16) == port for row in rows)
+
+    for line in lines[1:]:
+        fields = line.split()
+        local_port = int(fields[_TCP_LOCAL_ADDRESS].rpartition(":")[2], 16)
+        if fields[_TCP_STATE] == _TCP_ESTABLISHED and local_port == port:
+            return True
+    return False
 
 
 def free_port(wanted: int = 0) -> int:
-    """A free TCP port on loopback: the wanted one if it is free."""
+    """Return a free TCP port on loopback: the wanted one if it is free, otherwise any.
+
+    Raises RollerrigError if there is none.
+    """
     for port in (wanted, 0):
         with socket.socket() as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
@@ -162,66 +201,93 @@ def free_port(wanted: int = 0) -> int:
             except OSError:
                 continue
             return int(probe.getsockname()[1])
-    raise RollerrigError(f"no free TCP port on {LOOPBACK}")
+    raise RollerrigError(f"no free TCP port on {LOOPBACK}; close programs that listen there")
 
 
 def recording_file(path: Path | str) -> Path:
-    """The .rrd of a run's folder, or the .rrd itself. Raises ConfigError if there is none."""
+    """Return the .rrd file of a run folder, or the path itself if it is a .rrd file.
+
+    A folder without a .rrd file gets one. Raises ConfigError if the path is neither.
+    """
     path = Path(path)
     if path.suffix == ".rrd" and path.is_file():
         return path
-    records.load(path)  # says what is wrong with the folder
-    own = path / run_folder.RRD
-    return own if own.is_file() else overlay([path], own)
+
+    # raises ConfigError if this is not a run folder
+    records.load(path)
+    recording = path / run_folder.RRD
+    if recording.is_file():
+        return recording
+    return overlay([path], recording)
 
 
 def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
-    """Draw runs over one another into a new .rrd: the first bold, the others faint under /ref.
+    """Draw several runs into a new .rrd file and return its path.
 
-    Drawn from the channels, so it works for a run whose own .rrd is lost. All begin at t = 0. `bare`
-    leaves out the viewer's own bars.
+    The first run is bold, the others are faint and have paths below /ref. The source is the
+    recorded channels, so a run needs no .rrd file. All runs begin at t = 0. `bare` leaves out the
+    bars of the viewer. Raises ConfigError if a folder is not a run folder.
     """
     loaded = [records.load(run) for run in runs]
-    names = _names([run.folder for run in loaded[1:]])
     first = loaded[0]
+    names = _entity_names([run.folder for run in loaded[1:]])
+
     stream = rr.RecordingStream(views.APPLICATION)
+    channels = dict(zip(first.table.column_names, first.table.columns, strict=True))
     layout = views.blueprint(
         bare=bare,
         eye=scene.eye(scene.geometry(first.scenario)),
         references=names,
-        ends=views.axis_ends(dict(zip(first.table.column_names, first.table.columns, strict=True))),
+        ends=views.axis_ends(channels),
     )
     stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
     stream.send_recording_name(" over ".join(run.folder.resolve().name for run in loaded))
-    for run, name in zip(loaded, ["", *names], strict=True):
-        prefix = f"{views.REFERENCES}/{name}" if name else ""
-        unit = str((run.summary.get("wsp") or {}).get("unit") or "")
-        drawing = Drawing(stream, run.scenario, prefix, faint=bool(name), unit=unit)
+
+    prefixes = ["", *(f"{views.REFERENCES}/{name}" for name in names)]
+    for run, prefix in zip(loaded, prefixes, strict=True):
+        wsp = run.summary.get("wsp") or {}
+        drawing = Drawing(
+            stream,
+            run.scenario,
+            prefix=prefix,
+            faint=bool(prefix),
+            unit=str(wsp.get("unit") or ""),
+        )
         drawing.rows(records.rows(run.table))
         drawing.events(run.events)
+
     drawing.result("\n\n".join(derived.result_text(run.summary) for run in loaded))
     stream.disconnect()
     return into
 
 
-def _names(folders: Sequence[Path]) -> list[str]:
-    """A name for each folder that an entity path can hold, none twice."""
+def _entity_names(folders: Sequence[Path]) -> list[str]:
+    """Return a unique name for each folder, of characters that an entity path may have."""
     names: list[str] = []
     for folder in folders:
-        plain = "".join(c if c.isalnum() or c in "-_" else "_" for c in folder.resolve().name)
-        names.append(plain if plain not in names else f"{plain}_{len(names) + 1}")
+        folder_name = folder.resolve().name
+        name = "".join(c if c.isalnum() or c in "-_" else "_" for c in folder_name)
+        if name in names:
+            name = f"{name}_{len(names) + 1}"
+        names.append(name)
     return names
 
 
 def open_run(paths: Sequence[Path | str]) -> dict[str, Any]:
-    """Open runs in the viewer: `file` shown, `opened` a window, `command` for a browser. Raises ConfigError."""
+    """Open runs in the viewer, if there is a display.
+
+    Returns a dictionary: `file` is the .rrd file, `opened` is whether a window was opened, and
+    `command` shows the file in a browser. Raises ConfigError if a path is not a run.
+    """
     if len(paths) == 1:
         file = recording_file(paths[0])
     else:
         handle, name = tempfile.mkstemp(prefix="rollerrig-overlay-", suffix=".rrd")
         os.close(handle)
         file = overlay(paths, Path(name))
-    if opened := has_display():
+
+    opened = has_display()
+    if opened:
         spawn("--port", "auto", str(file))
     return {"file": str(file), "opened": opened, "command": serve_command(str(file))}
 
@@ -233,85 +299,118 @@ def picture(
     time_s: float | None = None,
     timeout_s: float = 60.0,
 ) -> Path:
-    """Take a picture of a run, or of several over one another, without a display.
+    """Take a picture of a run, or of several runs in one picture; return its path.
 
-    `size` in points, `time_s` the instant of the cursor (None: halfway). Raises ConfigError for a
-    folder that is not a run's, RollerrigError where nothing can be drawn.
+    It needs no display.
+
+    Args:
+        paths: folders of runs; the first run is bold, the others are faint.
+        png: the file of the picture.
+        size: width and height in points.
+        time_s: time of the cursor; None is halfway.
+        timeout_s: the longest time that the viewer may take.
+
+    Raises:
+        ConfigError: a folder is not a run folder.
+        RollerrigError: the viewer cannot draw.
     """
     png = Path(png).resolve()
     if time_s is None:
         time_s = float(records.load(paths[0]).column("time_s").max(initial=0.0)) / 2.0
     with tempfile.TemporaryDirectory() as name:
-        # drawn anew: an old recording gets today's layout, and a killed one its tail
+        # draw again: an old recording gets the present layout, and that of a killed run is complete
         file = overlay(paths, Path(name) / "run.rrd", bare=True)
-        shot = _headless(file, size, time_s, time.monotonic() + timeout_s)
+        screenshot = _headless(file, size, time_s, time.monotonic() + timeout_s)
+
+    # the viewer leaves the place of its title bar empty
+    image = Image.open(io.BytesIO(screenshot))
+    height_with_bar = size[1] + _TITLE_BAR
+    top = _TITLE_BAR * image.height // height_with_bar
     png.parent.mkdir(parents=True, exist_ok=True)
-    # the viewer keeps the place of its title bar, empty
-    image = Image.open(io.BytesIO(shot))
-    image.crop((0, _TITLE_BAR * image.height // (size[1] + _TITLE_BAR), *image.size)).save(png)
+    image.crop((0, top, image.width, image.height)).save(png)
     return png
 
 
 def _headless(file: Path, size: tuple[int, int], time_s: float, until_s: float) -> bytes:
-    """The picture, once two in a row are the same: the viewer fetches what it draws as it draws."""
-    port, log = free_port(), file.with_name("log")
+    """Return a screenshot of a recording at a time, as a PNG file.
+
+    `until_s` is the latest monotonic time. Raises RollerrigError if the viewer cannot draw.
+    """
+    port = free_port()
+    log = file.with_name("log")
+    width, height = size
+    words = command(
+        "--headless",
+        "--port",
+        str(port),
+        "--window-size",
+        f"{width}x{height + _TITLE_BAR}",
+        str(file),
+    )
     with open(log, "wb") as sink:
-        process = subprocess.Popen(
-            command(
-                "--headless",
-                "--port",
-                str(port),
-                "--window-size",
-                f"{size[0]}x{size[1] + _TITLE_BAR}",
-                str(file),
-            ),
-            env=environment(),
-            start_new_session=True,
-            stdin=subprocess.DEVNULL,
-            stdout=sink,
-            stderr=sink,
-        )
+        process = _start(words, sink)
     try:
         client = _connected(process, port, log, until_s)
         client.set_time(views.TIMELINE, duration=time_s, play_state="paused")
-        time.sleep(0.8)
-        last = b""
-        while time.monotonic() < until_s:
-            shot = client.take_screenshot()
-            if shot == last:
-                return shot
-            last = shot
-            time.sleep(0.3)
+        return _steady_screenshot(client, until_s)
     finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, signal.SIGTERM)
-        process.wait(10)
+        terminate(process)
+        process.wait(_EXIT_S)
+
+
+def _steady_screenshot(client: ViewerClient, until_s: float) -> bytes:
+    """Return the first screenshot that equals the one before it.
+
+    The viewer loads data while it draws, so its first pictures are incomplete. Raises
+    RollerrigError if there is none until the monotonic time `until_s`.
+    """
+    time.sleep(_FIRST_SHOT_S)
+    last = b""
+    while time.monotonic() < until_s:
+        screenshot = client.take_screenshot()
+        if screenshot == last:
+            return screenshot
+        last = screenshot
+        time.sleep(_NEXT_SHOT_S)
     raise RollerrigError(
-        "no picture: the viewer did not come to rest; try again when the machine is less busy"
+        "no picture: the viewer still changes its picture; try again when the machine is less busy"
     )
 
 
 def _connected(process: subprocess.Popen, port: int, log: Path, until_s: float) -> ViewerClient:
-    """A connection to the viewer when it has loaded the recording."""
+    """Return a connection to the viewer when the viewer has loaded the recording.
+
+    Raises RollerrigError if the viewer exits or has not loaded it until the monotonic time
+    `until_s`.
+    """
     while time.monotonic() < until_s:
         if process.poll() is not None:
-            said = [line for line in log.read_text(errors="replace").splitlines() if line.strip()]
-            why = next((line for line in said if "panicked" in line), "it said nothing")
-            raise RollerrigError(_NO_GRAPHICS.format(why=why.strip()[-160:]))
+            raise RollerrigError(_NO_GRAPHICS.format(why=_reason_of_exit(log)))
         try:
-            client = ViewerClient.connect(f"rerun+http://{LOOPBACK}:{port}/proxy")
-            state = client.get_state()
-            if (
-                state.active_recording
-                and not state.loading
-                and any(one.timelines for one in state.recordings)
-            ):
+            client = ViewerClient.connect(server_address(port))
+            if _has_loaded(client):
                 return client
         except Exception:
-            # not listening yet; what the client raises then is not documented
+            # it does not listen yet; Rerun does not document the exception of its client
             pass
-        time.sleep(0.1)
+        time.sleep(_CONNECT_AGAIN_S)
     raise RollerrigError(
-        "no picture: the viewer did not load the recording in time; is it "
-        "damaged, or the machine very busy?"
+        "no picture: the viewer did not load the recording in time; check whether the recording "
+        "is damaged, or try again when the machine is less busy"
     )
+
+
+def _reason_of_exit(log: Path) -> str:
+    """Return the line of the viewer's log that has the reason of its exit."""
+    for line in log.read_text(errors="replace").splitlines():
+        if "panicked" in line:
+            return line.strip()[-_MESSAGE_LENGTH:]
+    return "its log has no reason"
+
+
+def _has_loaded(client: ViewerClient) -> bool:
+    """Return whether the viewer has loaded a recording with a timeline."""
+    state = client.get_state()
+    if not state.active_recording or state.loading:
+        return False
+    return any(recording.timelines for recording in state.recordings)

@@ -270,11 +270,11 @@ def test_runs_are_laid_over_one_another_under_their_names(folder, tmp_path):
 def test_without_a_display_the_command_for_a_browser_is_told(folder, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    told = viewer.open_run([folder])
-    assert told["opened"] is False
-    assert told["file"] == str(folder / "run.rrd")  # drawn anew, since this run had none
-    assert told["command"].startswith("rerun --serve-web --bind 127.0.0.1 ")
-    assert told["command"].endswith(told["file"])
+    opened = viewer.open_run([folder])
+    assert opened["opened"] is False
+    assert opened["file"] == str(folder / "run.rrd")  # drawn anew, since this run had none
+    assert opened["command"].startswith("rerun --serve-web --bind 127.0.0.1 ")
+    assert opened["command"].endswith(opened["file"])
 
 
 def test_what_is_no_run_is_refused(tmp_path):
