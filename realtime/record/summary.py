@@ -40,19 +40,28 @@ def of(
     recorder. `scenario` is the resolved one, `events` are all events of the run. The same input
     gives the same output.
     """
-    names = columns.column_names if isinstance(columns, pa.Table) else columns
-    count = len(columns["time_s"]) if "time_s" in names else 0
+    recorded_names = columns.column_names if isinstance(columns, pa.Table) else columns
+    sample_count = len(columns["time_s"]) if "time_s" in recorded_names else 0
 
     def channel(name: str) -> np.ndarray:
         # a channel that was not recorded is NaN throughout
-        return channels.values(columns[name]) if name in names else np.full(count, np.nan)
+        if name in recorded_names:
+            return channels.values(columns[name])
+        return np.full(sample_count, np.nan)
 
-    speed = channel("vehicle_speed_m_s")
+    speed_m_s = channel("vehicle_speed_m_s")
     time_s = channel("time_s")
-    still = np.flatnonzero(speed <= STANDSTILL_M_S)
+    standstill = np.flatnonzero(speed_m_s <= STANDSTILL_M_S)
     # a vehicle that stands at the first sample has not moved, so it has not stopped either
-    stopped = bool(still.size and still[0] > 0)
-    stop = slice(0, int(still[0]) + 1 if stopped else len(speed))
+    stopped = bool(standstill.size and standstill[0] > 0)
+    stop = slice(0, int(standstill[0]) + 1 if stopped else len(speed_m_s))
+
+    stop_time_s = None
+    stop_distance_m = None
+    if stopped:
+        stop_time_s = _span(time_s[stop])
+        stop_distance_m = _span(channel("position_m")[stop])
+
     loop = scenario.get("loop", {})
     found = {
         "version": counters.get("version") or metadata.version("rollerrig"),
@@ -64,29 +73,30 @@ def of(
         "ended": counters.get("ended", "finished"),
         "tick_hz": loop.get("tick_hz"),
         "step_s": loop.get("step_s"),
-        "samples": len(speed),
+        "samples": len(speed_m_s),
         "duration_s": _span(time_s),
-        "initial_speed_m_s": finite(speed[0]) if len(speed) else None,
-        "final_speed_m_s": _last(speed),
-        "stop_time_s": _span(time_s[stop]) if stopped else None,
-        "stop_distance_m": _span(channel("position_m")[stop]) if stopped else None,
+        "initial_speed_m_s": _first(speed_m_s),
+        "final_speed_m_s": _last(speed_m_s),
+        "stop_time_s": stop_time_s,
+        "stop_distance_m": stop_distance_m,
         "stopped": stopped,
-        "axles": [_axle(channel, j, stop) for j in range(1, AXLES + 1)],
-        "wsp": {
-            **_wsp(channel, stop),
-            "unit": counters.get("unit"),
-            **(counters.get("wsp") or {}),
-        },
+        "axles": [_axle(channel, axle, stop) for axle in range(1, AXLES + 1)],
+        "wsp": _counted(counters, "wsp", {**_wsp(channel, stop), "unit": counters.get("unit")}),
         "tracking": _tracking(channel, stop),
         "air_consumption_NL": _last(channel("air_consumption_NL")),
         "reservoir_least_Pa": _last(channel("reservoir_least_Pa")),
-        "loop": {**_loop(channel, loop), **(counters.get("loop") or {})},
-        "bus": {**_UNKNOWN_BUS, **(counters.get("bus") or {})},
-        "modbus": {"requests": None, **(counters.get("modbus") or {})},
-        "recorder": {"lost": 0, **(counters.get("recorder") or {})},
+        "loop": _counted(counters, "loop", _loop(channel, loop)),
+        "bus": _counted(counters, "bus", _UNKNOWN_BUS),
+        "modbus": _counted(counters, "modbus", {"requests": None}),
+        "recorder": _counted(counters, "recorder", {"lost": 0}),
     }
     because = validity.reasons(found, scenario, events)
     return found | {"valid": not because, "invalid_because": because}
+
+
+def _counted(counters: Mapping[str, Any], name: str, recorded: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a table of the summary: what was recorded, replaced by the counters of the bench."""
+    return {**recorded, **(counters.get(name) or {})}
 
 
 def _digest(scenario: Mapping[str, Any]) -> str:
@@ -130,9 +140,8 @@ def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
     worst: list[float] = []
     count = 0
     squares = 0.0
-    for name in columns(
-        BY_NAME["tracking_error"]
-    ):  # one after another: long runs have large arrays
+    # axle after axle, because a long run has large arrays
+    for name in columns(BY_NAME["tracking_error"]):
         error = channel(name)[stop]
         error = error[np.isfinite(error)]
         if error.size:
@@ -177,6 +186,10 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _first(values: np.ndarray) -> float | None:
+    return finite(values[0]) if len(values) else None
+
+
 def _last(values: np.ndarray) -> float | None:
     return finite(values[-1]) if len(values) else None
 
@@ -204,11 +217,13 @@ def table(summary: Mapping[str, Any]) -> Any:
     for name in ("axle", "sliding m/s", "std", "max", "lock s", "energy MJ", "adhesion", "vents"):
         shown.add_column(name, justify="right", overflow="fold")
     for number, axle in enumerate(summary["axles"], start=1):
-        energy_J = axle["dissipated_energy_J"]
+        energy_MJ = axle["dissipated_energy_J"]
+        if energy_MJ is not None:
+            energy_MJ /= 1e6
         shown.add_row(
             str(number),
             *(_show(axle[key]) for key in _SHOWN),
-            _show(energy_J and energy_J / 1e6),
+            _show(energy_MJ),
             _show(axle["adhesion_mean"], 4),
             _show(axle.get("vents"), 0),
         )
@@ -219,33 +234,42 @@ def _stop_line(summary: Mapping[str, Any]) -> str:
     speed = f"{_show(summary['initial_speed_m_s'], 1)} m/s"
     if not summary["stopped"]:
         return f"not stopped from {speed} after {_show(summary.get('duration_s'))} s"
-    time, distance = _show(summary["stop_time_s"]), _show(summary["stop_distance_m"], 1)
-    return f"stopped from {speed} in {time} s and {distance} m"
+    time_s = _show(summary["stop_time_s"])
+    distance_m = _show(summary["stop_distance_m"], 1)
+    return f"stopped from {speed} in {time_s} s and {distance_m} m"
 
 
 def _wsp_line(summary: Mapping[str, Any]) -> str:
     wsp = summary["wsp"]
-    active, vents = _show(wsp["active_s"]), _show(wsp["vents"], 0)
-    air = _show(summary["air_consumption_NL"], 1)
-    return f"WSP {wsp['unit'] or '-'}: active {active} s, {vents} vents, air {air} NL"
+    unit = wsp["unit"] or "-"
+    active_s = _show(wsp["active_s"])
+    vents = _show(wsp["vents"], 0)
+    air_NL = _show(summary["air_consumption_NL"], 1)
+    return f"WSP {unit}: active {active_s} s, {vents} vents, air {air_NL} NL"
 
 
 def _loop_line(loop: Mapping[str, Any]) -> str:
-    late = loop["lateness_us"]
-    ticks, missed = _show(loop["ticks"], 0), _show(loop["missed"], 0)
-    p50, p99, largest = (_show(late[name], 0) for name in ("p50", "p99", "max"))
-    return f"loop: {ticks} ticks, {missed} missed, late p50 {p50} p99 {p99} max {largest} us"
+    ticks = _show(loop["ticks"], 0)
+    missed = _show(loop["missed"], 0)
+    late = {name: _show(loop["lateness_us"][name], 0) for name in ("p50", "p99", "max")}
+    return (
+        f"loop: {ticks} ticks, {missed} missed, "
+        f"late p50 {late['p50']} p99 {late['p99']} max {late['max']} us"
+    )
 
 
 def _bus_line(summary: Mapping[str, Any]) -> str:
     bus = summary["bus"]
-    frames, dropped = _show(bus["frames"], 0), _show(bus["dropped"], 0)
-    line = f"bus: {frames} frames, {dropped} dropped, load {_show(bus['load_percent'], 1)} %"
+    frames = _show(bus["frames"], 0)
+    dropped = _show(bus["dropped"], 0)
+    load_percent = _show(bus["load_percent"], 1)
+    line = f"bus: {frames} frames, {dropped} dropped, load {load_percent} %"
     if bus.get("longest_wait_us") is not None:
         line += f", longest wait {bus['longest_wait_us']:.0f} us"
     if bus.get("stray_syncs"):
         line += f", {bus['stray_syncs']} stray SYNCs"
-    return f"{line}; Modbus: {_show(summary['modbus']['requests'], 0)} requests"
+    requests = _show(summary["modbus"]["requests"], 0)
+    return f"{line}; Modbus: {requests} requests"
 
 
 def _show(value: float | None, places: int = 2) -> str:

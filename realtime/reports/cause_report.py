@@ -37,36 +37,26 @@ _GAIN_SIZE = (7.5, 2.6)
 
 def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the contents of report.json."""
-    reported = {identified.cause.name for identified in diagnosis.causes}
+    reported_names = {identified.cause.name for identified in diagnosis.causes}
+    not_reported = [row.name for row in TABLE if row.name not in reported_names]
+
     unknown = None
     if diagnosis.verdict == Verdict.UNEXPLAINED:
         unknown = _unknown(diagnosis)
     remainder = None
     if diagnosis.verdict == Verdict.PARTLY:
         remainder = sentences.remainder(diagnosis)._asdict()
+
     return {
         "verdict": diagnosis.verdict,
         "dataset": diagnosis.data.name,
-        "misfit": {
-            "metric": gain.ADHESION,
-            "before": _missing_adhesion_rms(diagnosis.design, diagnosis.base),
-            "noise_floor": _noise_floor(diagnosis),
-            "p_value": diagnosis.p_value,
-            "worst_against": sentences.worst_against(diagnosis),
-        },
+        "misfit": _misfit(diagnosis),
         "causes": [_cause(diagnosis, identified) for identified in diagnosis.causes],
         "gain": gain_as_json(diagnosis.gain),
         "unknown": unknown,
         "remainder": remainder,
-        "screened": [_screened(diagnosis, row.name) for row in TABLE if row.name not in reported],
-        "set_aside": [
-            {
-                "name": identified.score_test.name,
-                "likelihood": identified.likelihood_ratio,
-                "confusable_with": list(identified.confusable),
-            }
-            for identified in diagnosis.set_aside
-        ],
+        "screened": [_screened(diagnosis, name) for name in not_reported],
+        "set_aside": [_set_aside(identified) for identified in diagnosis.set_aside],
         "findings": {
             "before": [_score_test(test) for test in diagnosis.score_tests],
             "behind": [_score_test(test) for test in diagnosis.remainder],
@@ -76,14 +66,35 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
     }
 
 
+def _misfit(diagnosis: Diagnosis) -> dict[str, Any]:
+    """Return the entry on how far the base model misses the data."""
+    return {
+        "metric": gain.ADHESION,
+        "before": _missing_adhesion_rms(diagnosis.design, diagnosis.base),
+        "noise_floor": _noise_floor(diagnosis),
+        "p_value": diagnosis.p_value,
+        "worst_against": sentences.worst_against(diagnosis),
+    }
+
+
+def _set_aside(identified: IdentifiedCause) -> dict[str, Any]:
+    """Return the entry of a cause that was identified but is not reported."""
+    return {
+        "name": identified.score_test.name,
+        "likelihood": identified.likelihood_ratio,
+        "confusable_with": list(identified.confusable),
+    }
+
+
 def _missing_adhesion_rms(design: Design, explanation: Explanation) -> float:
     """Return the root mean square of the adhesion that a model lacks."""
     missing = gain.missing_adhesion(design, explanation)
-    return float(np.sqrt(np.mean(missing[design.speed_m_s > gain.SLOWEST_M_S] ** 2)))
+    counts = design.speed_m_s > gain.SLOWEST_M_S
+    return float(np.sqrt(np.mean(missing[counts] ** 2)))
 
 
 def _noise_floor(diagnosis: Diagnosis) -> float:
-    """Return the same in simulated stops with nothing else in them than the final model."""
+    """Return the missing adhesion in simulated stops that obey the final model exactly."""
     simulated = simulate.runs(
         diagnosis.data,
         diagnosis.design,
@@ -127,23 +138,30 @@ def _delta_bic(diagnosis: Diagnosis, likelihood_ratio: float, size: int) -> floa
 
 
 def _cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> dict[str, Any]:
-    """Return the entry of a cause; the name of its separating test is added when it is written."""
+    """Return the entry of a reported cause.
+
+    The name of its separating test is empty until `explain` has written that test.
+    """
     cause = identified.cause
-    size = len(cause.values) + len(cause.shape)
+    parameter_count = len(cause.values) + len(cause.shape)
     parameters = estimates.parameters(identified)
+    heldout_gain = None
+    if diagnosis.gain is not None:
+        heldout_gain = diagnosis.gain.reduction
+    rivals = [
+        {"name": rival.name, "share": rival.share, "parted": rival.is_distinguishable}
+        for rival in identified.rivals
+    ]
     return {
         "name": cause.name,
         "axles": [cause.axle] if cause.axle else None,
         "parameters": {name: _estimate(found) for name, found in parameters.items()},
         "evidence": {
             "likelihood": identified.likelihood_ratio,
-            "delta_bic": _delta_bic(diagnosis, identified.likelihood_ratio, size),
-            "heldout_gain": None if diagnosis.gain is None else diagnosis.gain.reduction,
+            "delta_bic": _delta_bic(diagnosis, identified.likelihood_ratio, parameter_count),
+            "heldout_gain": heldout_gain,
             "detectability": sentences.detectability(identified.deviation[0]),
-            "rivals": [
-                {"name": rival.name, "share": rival.share, "parted": rival.is_distinguishable}
-                for rival in identified.rivals
-            ],
+            "rivals": rivals,
         },
         "confusable_with": list(identified.confusable),
         "separating_test": "",
@@ -189,7 +207,7 @@ def gain_as_json(measured: Gain | None) -> dict[str, Any] | None:
     }
 
 
-# --- report.html, and the text beside the pictures in Rerun ---
+# --- report.html, and the text next to the pictures in Rerun ---
 
 
 def panels(diagnosis: Diagnosis, report: dict[str, Any]) -> tuple[list[Panel], list[Panel]]:

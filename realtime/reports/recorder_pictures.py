@@ -1,4 +1,9 @@
-"""The pictures of a train recording: a stretch with a fault, a slide, places, a delay, and the wheels."""
+"""Draws pictures of a train recording.
+
+They show a stretch with a fault, a slide, the places of slides, a delay, and the wheels.
+"""
+
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -59,7 +64,10 @@ def slide(figure: Figure, account: Account, finding: Finding, title: str) -> Non
 
 
 def places(figure: Figure, account: Account, finding: Finding, title: str) -> None:
-    """Draw the track of every run as a line, its slides as thick lines, and the place that runs share."""
+    """Draw the track of every run as a thin line and its slides as thick lines.
+
+    The place of the finding, where several runs slide, is shaded.
+    """
     axes = figure.subplots()
     for number_of_run, aligned in enumerate(account.aligned):
         track = [np.nanmin(aligned.position), np.nanmax(aligned.position)]
@@ -152,22 +160,29 @@ def _run(account: Account, name: str) -> Run:
 def _as_recorded(
     axes: Axes, run: Run, start_s: float, end_s: float, marked: tuple[str, ...]
 ) -> None:
-    """Draw speeds as in the file; those of the finding are strong, unless it has all of them."""
+    """Draw speeds and references as in the file.
+
+    The speeds `marked` by the finding are drawn strong. If it marks all speeds, none is strong.
+    """
     some_are_marked = 0 < len(marked) < len(run.of("speed"))
     for k, channel in enumerate(run.of("speed", "reference")):
+        if channel.quantity == "reference":
+            style: dict[str, Any] = {"color": INK, "ls": "--"}
+        else:
+            style = {"color": RUNS[k % len(RUNS)], "ls": "-"}
+
+        emphasis: dict[str, Any] = {"lw": 1.0, "marker": "", "zorder": 2}
+        if some_are_marked and channel.name in marked:
+            emphasis = {"lw": 2.2, "marker": "o", "zorder": 3}
+
         shown = (channel.time_s >= start_s) & (channel.time_s <= end_s)
-        is_reference = channel.quantity == "reference"
-        is_strong = some_are_marked and channel.name in marked
         axes.plot(
             channel.time_s[shown],
             channel.values[shown],
-            color=INK if is_reference else RUNS[k % len(RUNS)],
-            lw=2.2 if is_strong else 1.0,
-            ls="--" if is_reference else "-",
-            marker="o" if is_strong else "",
             ms=2.5,
             label=channel.name,
-            zorder=3 if is_strong else 2,
+            **style,
+            **emphasis,
         )
     axes.set(xlabel="time as recorded, s", ylabel="m/s")
     axes.legend(ncol=3)

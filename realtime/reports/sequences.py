@@ -320,7 +320,10 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
 
 
 def _summary(outcome: Outcome, out: Path) -> list[str]:
-    """Return a row: the sequence and why it did not pass, its least margin, figures, recordings."""
+    """Return the cells of a row of the table of sequences, in the order of `_SUMMARY_HEAD`.
+
+    The first cell also has the reasons why the sequence did not pass.
+    """
     name = outcome.sequence.name
     reasons = [outcome.error] if outcome.error else []
     for verdict in outcome.verdicts:
@@ -335,15 +338,26 @@ def _summary(outcome: Outcome, out: Path) -> list[str]:
     if reasons:
         title += [page.BREAK, element("small", "; ".join(reasons), kind="fail")]
 
+    least_margin = "-"
+    least_margin_of = ""
     known = [verdict for verdict in outcome.verdicts if math.isfinite(verdict.margin)]
-    least = min(known, key=lambda verdict: verdict.margin, default=None)
+    if known:
+        least = min(known, key=lambda verdict: verdict.margin)
+        least_margin = _margin(least)
+        least_margin_of = _worded(least.what)
+
+    # an error may have left a record that is not complete
     found = {} if outcome.result is Result.ERROR else figures(outcome)
+    figure_cells = []
+    for key, places in _SUMMARY_FIGURES:
+        figure_cells.append(f"{found[key]:.{places}f}" if key in found else "-")
+
     return [
         element("span", *title),
         _result(outcome.result),
-        _margin(least) if least else "-",
-        _worded(least.what) if least else "",
-        *(f"{found[key]:.{places}f}" if key in found else "-" for key, places in _SUMMARY_FIGURES),
+        least_margin,
+        least_margin_of,
+        *figure_cells,
         _links(outcome, out),
     ]
 
