@@ -1,13 +1,14 @@
-"""`rollerrig sequence`: scripted tests against a bench, their verdicts and their report."""
+"""`rollerrig sequence`: plays scripted tests on benches, judges them and writes the report."""
 
 import argparse
+import math
 import os
 import time
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
@@ -15,16 +16,25 @@ from rollerrig.realtime.commands import output, wsp
 from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.record.files import writing
 
+if TYPE_CHECKING:
+    from rollerrig.realtime.bench.scenario import Scenario
+    from rollerrig.wsp_interface.harness_client import Event
+    from rollerrig.wsp_interface.sequences.play import Outcome
+    from rollerrig.wsp_interface.sequences.sequence import Sequence
+    from rollerrig.wsp_interface.sequences.verdict import Verdict
+
+# folder of the packaged sequences
 LIBRARY = "sequences"
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig sequence`."""
     parser.add_argument(
         "sequences",
         nargs="*",
         metavar="FILE",
-        help="sequences: names of packaged "
-        "ones, TOML files, or folders of them (default: the packaged library)",
+        help="sequences: names of packaged sequences, TOML files, or folders of TOML files "
+        "(default: all packaged sequences)",
     )
     parser.add_argument(
         "--out",
@@ -37,20 +47,20 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--junit",
         type=Path,
         metavar="FILE",
-        help="where JUnit XML goes (default: junit.xml in the folder of the report)",
+        help="file for the JUnit XML (default: junit.xml in the folder of the report)",
     )
     parser.add_argument(
         "--bus",
         default="",
         metavar="ADDRESS",
-        help="play one sequence on a bench "
-        "that runs already ('rollerrig run ... --harness') instead of starting one",
+        help="play one sequence on a bench that already runs ('rollerrig run ... --harness'), "
+        "and start none",
     )
     parser.add_argument(
         "--pacing",
         choices=("lockstep", "wall"),
         default="lockstep",
-        help="of benches that are started (default: lockstep, repeatable)",
+        help="pacing of the benches that are started (default: lockstep, which is repeatable)",
     )
     parser.add_argument(
         "--wsp",
@@ -58,251 +68,362 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action=wsp.AppendUnit,
         default="",
         metavar="{reference,external,none,fmu:FILE}",
-        help="whose WSP; again for further FMUs that "
-        "share the bus by CAN ports (default: what the sequence says, else reference)",
+        help="WSP unit of the benches; fmu:FILE may be repeated for FMUs that share the bus by "
+        "CAN ports (default: the unit in the sequence, else reference)",
     )
     parser.add_argument(
         "--unit",
         default="",
         metavar="COMMAND",
-        help="with --wsp external: starts your "
-        "unit for each run; {address}, {host}, {port} are put in, as in "
+        help="with --wsp external: command that starts your unit for each run; {address}, {host} "
+        "and {port} are replaced by those of the bus, as in "
         "'python docs/examples/wsp_unit.py {host} {port}'",
     )
     parser.add_argument(
         "--unit-map",
         type=Path,
         metavar="FILE",
-        help="mapping of the unit's own CAN "
-        "messages to the rig's (with --wsp external), or of an FMU's variables",
+        help="with --wsp external: mapping between the CAN messages of the unit and of the rig; "
+        "with --wsp fmu:FILE: mapping of the FMU's variables",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="seed of whatever is random (default: 0)"
+        "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
     )
     parser.add_argument(
         "--jobs",
         type=int,
         default=0,
         metavar="N",
-        help="benches at a time (default: "
-        "in lockstep as many as there are cores, in real time one)",
+        help="number of benches that run at the same time (default: in lockstep the number of "
+        "processor cores, in real time 1)",
     )
-    parser.add_argument("--steps", action="store_true", help="say which step each sequence is at")
-    parser.add_argument("--check", action="store_true", help="only read and check the sequences")
+    parser.add_argument(
+        "--steps", action="store_true", help="print each step of a sequence when it begins"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="only read and check the sequences, and run none"
+    )
     parser.add_argument(
         "--about",
         action="append",
         default=[],
         metavar="'WHAT=TEXT'",
-        help="for the title block of "
-        "the report, as in 'unit under test=ACME 7' or 'tested by=A. Meier'; may be repeated",
+        help="entry in the title block of the report, as in 'unit under test=ACME 7' or "
+        "'tested by=A. Meier'; may be repeated",
     )
     parser.add_argument(
         "--pdf", action="store_true", help="write the report as PDF as well (report.pdf)"
     )
 
 
-def call(given: argparse.Namespace) -> int:
+def call(options: argparse.Namespace) -> int:
+    """Play the sequences and write the report. Returns PASS, or FAILED if not all have passed."""
     from rollerrig.realtime.reports import pdf
     from rollerrig.realtime.reports import sequences as report
 
-    sequences = load(given.sequences)
-    if given.check:
-        names = [one.name for one in sequences]
-        return output.show(given, {"checked": names}, f"{len(names)} sequences are in order")
-    _check_out(given, sequences)
-    about = dict(_about(one) for one in given.about)
-    if given.pdf:
+    sequences = load(options.sequences)
+    if options.check:
+        names = [sequence.name for sequence in sequences]
+        return output.show(options, {"checked": names}, f"{len(names)} sequences are valid")
+
+    # all options are checked before the first bench starts
+    _check_options(options, sequences)
+    about = dict(_parse_about(text) for text in options.about)
+    if options.pdf:
         pdf.check()
+
     played: list[str] = []
     with output.report_progress(lambda: f"{len(played)} of {len(sequences)} sequences played"):
-        outcomes = _play(given, sequences, played)
-    written = report.write(outcomes, given.out, given.junit, about, given.pdf)
+        outcomes = _play_all(options, sequences, played)
+
+    paths = report.write(outcomes, options.out, options.junit, about, options.pdf)
     result = report.overall(outcomes)
-    counts = {
-        name: sum(one.result == name for one in outcomes) for name in ("pass", "fail", "error")
-    }
+    counts = {"pass": 0, "fail": 0, "error": 0}
+    for outcome in outcomes:
+        if outcome.result in counts:
+            counts[outcome.result] += 1
+
     output.show(
-        given,
+        options,
         {
             "result": result,
             **counts,
-            "report": str(written[0]),
-            "sequences": {one.sequence.name: one.result for one in outcomes},
+            "report": str(paths[0]),
+            "sequences": {outcome.sequence.name: outcome.result for outcome in outcomes},
         },
-        f"{result}: {counts['pass']} passed, {counts['fail']} failed, {counts['error']} with an error; "
-        f"report in {written[0]} (not a certification)",
+        f"{result}: {counts['pass']} passed, {counts['fail']} failed, "
+        f"{counts['error']} with an error; report in {paths[0]} (not a certification)",
     )
     return output.PASS if result == "pass" else output.FAILED
 
 
-def _about(given: str) -> tuple[str, str]:
-    what, found, text = given.partition("=")
-    if not (found and what.strip()):
-        raise ConfigError(f"--about '{given}': write WHAT=TEXT, as in 'tested by=A. Meier'")
-    return what.strip(), text.strip()
+def _parse_about(text: str) -> tuple[str, str]:
+    """Return the key and the text of an entry of the title block. Raises ConfigError."""
+    key, equals_sign, value = text.partition("=")
+    if not equals_sign or not key.strip():
+        raise ConfigError(f"--about '{text}': write WHAT=TEXT, as in 'tested by=A. Meier'")
+    return key.strip(), value.strip()
 
 
-def load(names: list[str]) -> list[Any]:
-    """The sequences of names, files and folders, all checked. Raises ConfigError with all faults."""
-    from rollerrig.configs import store
+# --- reading and checking ---
+
+
+def load(names: list[str]) -> "list[Sequence]":
+    """Return the sequences of names, files and folders; without names, the packaged ones.
+
+    Checks all of them. Raises ConfigError with the errors of all sequences.
+    """
     from rollerrig.firmware_sim.faults import catalogue
-    from rollerrig.wsp_interface.sequences import sequence
+    from rollerrig.wsp_interface.sequences import sequence as sequence_file
+
+    sequences: list[Sequence] = []
+    errors: list[str] = []
+    for path in _find(names):
+        try:
+            sequences.append(sequence_file.load(path, catalogue.parse))
+        except ConfigError as error:
+            errors.append(str(error))
+
+    # each sequence needs a different name, because the folder of its run has this name
+    loaded_names = [sequence.name for sequence in sequences]
+    for name in sorted(set(loaded_names)):
+        if loaded_names.count(name) > 1:
+            errors.append(f"two sequences have the name '{name}'; rename one of them")
+
+    for sequence in sequences:
+        try:
+            _scenario_of(sequence)
+        except ConfigError as error:
+            errors.append(f"{sequence.path} [start]: {error}")
+
+    if errors:
+        raise ConfigError("no sequence was played:\n  " + "\n  ".join(errors))
+    return sequences
+
+
+def _find(names: list[str]) -> list[Path]:
+    """Return the files of names, files and folders. Raises ConfigError for an empty folder."""
+    from rollerrig.configs import store
 
     paths: list[Path] = []
     for name in names or [str(store.ROOT / LIBRARY)]:
-        found = (
-            sorted(Path(name).glob("*.toml"))
-            if Path(name).is_dir()
-            else [store.find(LIBRARY, name)]
-        )
-        if not found:
-            raise ConfigError(f"{name}: holds no sequence (*.toml)")
-        paths += found
-    loaded, wrong = [], []
-    for path in paths:
-        try:
-            loaded.append(sequence.load(path, catalogue.parse))
-        except ConfigError as error:
-            wrong.append(str(error))
-    twice = {one.name for one in loaded if sum(one.name == other.name for other in loaded) > 1}
-    wrong += [f"two sequences are called '{name}'; rename one" for name in sorted(twice)]
-    for one in loaded:
-        try:
-            _plan(one)
-        except ConfigError as error:
-            wrong.append(f"{one.path} [start]: {error}")
-    if wrong:
-        raise ConfigError("nothing was run:\n  " + "\n  ".join(wrong))
-    return loaded
+        if not Path(name).is_dir():
+            paths.append(store.find(LIBRARY, name))
+            continue
+        in_folder = sorted(Path(name).glob("*.toml"))
+        if not in_folder:
+            raise ConfigError(f"{name}: the folder contains no sequence (*.toml)")
+        paths += in_folder
+    return paths
 
 
-def _plan(one: Any) -> Any:
-    """The scenario of the bench that a sequence wants. Raises ConfigError where it cannot be built."""
+def _scenario_of(sequence: "Sequence") -> "Scenario":
+    """Return the scenario of the bench that a sequence needs. Raises ConfigError."""
     from rollerrig.realtime.bench import scenario
     from rollerrig.wsp_interface import own_bench
 
-    return scenario.read(
-        own_bench.scenario_of(one.scenario, one.speed_m_s, None, one.adhesion, one.tables),
-        Path(one.path.name),
+    data = own_bench.scenario_of(
+        name=sequence.scenario,
+        initial_speed_m_s=sequence.speed_m_s,
+        adhesion=sequence.adhesion,
+        tables=sequence.tables,
     )
+    return scenario.read(data, Path(sequence.path.name))
 
 
-def _check_out(given: argparse.Namespace, sequences: list[Any]) -> None:
+def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> None:
+    """Check the options against one another, check the FMUs and maps, and make the report's folder.
+
+    Raises ConfigError.
+    """
     from rollerrig.firmware_sim.fmu import fmu_file
-    from rollerrig.realtime.bench import options
+    from rollerrig.realtime.bench.options import fmus_of
     from rollerrig.wsp_interface import unit_map
 
-    if given.bus and len(sequences) != 1:
+    fmus = fmus_of(options.wsp)
+    is_external = options.wsp == "external"
+
+    if options.bus and len(sequences) != 1:
         raise ConfigError(
-            f"--bus plays one sequence on a running bench, not {len(sequences)}; name one"
+            f"--bus plays exactly one sequence on a running bench, and {len(sequences)} are given; "
+            "give the name of one sequence"
         )
-    if given.jobs < 0:
-        raise ConfigError(f"--jobs {given.jobs}: at least 1, or 0 for as many as there are cores")
-    fmus = options.fmus_of(given.wsp)
-    if ((given.unit_map and not fmus) or given.unit) and given.wsp != "external":
+    if options.jobs < 0:
         raise ConfigError(
-            "--unit and --unit-map belong to a unit outside: give --wsp external as well"
+            f"--jobs {options.jobs}: allowed are numbers from 1, or 0 for the number of cores"
         )
-    if fmus and given.bus:
+
+    maps_external_unit = options.unit_map and not fmus
+    if (options.unit or maps_external_unit) and not is_external:
         raise ConfigError(
-            "--wsp fmu:FILE and --bus: a bench that runs already has its unit; give the FMU to its "
-            "'rollerrig run'"
+            "--unit and --unit-map are for an external unit: give --wsp external as well"
         )
-    for period_s in sorted(
-        {_plan(one)["bus"]["sync_period_s"] for one in sequences} if fmus else ()
-    ):
-        fmu_file.check_all(fmus, given.unit_map, period_s)
-    if given.wsp == "external" and not (given.bus or given.unit):
+    if fmus and options.bus:
         raise ConfigError(
-            "--wsp external: each run is a bus of its own; say with --unit COMMAND how your unit is "
-            "started on it"
+            "--wsp fmu:FILE and --bus: a running bench already has its unit; give the FMU to the "
+            "'rollerrig run' that starts the bench"
         )
-    if given.unit_map and not fmus:
-        unit_map.load(given.unit_map)
-    with writing(given.out):
-        given.out.mkdir(parents=True, exist_ok=True)
+
+    if fmus:
+        periods_s = {_scenario_of(sequence)["bus"]["sync_period_s"] for sequence in sequences}
+        for period_s in sorted(periods_s):
+            fmu_file.check_all(fmus, options.unit_map, period_s)
+
+    if is_external and not options.bus and not options.unit:
+        raise ConfigError(
+            "--wsp external: each run has a separate bus, on which your unit must be started; give "
+            "the command that starts it with --unit COMMAND"
+        )
+    if maps_external_unit:
+        unit_map.load(options.unit_map)
+
+    with writing(options.out):
+        options.out.mkdir(parents=True, exist_ok=True)
 
 
-def _play(given: argparse.Namespace, sequences: list[Any], played: list[str]) -> list[Any]:
-    if given.bus:
-        return [_say(played, play(sequences[0], given))]
-    at_once = given.jobs or (len(os.sched_getaffinity(0)) if given.pacing == "lockstep" else 1)
-    if at_once == 1 or len(sequences) == 1:
-        return [
-            _say(played, _guarded(partial(play, one, given), (one, given.out / one.name)))
-            for one in sequences
-        ]
-    with children.pool(min(at_once, len(sequences))) as pool:
-        waiting = [pool.submit(play, one, given) for one in sequences]
-        return [
-            _say(played, _guarded(future.result, (one, given.out / one.name)))
-            for future, one in zip(waiting, sequences, strict=True)
-        ]
+# --- playing ---
 
 
-def _guarded(get: Callable[[], Any], job: tuple[Any, ...]) -> Any:
-    """The outcome, or an error in its place: one sequence takes no other's verdict away."""
+def _play_all(
+    options: argparse.Namespace, sequences: "list[Sequence]", played: list[str]
+) -> "list[Outcome]":
+    """Play all sequences and return their outcomes in the same order.
+
+    Prints each outcome, and appends the name of its sequence to `played`.
+    """
+    outcomes: list[Outcome] = []
+
+    def finish(outcome: "Outcome") -> None:
+        played.append(outcome.sequence.name)
+        _print_outcome(outcome)
+        outcomes.append(outcome)
+
+    if options.bus:
+        finish(play(sequences[0], options))
+        return outcomes
+
+    if options.jobs:
+        jobs = options.jobs
+    elif options.pacing == "lockstep":
+        jobs = len(os.sched_getaffinity(0))
+    else:
+        # benches in real time would disturb one another
+        jobs = 1
+
+    if jobs == 1 or len(sequences) == 1:
+        for sequence in sequences:
+            get_outcome = partial(play, sequence, options)
+            finish(_outcome_or_error(get_outcome, sequence, options.out / sequence.name))
+        return outcomes
+
+    with children.pool(min(jobs, len(sequences))) as pool:
+        futures = [pool.submit(play, sequence, options) for sequence in sequences]
+        for future, sequence in zip(futures, sequences, strict=True):
+            finish(_outcome_or_error(future.result, sequence, options.out / sequence.name))
+    return outcomes
+
+
+def _outcome_or_error(
+    get_outcome: "Callable[[], Outcome]", sequence: "Sequence", folder: Path
+) -> "Outcome":
+    """Return get_outcome(), or an outcome with an error if that raises an exception.
+
+    So the other sequences keep their verdicts.
+    """
     from rollerrig.wsp_interface.sequences.play import Outcome
 
     try:
-        return get()
+        return get_outcome()
     except BrokenProcessPool:
-        return Outcome(job[0], job[1], error="the process that played it has died; play it again")
-    except Exception as error:  # whatever it is, it is no pass
-        return Outcome(job[0], job[1], error=f"unexpected: {error!r}")
-
-
-def play(one: Any, given: argparse.Namespace) -> Any:
-    """One sequence on a bench of its own, or on one that runs already, and how it came out."""
-    from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import harness_client, own_bench, unit_map
-    from rollerrig.wsp_interface.sequences import play as player
-
-    folder, begun = given.out / one.name, time.monotonic()
-    if given.bus:
-        resolved = _plan(one).resolved
-        outcome = player.on_running_bench(
-            one, harness_client.connect(given.bus), folder, resolved, dry_stop.distance_m
-        )
-    else:
-        # the gateway first: the unit's program may answer it at once
-        gateway = given.unit_map and given.wsp == "external"
-        companions: list[Any] = [unit_map.companion(given.unit_map)] if gateway else []
-        companions += (
-            [own_bench.program(given.unit, folder / run_folder.UNIT_LOG)] if given.unit else []
-        )
-        outcome = player.on_own_bench(
-            one,
+        return Outcome(
+            sequence,
             folder,
-            given.pacing,
-            given.seed,
-            dry_stop.distance_m,
-            given.wsp,
-            tuple(companions),
-            partial(_step, one.name, given.steps),
-            ("--unit-map", str(given.unit_map)) if given.unit_map and not gateway else (),
+            error="the process that played this sequence was killed; play the sequence again",
         )
-    outcome.wall_s = time.monotonic() - begun
+    except Exception as error:  # no exception, of whatever type, may count as a pass
+        return Outcome(sequence, folder, error=f"unexpected: {error!r}")
+
+
+def play(sequence: "Sequence", options: argparse.Namespace) -> "Outcome":
+    """Return the outcome of a sequence, on a new bench or on the running bench of --bus."""
+    folder = options.out / sequence.name
+    begun_s = time.monotonic()
+    if options.bus:
+        outcome = _play_on_running_bench(sequence, options, folder)
+    else:
+        outcome = _play_on_new_bench(sequence, options, folder)
+    outcome.wall_s = time.monotonic() - begun_s
     return outcome
 
 
-def _step(name: str, wanted: bool, event: Any) -> None:
+def _play_on_running_bench(
+    sequence: "Sequence", options: argparse.Namespace, folder: Path
+) -> "Outcome":
+    from rollerrig.realtime.campaign import dry_stop
+    from rollerrig.wsp_interface import harness_client
+    from rollerrig.wsp_interface.sequences import play as player
+
+    scenario = _scenario_of(sequence).resolved
+    harness = harness_client.connect(options.bus)
+    return player.on_running_bench(sequence, harness, folder, scenario, dry_stop.distance_m)
+
+
+def _play_on_new_bench(
+    sequence: "Sequence", options: argparse.Namespace, folder: Path
+) -> "Outcome":
+    from rollerrig.realtime.campaign import dry_stop
+    from rollerrig.wsp_interface import own_bench, unit_map
+    from rollerrig.wsp_interface.sequences import play as player
+
+    companions: list[Any] = []
+    run_arguments: tuple[str, ...] = ()
+    if options.unit_map:
+        if options.wsp == "external":
+            # the gateway starts before the unit, which may send immediately
+            companions.append(unit_map.companion(options.unit_map))
+        else:
+            run_arguments = ("--unit-map", str(options.unit_map))
+    if options.unit:
+        companions.append(own_bench.program(options.unit, folder / run_folder.UNIT_LOG))
+
+    return player.on_own_bench(
+        sequence,
+        folder,
+        pacing=options.pacing,
+        seed=options.seed,
+        dry_m=dry_stop.distance_m,
+        wsp=options.wsp,
+        companions=tuple(companions),
+        on_event=partial(_print_step, sequence.name, options.steps),
+        arguments=run_arguments,
+    )
+
+
+# --- printing ---
+
+
+def _print_step(name: str, enabled: bool, event: "Event") -> None:
+    """Print an event if it is the begin of a step."""
     from rollerrig.wsp_interface.events import Code
 
-    if wanted and event.code == Code.SEQUENCE_STEP:
+    if enabled and event.code == Code.SEQUENCE_STEP:
         output.print_message(f"  step  {name}: {event.fields['title']} ({event.time_s:.2f} s)")
 
 
-def _say(played: list[str], outcome: Any) -> Any:
-    played.append(outcome.sequence.name)
+def _print_outcome(outcome: "Outcome") -> None:
+    """Print the result of a sequence, and each verdict that is a failure or an error."""
     error = f": {outcome.error}" if outcome.error else ""
     output.print_message(
         f"{outcome.result:>6}  {outcome.sequence.name} ({outcome.wall_s:.1f} s){error}"
     )
-    for one in outcome.verdicts:
-        if one.result in ("fail", "error"):
-            value = f" {one.value:.4g} {one.unit}".rstrip() if one.value == one.value else ""
-            wanted = f"{one.what}{value}, wanted {one.limit} {one.unit}".rstrip()
-            output.print_message(f"        {wanted}: {one.result}, {one.text}")
-    return outcome
+    for verdict in outcome.verdicts:
+        if verdict.result in ("fail", "error"):
+            output.print_message(f"        {_verdict_text(verdict)}")
+
+
+def _verdict_text(verdict: "Verdict") -> str:
+    value = ""
+    if not math.isnan(verdict.value):
+        value = f" {verdict.value:.4g} {verdict.unit}".rstrip()
+    comparison = f"{verdict.what}{value}, required {verdict.limit} {verdict.unit}".rstrip()
+    return f"{comparison}: {verdict.result}, {verdict.text}"

@@ -138,7 +138,7 @@ def test_what_nobody_expected_is_an_error_of_its_own_sequence(tmp_path):
     def breaks():
         raise ZeroDivisionError("a bug")
 
-    found = verb_sequence._guarded(breaks, (good.sequence, tmp_path))
+    found = verb_sequence._outcome_or_error(breaks, good.sequence, tmp_path)
     assert found.result is Result.ERROR
     assert "a bug" in found.error
-    assert verb_sequence._guarded(lambda: good, (good.sequence, tmp_path)) is good
+    assert verb_sequence._outcome_or_error(lambda: good, good.sequence, tmp_path) is good
