@@ -1,8 +1,13 @@
-"""`rollerrig check`: what this machine offers a bench, and how to enable what it does not; or whether an FMU fits.
+"""`rollerrig check`: prints what this machine offers to a bench and how to enable what is missing.
 
-Each function puts one question to the machine itself and not to a list of known machines: the port is bound, the
-priority asked for in a thread that then ends, memory locked and let go. Exit status 2 when no run is possible at all.
-Source of the remedies: the manual pages of sched(7), mlock(2) and limits.conf(5), the kernel's of cpufreq and PM QoS.
+With an FMU, it prints instead whether the FMU fits the rig.
+
+Each function tests one thing on the machine itself; there is no list of known machines. The port is
+bound, the priority is requested in a thread that then exits, memory is locked and unlocked. Exit
+status 2 means that no run is possible at all.
+
+Source of the remedies: the manual pages sched(7), mlock(2) and limits.conf(5), and the kernel
+documentation of cpufreq and PM QoS.
 """
 
 import argparse
@@ -24,18 +29,35 @@ from typing import NamedTuple
 
 from rollerrig.realtime.commands import output, wsp
 
-PASS, USAGE = 0, 2
-OLDEST, NEWEST = (3, 11), (3, 13)
+# exit statuses
+PASS = 0
+USAGE = 2
+
+# versions of Python that the project is tested with
+OLDEST_PYTHON = (3, 11)
+NEWEST_PYTHON = (3, 13)
+
+# priority that is requested for the test, of 1 to 99
 PRIORITY = 80
-_ROOM_MB = 32
-_ICDS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
-_FREQUENCY = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
-_ISOLATED = Path("/sys/devices/system/cpu/isolated")
+
+# the rings of a run, with a reserve
+_SHARED_MEMORY_MB = 32
+
 _LOOPBACK = "127.0.0.1"
+
+# folders with the description files of Vulkan drivers
+_VULKAN_FOLDERS = ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
+
+_GOVERNOR_FILE = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
+_ISOLATED_CORES_FILE = Path("/sys/devices/system/cpu/isolated")
+# exists only in a PREEMPT_RT kernel
+_REALTIME_FILE = Path("/sys/kernel/realtime")
+
+_SS_TIMEOUT_S = 5.0
 
 
 class State(StrEnum):
-    """How far a thing is there: WEAKER works with less, MISSING makes a run impossible."""
+    """The state of a row. WEAKER: a run works with less. MISSING: no run is possible."""
 
     OK = "ok"
     WEAKER = "weaker"
@@ -46,7 +68,10 @@ _COLOURS = {State.OK: "green", State.WEAKER: "yellow", State.MISSING: "bold red"
 
 
 class Finding(NamedTuple):
-    """One answer: what was asked, how it is, what was found, and how to enable what is not there."""
+    """One row: what was tested, its state, what was found, and how to enable what is missing.
+
+    The field names are keys of the JSON result.
+    """
 
     name: str
     state: State
@@ -55,13 +80,14 @@ class Finding(NamedTuple):
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig check`."""
     parser.add_argument(
         "fmu",
         nargs="?",
         type=Path,
         metavar="FMU",
-        help="a WSP unit: what it is and whether it fits, "
-        "without running it (default: look at this machine)",
+        help="a WSP unit that is an FMU: print its content and whether it fits, without running it "
+        "(default: check this machine)",
     )
     wsp.map_argument(parser)
     parser.add_argument(
@@ -69,65 +95,68 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.01,
         metavar="S",
-        help="with an FMU: the SYNC period that it is to be stepped by (default: 0.01)",
+        help="with an FMU: the SYNC period, which is the length of its steps (default: 0.01)",
     )
     parser.add_argument(
         "--port",
         type=int,
         default=29536,
         metavar="N",
-        help="the hub's port to look at (default: 29536)",
+        help="the port of the CAN hub, to check whether it is free (default: 29536)",
     )
 
 
-def call(given: argparse.Namespace) -> int:
-    if given.fmu:
-        return show(
-            given,
-            fits(given.fmu, given.unit_map, given.step),
-            f"{given.fmu.name}: whether it fits the rig",
-        )
-    return show(given, look(given.port))
-
-
-def fits(path: Path, unit_map: Path | None, period_s: float) -> list[Finding]:
-    """What an FMU is, and whether it fits. Raises ConfigError where it cannot be read."""
-    from rollerrig.firmware_sim.fmu import fmu_file
-
-    return [
-        _answer(one.name, one.fits, one.found, one.found, one.mend, State.MISSING)
-        for one in fmu_file.examine(path, unit_map, period_s)[1]
-    ]
+def call(options: argparse.Namespace) -> int:
+    """Check an FMU if one is given, otherwise this machine. Returns PASS or USAGE."""
+    if options.fmu:
+        findings = check_fmu(options.fmu, options.unit_map, options.step)
+        return show(options, findings, f"{options.fmu.name}: whether it fits the rig")
+    return show(options, check_machine(options.port))
 
 
 def show(
-    given: argparse.Namespace, findings: list[Finding], title: str = "what this machine can do"
+    options: argparse.Namespace, findings: list[Finding], title: str = "what this machine can do"
 ) -> int:
-    """Print the findings; the exit status says whether a run is possible."""
-    possible = all(one.state is not State.MISSING for one in findings)
+    """Print the findings. Returns PASS if a run is possible, otherwise USAGE."""
+    possible = all(finding.state is not State.MISSING for finding in findings)
+
+    rows = []
+    for finding in findings:
+        colour = _COLOURS[finding.state]
+        state = f"[{colour}]{finding.state}[/]"
+        rows.append((finding.name, state, finding.found, finding.mend))
     output.show(
-        given,
-        {"possible": possible, "checks": [one._asdict() for one in findings]},
-        (
-            title,
-            ("what", "state", "found", "how to enable"),
-            (
-                (one.name, f"[{_COLOURS[one.state]}]{one.state}[/]", one.found, one.mend)
-                for one in findings
-            ),
-        ),
+        options,
+        {"possible": possible, "checks": [finding._asdict() for finding in findings]},
+        (title, ("what", "state", "found", "how to enable"), rows),
     )
-    if not given.json:
-        output.print_message(
-            "a run is possible"
-            if possible
-            else "no run is possible before the rows that say 'missing' are remedied"
-        )
+
+    if not options.json:
+        if possible:
+            output.print_message("a run is possible")
+        else:
+            output.print_message(
+                "no run is possible; first follow 'how to enable' in the rows marked 'missing'"
+            )
     return PASS if possible else USAGE
 
 
-def look(hub_port: int) -> list[Finding]:
-    """Ask the machine all questions, in the order of the table."""
+def check_fmu(path: Path, unit_map: Path | None, period_s: float) -> list[Finding]:
+    """Return the content of an FMU and whether it fits. Raises ConfigError if it is unreadable."""
+    from rollerrig.firmware_sim.fmu import fmu_file
+
+    _, examined = fmu_file.examine(path, unit_map, period_s)
+    findings = []
+    for row in examined:
+        if row.fits:
+            findings.append(Finding(row.name, State.OK, row.found))
+        else:
+            findings.append(Finding(row.name, State.MISSING, row.found, row.mend))
+    return findings
+
+
+def check_machine(hub_port: int) -> list[Finding]:
+    """Return all findings about this machine, in the order of the table."""
     return [
         python(),
         packages(),
@@ -148,272 +177,310 @@ def look(hub_port: int) -> list[Finding]:
     ]
 
 
-def _answer(
-    name: str, right: object, found: str, wrong: str, mend: str, state: State = State.WEAKER
-) -> Finding:
-    """`found` where it is right, else what is wrong and how to enable it."""
-    return Finding(name, State.OK, found) if right else Finding(name, state, wrong, mend)
-
-
 def python() -> Finding:
-    """Whether this Python, on this system, is one that the project is tested with."""
-    here = f"{platform.python_version()}, {platform.system()} {platform.release()}"
-    if not OLDEST <= sys.version_info[:2] <= NEWEST:
+    """Check whether the project is tested with this version of Python and runs on this system."""
+    name = "Python"
+    found = f"{platform.python_version()}, {platform.system()} {platform.release()}"
+    if not OLDEST_PYTHON <= sys.version_info[:2] <= NEWEST_PYTHON:
         return Finding(
-            "Python",
+            name,
             State.MISSING,
-            here,
+            found,
             "make a new environment with Python 3.11 to 3.13: make PYTHON=python3.12 ...",
         )
-    return _answer(
-        "Python",
-        sys.platform == "linux",
-        here,
-        here,
-        "the real-time loop needs Linux; a virtual machine or container will do",
-        State.MISSING,
-    )
+    if sys.platform != "linux":
+        return Finding(
+            name,
+            State.MISSING,
+            found,
+            "the real-time loop needs Linux; use a Linux machine, virtual machine or container",
+        )
+    return Finding(name, State.OK, found)
 
 
 def packages() -> Finding:
-    """Whether every package that the project requires is installed."""
-    wanted = [
-        re.split(r"[^A-Za-z0-9_.-]", one, maxsplit=1)[0]
-        for one in metadata.requires("rollerrig") or ()
-        if "extra ==" not in one
-    ]
-    found, absent = [], []
-    for name in ("rollerrig", *wanted):
+    """Check whether every package that the project requires is installed."""
+    name = "packages"
+    installed: list[str] = []
+    absent: list[str] = []
+    for package in ("rollerrig", *_required_packages()):
         try:
-            found.append(f"{name} {metadata.version(name)}")
+            installed.append(f"{package} {metadata.version(package)}")
         except metadata.PackageNotFoundError:
-            absent.append(name)
-    return _answer(
-        "packages",
-        not absent,
-        ", ".join(found),
-        f"without {', '.join(absent)}",
-        f"pip install {' '.join(absent)} (or make demo)",
-        State.MISSING,
-    )
+            absent.append(package)
+
+    if absent:
+        return Finding(
+            name,
+            State.MISSING,
+            f"not installed: {', '.join(absent)}",
+            f"pip install {' '.join(absent)} (or make demo)",
+        )
+    return Finding(name, State.OK, ", ".join(installed))
+
+
+def _required_packages() -> list[str]:
+    """Return the names of the packages that rollerrig requires without its extras."""
+    names: list[str] = []
+    for requirement in metadata.requires("rollerrig") or ():
+        if "extra ==" not in requirement:
+            # the name ends where the version or a marker begins, as in numpy>=2.0
+            package, *_ = re.split(r"[^A-Za-z0-9_.-]", requirement, maxsplit=1)
+            names.append(package)
+    return names
 
 
 def kernels() -> Finding:
-    """Whether the first run has to compile, and whether it can keep what it compiles."""
+    """Check whether the kernels are compiled, and whether compiled kernels can be stored."""
     from rollerrig.rig.compiled import kernel_cache
 
+    name = "compiled kernels"
     folder = kernel_cache.folder()
-    compiled = kernel_cache.is_compiled()
-    return _answer(
-        "compiled kernels",
-        compiled or (folder and os.access(folder, os.W_OK)),
-        f"in {folder}" if compiled else "none yet: the first run compiles, half a minute",
-        "every run compiles: no folder to keep them in",
+    if kernel_cache.is_compiled():
+        return Finding(name, State.OK, f"in {folder}")
+    if folder and os.access(folder, os.W_OK):
+        return Finding(name, State.OK, "none yet: the first run compiles them for half a minute")
+    return Finding(
+        name,
+        State.WEAKER,
+        "no writable folder to store them: every run compiles them again",
         "make ~/.cache writable, or set XDG_CACHE_HOME",
     )
 
 
 def shared_memory() -> Finding:
-    """Whether there is room for the rings of a run."""
+    """Check whether there is enough shared memory for the rings of a run."""
     from rollerrig.realtime.loop import ring
 
+    name = "shared memory"
     folder = ring.folder()
     free_MB = shutil.disk_usage(folder).free / 1e6
     found = f"{free_MB:.0f} MB free in {folder}"
-    if free_MB < _ROOM_MB:
+    if free_MB < _SHARED_MEMORY_MB:
         return Finding(
-            "shared memory",
+            name,
             State.MISSING,
             found,
-            f"make {_ROOM_MB} MB of room in {folder} (in a container: --shm-size=64m)",
+            f"free {_SHARED_MEMORY_MB} MB in {folder} (in a container: --shm-size=64m)",
         )
-    return _answer(
-        "shared memory",
-        str(folder) == "/dev/shm",
-        found,
-        found,
-        "mount a tmpfs on /dev/shm: a disk may hold the loop up",
-    )
+    if str(folder) != "/dev/shm":
+        return Finding(
+            name, State.WEAKER, found, "mount a tmpfs on /dev/shm: a disk can delay the loop"
+        )
+    return Finding(name, State.OK, found)
 
 
 def loopback() -> Finding:
-    """Whether the hub can listen at all."""
-    return _answer(
-        "hub on loopback",
-        _bind(0),
-        f"can listen on {_LOOPBACK}",
-        f"cannot listen on {_LOOPBACK}",
-        "sudo ip link set lo up",
-        State.MISSING,
-    )
+    """Check whether the CAN hub can listen on the loopback interface."""
+    name = "hub on loopback"
+    # port 0: any free port
+    if _can_listen(0):
+        return Finding(name, State.OK, f"can listen on {_LOOPBACK}")
+    return Finding(name, State.MISSING, f"cannot listen on {_LOOPBACK}", "sudo ip link set lo up")
 
 
 def socketcan() -> Finding:
-    """Kernel CAN, which takes the place of the hub where its vcan0 is up."""
+    """Check for CAN interfaces of the kernel. If vcan0 is up, it can replace the CAN hub."""
     from rollerrig.wsp_interface.bus import kernel
 
     kernel_can = kernel.available()
-    found = "no interface is up" if kernel_can.af_can else "not in this kernel"
-    return _answer(
-        "SocketCAN",
-        kernel_can.up,
-        f"up: {', '.join(kernel_can.up)}",
-        f"{found}: the bench's own hub is the bus",
-        "",
-    )._replace(mend="; ".join(kernel_can.hints))
+    if kernel_can.up:
+        state = State.OK
+        found = f"up: {', '.join(kernel_can.up)}"
+    else:
+        state = State.WEAKER
+        reason = "no interface is up" if kernel_can.af_can else "not in this kernel"
+        found = f"{reason}: the bench uses its CAN hub as bus"
+    # hints also come when an interface is up: another may be down, or a queue may be short
+    return Finding("SocketCAN", state, found, "; ".join(kernel_can.hints))
 
 
 def port(number: int) -> Finding:
-    """Whether the hub's port is free, and who has it if not."""
-    free = _bind(number)
-    return _answer(
-        f"port {number}",
-        free,
-        "free",
-        "in use" if free else f"in use{_holder(number)}",
-        "end its holder, or give the bench another: --set bus.socketcand_port=0 takes any; "
-        f"ss -ltnp 'sport = :{number}' shows who it is",
+    """Check whether the port of the CAN hub is free, and find the program that uses it."""
+    name = f"port {number}"
+    if _can_listen(number):
+        return Finding(name, State.OK, "free")
+    return Finding(
+        name,
+        State.WEAKER,
+        f"in use{_user_of_port(number)}",
+        "stop the program that uses it, or give the bench another port: "
+        "--set bus.socketcand_port=0 takes any free port; "
+        f"ss -ltnp 'sport = :{number}' shows the program",
     )
 
 
 def cores() -> Finding:
-    """The real-time thread wants one core, and the bus, recorder and unit another."""
-    allowed = len(os.sched_getaffinity(0))
-    isolated = _ISOLATED.read_text().strip() if _ISOLATED.is_file() else ""
-    found = f"{allowed} may be used" + (f", isolated: {isolated}" if isolated else "")
-    return _answer(
+    """Check for two cores: one for the real-time thread, one for bus, recorder and unit."""
+    count = len(os.sched_getaffinity(0))
+    found = f"{count} available"
+    isolated = _ISOLATED_CORES_FILE.read_text().strip() if _ISOLATED_CORES_FILE.is_file() else ""
+    if isolated:
+        found = f"{found}, isolated: {isolated}"
+
+    if count > 1:
+        return Finding("cores", State.OK, found)
+    return Finding(
         "cores",
-        allowed > 1,
+        State.WEAKER,
         found,
-        found,
-        "give the process a second core (taskset, cpuset or container "
-        "limits): bus and loop now share one",
+        "give the process a second core (taskset, cpuset or container limits), because bus and "
+        "loop now share one core",
     )
 
 
 def priority() -> Finding:
-    """Whether a thread may have SCHED_FIFO."""
-    # of a thread, not of the process: it ends with its priority
-    with ThreadPoolExecutor(1) as thread:
-        refused = thread.submit(
-            os.sched_setscheduler, 0, os.SCHED_FIFO, os.sched_param(PRIORITY)
-        ).exception()
-    return _answer(
-        f"SCHED_FIFO {PRIORITY}",
-        not refused,
-        "allowed",
-        f"{getattr(refused, 'strerror', None) or 'refused'}: late ticks where the machine is busy",
+    """Check whether a thread may run with the real-time policy SCHED_FIFO."""
+    name = f"SCHED_FIFO {PRIORITY}"
+    # 0 means the calling thread; a thread of a pool is used so that this one keeps its priority
+    parameters = os.sched_param(PRIORITY)
+    with ThreadPoolExecutor(1) as pool:
+        request = pool.submit(os.sched_setscheduler, 0, os.SCHED_FIFO, parameters)
+        error = request.exception()
+
+    if not error:
+        return Finding(name, State.OK, "allowed")
+    reason = getattr(error, "strerror", None) or "refused"
+    return Finding(
+        name,
+        State.WEAKER,
+        f"{reason}: ticks are late when the machine is busy",
         f"'{_user()} - rtprio 90' in /etc/security/limits.conf and a new login, or CAP_SYS_NICE "
         "(container: --cap-add=sys_nice --ulimit rtprio=90)",
     )
 
 
 def memory_lock() -> Finding:
-    """Whether pages may be kept in memory; they are let go again."""
+    """Check whether pages may be locked in memory. They are unlocked again."""
     from rollerrig.realtime.loop import clock
 
+    name = "memory lock"
     reason = clock.lock_memory()
     clock.unlock_memory()
-    soft = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    return _answer(
-        "memory lock",
-        not reason,
-        "allowed",
-        f"{reason} (limit {soft // 1024} KiB)",
-        f"'{_user()} - memlock unlimited' in /etc/security/limits.conf and a new login, or CAP_IPC_LOCK "
-        "(container: --cap-add=ipc_lock --ulimit memlock=-1)",
+    if not reason:
+        return Finding(name, State.OK, "allowed")
+
+    soft_limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    return Finding(
+        name,
+        State.WEAKER,
+        f"{reason} (limit {soft_limit // 1024} KiB)",
+        f"'{_user()} - memlock unlimited' in /etc/security/limits.conf and a new login, or "
+        "CAP_IPC_LOCK (container: --cap-add=ipc_lock --ulimit memlock=-1)",
     )
 
 
 def idle_states() -> Finding:
-    """Whether cores can be kept from sleeping deeply while a run is on."""
+    """Check whether a run can keep the cores out of deep idle states."""
     from rollerrig.realtime.loop import clock
 
+    name = "idle states"
     with clock.awake() as reason:
-        return _answer(
-            "idle states",
-            not reason,
-            "a run keeps the cores awake",
-            f"{clock.IDLE_LIMIT}: {reason}; a sleeping core takes tens of us to wake",
+        if not reason:
+            return Finding(name, State.OK, "a run keeps the cores awake")
+        return Finding(
+            name,
+            State.WEAKER,
+            f"{clock.IDLE_LIMIT}: {reason}; an idle core needs tens of us to wake up",
             f"sudo chmod o+w {clock.IDLE_LIMIT} (until the next boot), or a udev rule for it",
         )
 
 
 def governor() -> Finding:
-    """Whether the processor's clock is free to fall."""
-    found = (
-        _FREQUENCY.read_text().strip()
-        if _FREQUENCY.is_file()
-        else "none here: a virtual machine, or fixed"
-    )
-    return _answer(
-        "processor governor",
-        not _FREQUENCY.is_file() or found == "performance",
-        found,
-        found,
-        "sudo cpupower frequency-set -g performance",
-    )
+    """Check whether the clock frequency of the processor can fall."""
+    name = "processor governor"
+    if not _GOVERNOR_FILE.is_file():
+        return Finding(
+            name, State.OK, "none: the machine is virtual, or its clock frequency is fixed"
+        )
+    found = _GOVERNOR_FILE.read_text().strip()
+    if found == "performance":
+        return Finding(name, State.OK, found)
+    return Finding(name, State.WEAKER, found, "sudo cpupower frequency-set -g performance")
 
 
 def preemption() -> Finding:
-    """How the kernel lets a real-time thread interrupt it."""
+    """Check whether a real-time thread can interrupt the kernel."""
+    name = "kernel preemption"
+    if _REALTIME_FILE.is_file() or "PREEMPT_RT" in platform.version():
+        return Finding(name, State.OK, "PREEMPT_RT")
     kind = re.search(r"PREEMPT\w*", platform.version())
-    best = Path("/sys/kernel/realtime").is_file() or "PREEMPT_RT" in platform.version()
-    return _answer(
-        "kernel preemption",
-        best or kind,
-        "PREEMPT_RT" if best or not kind else f"{kind[0]} (PREEMPT_RT is best)",
-        "none named",
+    if kind:
+        return Finding(name, State.OK, f"{kind[0]} (PREEMPT_RT is best)")
+    return Finding(
+        name,
+        State.WEAKER,
+        "the kernel version names none",
         "boot with preempt=full, or a PREEMPT_RT kernel",
     )
 
 
 def display() -> Finding:
-    """Whether the viewer can open a window."""
+    """Check whether the viewer can open a window."""
+    name = "viewer"
     try:
         from rollerrig.realtime.telemetry import viewer
     except ImportError as error:
-        return Finding("viewer", State.WEAKER, str(error), "pip install rerun-sdk")
-    return _answer(
-        "viewer",
-        viewer.has_display(),
-        "a display is there",
-        "no display: a run is served to a browser",
-        "set DISPLAY (ssh -X), or open what 'rollerrig view' prints in a browser",
+        return Finding(name, State.WEAKER, str(error), "pip install rerun-sdk")
+
+    if viewer.has_display():
+        return Finding(name, State.OK, "a display is available")
+    return Finding(
+        name,
+        State.WEAKER,
+        "no display: 'rollerrig view' serves a run to a browser",
+        "set DISPLAY (ssh -X), or open the address that 'rollerrig view' prints in a browser",
     )
 
 
 def pictures() -> Finding:
-    """Whether the viewer finds a Vulkan driver to draw with, as for `view --png`."""
-    named = os.environ.get("VK_DRIVER_FILES") or os.environ.get("VK_ICD_FILENAMES") or ""
-    drivers = [Path(one) for one in named.split(os.pathsep) if one] or [
-        path for folder in _ICDS for path in sorted(Path(folder).glob("*.json"))
-    ]
-    found = sorted({path.stem.split("_icd")[0] for path in drivers if path.is_file()})
-    return _answer(
-        "pictures (Vulkan)",
-        found and _has_library("libvulkan.so.1"),
-        ", ".join(found),
+    """Check whether `rollerrig view --png` finds a Vulkan driver to draw pictures."""
+    name = "pictures (Vulkan)"
+    drivers: set[str] = set()
+    for file in _vulkan_driver_files():
+        if file.is_file():
+            # lvp_icd.x86_64.json describes the driver lvp
+            driver, *_ = file.stem.split("_icd")
+            drivers.add(driver)
+
+    if drivers and _has_library("libvulkan.so.1"):
+        return Finding(name, State.OK, ", ".join(sorted(drivers)))
+    return Finding(
+        name,
+        State.WEAKER,
         "no driver: 'rollerrig view --png' cannot draw",
-        "sudo apt-get install mesa-vulkan-drivers libvulkan1 (draws in software)",
+        "sudo apt-get install mesa-vulkan-drivers libvulkan1 (draws without a graphics card)",
     )
 
 
+def _vulkan_driver_files() -> list[Path]:
+    """Return the description files of Vulkan drivers, from the environment or from folders."""
+    from_environment = os.environ.get("VK_DRIVER_FILES") or os.environ.get("VK_ICD_FILENAMES") or ""
+    files = [Path(name) for name in from_environment.split(os.pathsep) if name]
+    if files:
+        return files
+    for folder in _VULKAN_FOLDERS:
+        files.extend(sorted(Path(folder).glob("*.json")))
+    return files
+
+
 def cyclictest() -> Finding:
-    """Whether the loop can be compared with cyclictest."""
+    """Check whether cyclictest is installed, to which the loop can be compared."""
     program = shutil.which("cyclictest")
-    return _answer(
+    if program:
+        return Finding("cyclictest", State.OK, program)
+    return Finding(
         "cyclictest",
-        program,
-        program or "",
-        "not here: 'rollerrig bench loop' has nothing to compare with",
+        State.WEAKER,
+        "not installed: 'rollerrig bench loop' makes no comparison",
         "sudo apt-get install rt-tests",
     )
 
 
-def _bind(number: int) -> bool:
+def _can_listen(number: int) -> bool:
+    """Return whether a server can listen on a port of the loopback interface."""
     with socket.socket() as probe:
-        # as asyncio's servers do: a port that only waits for old connections is free
+        # as the servers of asyncio do: a port that only waits for old connections is free
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             probe.bind((_LOOPBACK, number))
@@ -423,8 +490,8 @@ def _bind(number: int) -> bool:
     return True
 
 
-def _holder(number: int) -> str:
-    """The program that listens on a port, as far as `ss` may tell; "" where it may not."""
+def _user_of_port(number: int) -> str:
+    """Return " by PROGRAM (process ID)" for a port, or "" if `ss` cannot find the program."""
     program = shutil.which("ss")
     if not program:
         return ""
@@ -432,18 +499,23 @@ def _holder(number: int) -> str:
         [program, "-ltnpH", f"sport = :{number}"],
         capture_output=True,
         text=True,
-        timeout=5.0,
+        timeout=_SS_TIMEOUT_S,
         check=False,
     ).stdout
-    names = re.findall(r'\("([^"]+)",pid=(\d+)', listing)
-    return " by " + ", ".join(f"{name} (process {pid})" for name, pid in names) if names else ""
+    # ss prints: users:(("python",pid=4711,fd=6))
+    users = re.findall(r'\("([^"]+)",pid=(\d+)', listing)
+    if not users:
+        return ""
+    return " by " + ", ".join(f"{name} (process {pid})" for name, pid in users)
 
 
 def _has_library(name: str) -> bool:
+    """Return whether a shared library can be loaded."""
     with contextlib.suppress(OSError):
         return bool(ctypes.CDLL(name))
     return False
 
 
 def _user() -> str:
+    """Return the name of the user, or the user id if there is no name."""
     return os.environ.get("USER") or str(os.getuid())

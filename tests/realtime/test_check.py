@@ -1,4 +1,4 @@
-"""`rollerrig check`: the questions it puts to this machine, and what it says of a poor one."""
+"""`rollerrig check`: what it finds on this machine, and what it reports of a limited one."""
 
 import argparse
 import json
@@ -15,31 +15,32 @@ from rollerrig.realtime.commands.check import Finding, State
 
 
 @pytest.fixture
-def taken():
+def used_port():
     with socket.create_server(("127.0.0.1", 0)) as server:
         yield server.getsockname()[1]
 
 
-def test_check_says_of_every_row_how_it_is_and_how_to_enable_what_is_weaker():
-    findings = check.look(0)
-    assert len({one.name for one in findings}) == len(findings) >= 15
-    for one in findings:
-        assert one.found
-        assert one.state is State.OK or one.mend, one.name
+def test_every_row_has_a_state_and_a_remedy_if_it_is_not_ok():
+    findings = check.check_machine(0)
+    names = {finding.name for finding in findings}
+    assert len(names) == len(findings) >= 15
+    for finding in findings:
+        assert finding.found
+        assert finding.state is State.OK or finding.mend, finding.name
 
 
 def test_check_prints_one_json_object_and_a_run_is_possible_here(capsys):
     status = cli.main(["check", "--json"])
-    told = json.loads(capsys.readouterr().out)
-    assert told["possible"] is (status == 0) is True
-    assert {"name", "state", "found", "mend"} == set(told["checks"][0])
+    result = json.loads(capsys.readouterr().out)
+    assert result["possible"] is (status == 0) is True
+    assert {"name", "state", "found", "mend"} == set(result["checks"][0])
 
 
-def test_a_port_in_use_is_reported_with_its_holder_and_a_way_out(taken):
-    finding = check.port(taken)
+def test_a_port_in_use_is_reported_with_its_holder_and_a_way_out(used_port):
+    finding = check.port(used_port)
     assert finding.state is State.WEAKER
     assert "in use" in finding.found
-    assert str(taken) in finding.mend
+    assert str(used_port) in finding.mend
     assert "socketcand_port=0" in finding.mend
     if check.shutil.which("ss"):
         assert str(os.getpid()) in finding.found
@@ -55,12 +56,12 @@ def test_a_port_that_cannot_exist_is_not_free():
     assert check.port(70000).state is State.WEAKER
 
 
-def test_asking_for_priority_leaves_this_thread_an_ordinary_one():
+def test_the_check_of_priority_does_not_change_the_priority_of_this_thread():
     check.priority()
     assert os.sched_getscheduler(0) == os.SCHED_OTHER
 
 
-def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
+def test_a_process_without_rights_learns_how_to_get_priority_and_locked_memory():
     # limits of zero, and no capabilities: what a fresh user account has
     script = (
         "import resource, os\n"
@@ -76,14 +77,14 @@ def test_a_process_without_rights_hears_how_to_get_priority_and_locked_memory():
         [sys.executable, "-c", script], capture_output=True, text=True, check=False
     )
     rights, memory = done.stdout.splitlines()
-    for line, named in ((rights, "rtprio"), (memory, "memlock")):
+    for line, limit in ((rights, "rtprio"), (memory, "memlock")):
         assert line.startswith("weaker")
-        assert named in line
+        assert limit in line
 
 
 def test_one_missing_row_means_that_no_run_is_possible(capsys):
-    poor = [Finding("shared memory", State.MISSING, "1 MB free", "make room")]
-    assert check.show(argparse.Namespace(json=False), poor) == 2
-    told = capsys.readouterr()
-    assert "make room" in told.out
-    assert "no run is possible" in told.err
+    findings = [Finding("shared memory", State.MISSING, "1 MB free", "make room")]
+    assert check.show(argparse.Namespace(json=False), findings) == 2
+    printed = capsys.readouterr()
+    assert "make room" in printed.out
+    assert "no run is possible" in printed.err
