@@ -1,12 +1,15 @@
-"""rollerrig from Python and from notebooks: `run` a stop, `load` a run's folder, `explain` measured stops.
+"""rollerrig for Python and notebooks: `run` a stop, `load` the folder of a run, `explain` stops.
 
     import rollerrig
 
     stop = rollerrig.run("velim_a1", adhesion="soap", initial_speed_m_s=20.0)
-    stop.summary["stop_distance_m"], stop.table["sliding_1_m_s"], stop.frame().plot(x="time_s", y="sliding_1_m_s")
+    stop.summary["stop_distance_m"]
+    stop.table["sliding_1_m_s"]
+    stop.frame().plot(x="time_s", y="sliding_1_m_s")
 
-Each call is the command of the same name in a process of its own, so that a notebook and a terminal do the same. This
-file is the package `rollerrig` itself: it is loaded before every other one, and so imports next to nothing.
+`run` and `explain` start the command of the same name in a separate process, so that a notebook and
+a terminal get the same results. This file is the package `rollerrig` itself. Python loads it before
+every other module of the package, so it imports almost nothing.
 """
 
 import json
@@ -22,6 +25,7 @@ __all__ = ["Run", "__version__", "explain", "load", "run"]
 
 
 def __getattr__(name: str) -> str:
+    """Return `__version__`, which is looked up only on use. Raises AttributeError otherwise."""
     if name != "__version__":
         raise AttributeError(f"module 'rollerrig' has no attribute '{name}'")
     from importlib import metadata
@@ -32,9 +36,10 @@ def __getattr__(name: str) -> str:
 class Run(NamedTuple):
     """A recorded run.
 
-    `summary` is what summary.json holds (empty while the run goes on), `table` a pyarrow Table with one row a sample
-    and one column a channel, in SI with the unit in the name. Each of `events` has time_s, level, text, code and
-    fields; programs use code and fields. `scenario` is the resolved one.
+    `summary` is the content of summary.json; it is empty while the run is in progress. `table` is a
+    pyarrow Table with one row per sample and one column per channel, in SI units with the unit in
+    the name. Each of `events` has time_s, level, text, code and fields; programs use code and
+    fields. `scenario` is the resolved scenario, with every default written out.
     """
 
     summary: dict[str, Any]
@@ -44,7 +49,7 @@ class Run(NamedTuple):
     folder: Path
 
     def frame(self) -> Any:
-        """The table as a pandas DataFrame. Raises ImportError where pandas is not installed."""
+        """Return the table as a pandas DataFrame. Raises ImportError if pandas is not installed."""
         return self.table.to_pandas()
 
 
@@ -59,33 +64,55 @@ def run(
     faults: Iterable[str] = (),
     **values: Any,
 ) -> Run:
-    """Brake the vehicle once, and return what was recorded.
+    """Brake the vehicle once and return the recorded run.
 
-    `scenario` is a packaged one or a TOML file, `pacing` free (without a bus, as fast as it goes), lockstep or wall
-    (real time), `wsp` reference, none or fmu:FILE. `values` change the scenario as `--set` does, a table as a mapping:
-    `adhesion={"mu_cd": 0.05}`, `rig="full_scale"`. `faults` are texts such as "speed_sensor_stuck axle=2 at=5". The run
-    is recorded in `out` (default: runs/SCENARIO, with a number if it exists). A run that is not valid is returned as
-    well, with a warning. Raises RollerrigError with what the command says: where, what, what is allowed.
+    `scenario` is the name of a packaged scenario or a TOML file. `pacing` is free (without a bus,
+    as fast as possible), lockstep or wall (real time). `wsp` is reference, none or fmu:FILE.
+    `model` is the file of an extended model. `faults` are texts such as
+    "speed_sensor_stuck axle=2 at=5". `values` change the scenario as `--set` does, with a mapping
+    for a table: `adhesion={"mu_cd": 0.05}`, `rig="full_scale"`.
+
+    The run is recorded in `out` (default: runs/SCENARIO, with a number if that exists). A run that
+    is not valid is returned with a warning. Raises RollerrigError with the message of the command.
     """
     import warnings
 
     words = ["run", str(scenario), "--pacing", pacing, "--wsp", wsp, "--seed", str(seed)]
-    words += ["--model", str(model)] if model else []
-    words += ["--out", str(out)] if out else []
-    words += [word for fault in faults for word in ("--fault", fault)]
-    words += [word for setting in _settings(values) for word in ("--set", setting)]
-    found = load(_call(words)["folder"])
-    if because := found.summary.get("invalid_because"):
-        warnings.warn(f"{found.folder}: the run is not valid: {'; '.join(because)}", stacklevel=2)
-    return found
+    if model:
+        words += ["--model", str(model)]
+    if out:
+        words += ["--out", str(out)]
+    for fault in faults:
+        words += ["--fault", fault]
+    for setting in _settings(values):
+        words += ["--set", setting]
+
+    result = _call_command(words)
+    recorded = load(result["folder"])
+    reasons = recorded.summary.get("invalid_because")
+    if reasons:
+        # stacklevel 2: the warning names the line that called run()
+        warnings.warn(
+            f"{recorded.folder}: the run is not valid: {'; '.join(reasons)}", stacklevel=2
+        )
+    return recorded
 
 
 def load(folder: str | Path) -> Run:
-    """The record of a run, also of one that still runs or was killed. Raises ConfigError for no run's folder."""
+    """Return the record of a run, also of a run that is in progress or was killed.
+
+    Raises ConfigError if the folder holds no run.
+    """
     from rollerrig.realtime.record import records
 
-    found = records.load(folder)
-    return Run(found.summary, found.table, found.events, found.scenario, found.folder)
+    record = records.load(folder)
+    return Run(
+        summary=record.summary,
+        table=record.table,
+        events=record.events,
+        scenario=record.scenario,
+        folder=record.folder,
+    )
 
 
 def explain(
@@ -96,68 +123,84 @@ def explain(
     validate: Iterable[str | Path | Run] = (),
     next: int = 0,
 ) -> dict[str, Any]:
-    """What measured stops do otherwise than the simulation, and why: the report as `report.json` has it.
+    """Return how measured stops differ from the simulation, and why: the content of `report.json`.
 
-    `stops` is the name or folder of a dataset, or several runs; `validate` runs that are never fitted, `next` how many
-    further stops to propose. The report, and the model that has the causes, stand in `out` (default:
-    reports/explain_NAME). Raises RollerrigError with what the command says.
+    `stops` is the name or folder of a dataset, or several runs. `validate` are runs that are never
+    fitted. `next` is how many further stops the report proposes. The report and the extended model
+    are written to `out` (default: reports/explain_NAME). Raises RollerrigError with the message of
+    the command.
     """
     several = [stops] if isinstance(stops, str | Path | Run) else stops
-    words = ["explain", *map(_place, several), "--seed", str(seed), "--next", str(next)]
-    words += ["--validate", *map(_place, validate)] if validate else []
-    return _call([*words, *(["--out", str(out)] if out else [])])
+    words = ["explain", *map(_path_text, several), "--seed", str(seed), "--next", str(next)]
+    if validate:
+        words += ["--validate", *map(_path_text, validate)]
+    if out:
+        words += ["--out", str(out)]
+    return _call_command(words)
 
 
-def _place(one: str | Path | Run) -> str:
-    return str(one.folder if isinstance(one, Run) else one)
+def _path_text(stop: str | Path | Run) -> str:
+    """Return a stop as the command line takes it: the folder of a run, a path or a name."""
+    if isinstance(stop, Run):
+        return str(stop.folder)
+    return str(stop)
 
 
 def _settings(values: Mapping[str, Any], section: str = "") -> list[str]:
-    """As `--set` takes them: SECTION.KEY=VALUE."""
-    found: list[str] = []
+    """Return values as the option --set takes them: SECTION.KEY=VALUE.
+
+    `section` is the prefix of all keys, with its last dot.
+    """
+    settings: list[str] = []
     for key, value in values.items():
         if isinstance(value, Mapping):
-            found += _settings(value, f"{section}{key}.")
+            settings += _settings(value, f"{section}{key}.")
+        elif isinstance(value, str):
+            settings.append(f"{section}{key}={value}")
         else:
-            text = (
-                value
-                if isinstance(value, str)
-                else json.dumps(value, default=lambda one: one.item())
-            )
-            found.append(f"{section}{key}={text}")
-    return found
+            # JSON does not know the scalars of numpy: `item` returns them as numbers of Python
+            text = json.dumps(value, default=lambda scalar: scalar.item())
+            settings.append(f"{section}{key}={text}")
+    return settings
 
 
-def _call(words: list[str]) -> dict[str, Any]:
-    """The command's one object; what it says meanwhile goes to standard error."""
+def _call_command(words: list[str]) -> dict[str, Any]:
+    """Run a command with --json and return the object that it prints.
+
+    Its messages are copied to standard error. Raises RollerrigError if the command fails.
+    """
     import subprocess
     import tempfile
 
     from rollerrig.configs.errors import RollerrigError
     from rollerrig.configs.processes import children
 
-    said: list[str] = []
+    messages: list[str] = []
+    # the result goes to a file, so that the command never waits for a reader of its output
     with (
-        tempfile.TemporaryFile("w+", encoding="utf-8") as result,
+        tempfile.TemporaryFile("w+", encoding="utf-8") as output,
         subprocess.Popen(
             children.command(sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"),
             text=True,
             stdin=subprocess.DEVNULL,
-            stdout=result,
+            stdout=output,
             stderr=subprocess.PIPE,
         ) as process,
     ):
         assert process.stderr
         for line in process.stderr:
-            said.append(line)
+            messages.append(line)
             print(line, end="", file=sys.stderr)
         status = process.wait()
-        result.seek(0)
-        text = result.read()
+        output.seek(0)
+        text = output.read()
+
     try:
-        found: dict[str, Any] = json.loads(text)
-    except ValueError:  # the usage of the command line, or a crash
-        found = {"error": (said or ["no word"])[-1].strip()}
-    if "error" in found:
-        raise RollerrigError(f"rollerrig {words[0]} ended with status {status}: {found['error']}")
-    return found
+        result: dict[str, Any] = json.loads(text)
+    except ValueError:
+        # no JSON: a usage error of the command line, or a crash; the last message has the reason
+        last_message = messages[-1].strip() if messages else "it printed no message"
+        result = {"error": last_message}
+    if "error" in result:
+        raise RollerrigError(f"rollerrig {words[0]}: exit status {status}: {result['error']}")
+    return result

@@ -1,4 +1,4 @@
-"""`rollerrig wsp`: runs the reference WSP unit, or an FMU as WSP unit, as a separate program on a bus."""
+"""`rollerrig wsp`: runs the reference WSP unit, or an FMU, as a separate program on a bus."""
 
 import argparse
 import json
