@@ -1,34 +1,45 @@
-"""`rollerrig campaign`: many runs from a plan, over processes or a Dask cluster."""
+"""`rollerrig campaign`: many runs from a plan, in processes or on a Dask cluster."""
 
 import argparse
 import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output
 
+if TYPE_CHECKING:
+    from rollerrig.realtime.campaign.campaign import Plan
+
+# runs that are not valid and that the terminal lists; the report lists all of them
+_LISTED_NOT_VALID = 5
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig campaign`."""
     parser.add_argument("plan", help="name of a packaged campaign, or a TOML file")
     parser.add_argument(
         "--out",
         type=Path,
         metavar="DIR",
-        help="folder of the results (default: campaigns/PLAN); one that was begun is gone on with",
+        help="folder of the results; an unfinished campaign in it is continued "
+        "(default: campaigns/PLAN)",
     )
     parser.add_argument(
         "--workers",
         type=int,
         default=0,
         metavar="N",
-        help="processes on this machine (default: one a core)",
+        help="number of processes on this machine (default: the number of processor cores)",
     )
     parser.add_argument(
         "--scheduler",
         default="",
         metavar="ADDRESS",
-        help="Dask scheduler, as in tcp://host:8786, instead of own processes",
+        help="use the Dask scheduler at this address, as in tcp://host:8786, instead of "
+        "processes on this machine",
     )
     parser.add_argument(
         "--worst",
@@ -41,7 +52,68 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def call(given: argparse.Namespace) -> int:
+def call(options: argparse.Namespace) -> int:
+    """Do the runs of a plan that are not done yet, and write the report.
+
+    Returns FAILED if a run had an error, INVALID if a run is not valid, and otherwise PASS.
+    """
+    from rollerrig.realtime.campaign import campaign, stopping
+    from rollerrig.realtime.record import figures
+    from rollerrig.realtime.reports import campaign as campaign_report
+    from rollerrig.realtime.reports import pdf
+
+    # all that can be wrong is checked before the first run
+    if options.pdf:
+        pdf.check()
+    plan = campaign.load(options.plan)
+    if options.worst not in figures.BY_NAME:
+        raise ConfigError(f"--worst {options.worst}: allowed are {', '.join(figures.BY_NAME)}")
+
+    out = options.out or Path("campaigns") / Path(options.plan).stem
+    _run_chunks(options, plan, out)
+
+    table = campaign.result(out)
+    report = campaign_report.write(plan, table, out, options.worst, options.pdf)
+    failed = sum(error is not None for error in table["error"].to_pylist())
+    worst = campaign_report.worst(plan, table, options.worst)
+    not_valid = campaign_report.not_valid(plan, table)
+
+    lines = [f"{table.num_rows} runs, {len(not_valid)} not valid; the worst {options.worst}:"]
+    for case in worst:
+        value = campaign_report.read(options.worst, case[options.worst])
+        lines.append(f"  run {case['run']}: {value}: {case['replay']}")
+    for case in not_valid[:_LISTED_NOT_VALID]:
+        lines.append(f"  run {case['run']} is not valid: {case['because']}: {case['replay']}")
+    lines.append(f"report: {report}")
+
+    output.show(
+        options,
+        {
+            "folder": str(out),
+            "runs": table.num_rows,
+            "failed": failed,
+            "not_valid": len(not_valid),
+            "report": str(report),
+            "worst": worst,
+            "stopping_distance": stopping.bounds(table),
+            "not_valid_runs": not_valid,
+        },
+        (plan.head["title"] or None, campaign_report.HEAD, campaign_report.cells(table)),
+        *lines,
+    )
+
+    if failed:
+        return output.FAILED
+    if not_valid:
+        return output.INVALID
+    return output.PASS
+
+
+def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
+    """Do the runs whose chunks have no file in the folder yet, and show the progress.
+
+    Raises ConfigError, and RollerrigError if runs could not be done or written.
+    """
     from rich.console import Console
     from rich.progress import (
         BarColumn,
@@ -51,69 +123,40 @@ def call(given: argparse.Namespace) -> int:
         TimeRemainingColumn,
     )
 
-    from rollerrig.realtime.campaign import campaign, stopping
-    from rollerrig.realtime.record import figures
-    from rollerrig.realtime.reports import campaign as campaign_report
-    from rollerrig.realtime.reports import pdf
+    from rollerrig.realtime.campaign import campaign
 
-    if given.pdf:
-        pdf.check()
-    plan = campaign.load(given.plan)
-    if given.worst not in figures.BY_NAME:
-        raise ConfigError(f"--worst {given.worst}: allowed are {', '.join(figures.BY_NAME)}")
-    out = given.out or Path("campaigns") / Path(given.plan).stem
-    todo = campaign.open_result(plan, out)
-    parts = (
-        campaign.spread_dask(plan, todo, given.scheduler)
-        if given.scheduler
-        else campaign.spread_local(plan, todo, given.workers or os.cpu_count() or 1)
-    )
-    columns = (
+    chunks_to_do = campaign.open_result(plan, out)
+
+    # both are generators: nothing runs, and no scheduler is needed, before the first chunk is taken
+    finished_chunks: Iterator[tuple[int, list[dict[str, Any]]]]
+    if options.scheduler:
+        finished_chunks = campaign.spread_dask(plan, chunks_to_do, options.scheduler)
+    else:
+        workers = options.workers or os.cpu_count() or 1
+        finished_chunks = campaign.spread_local(plan, chunks_to_do, workers)
+
+    run_count = len(plan.points)
+    console = Console(file=sys.stderr)
+    bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),
         MofNCompleteColumn(),
         TimeRemainingColumn(),
+        console=console,
+        disable=not console.is_terminal,
     )
-    console, count = Console(file=sys.stderr), len(plan.points)
     with (
-        Progress(*columns, console=console, disable=not console.is_terminal) as progress,
-        output.report_progress(lambda: f"{progress.tasks[0].completed:.0f} of {count} runs"),
+        bar,
+        output.report_progress(lambda: f"{bar.tasks[0].completed:.0f} of {run_count} runs"),
     ):
-        task = progress.add_task("runs", total=count)
-        progress.advance(task, min(count, (len(plan.chunks) - len(todo)) * plan.head["chunk"]))
-        if todo:
-            for chunk, rows in parts:
-                campaign.write_chunk(out, chunk, rows)
-                progress.advance(task, len(rows))
-    table = campaign.result(out)
-    report = campaign_report.write(plan, table, out, given.worst, given.pdf)
-    failed = sum(error is not None for error in table["error"].to_pylist())
-    worst, left_out = (
-        campaign_report.worst(plan, table, given.worst),
-        campaign_report.not_valid(plan, table),
-    )
-    output.show(
-        given,
-        {
-            "folder": str(out),
-            "runs": table.num_rows,
-            "failed": failed,
-            "not_valid": len(left_out),
-            "report": str(report),
-            "worst": worst,
-            "stopping_distance": stopping.bounds(table),
-            "not_valid_runs": left_out,
-        },
-        (plan.head["title"] or None, campaign_report.HEAD, campaign_report.cells(table)),
-        f"{table.num_rows} runs, {len(left_out)} not valid; the worst {given.worst}:",
-        *(
-            f"  run {case['run']}: {campaign_report.read(given.worst, case[given.worst])}: {case['replay']}"
-            for case in worst
-        ),
-        *(
-            f"  run {one['run']} is not valid: {one['because']}: {one['replay']}"
-            for one in left_out[:5]
-        ),
-        f"report: {report}",
-    )
-    return output.FAILED if failed else output.INVALID if left_out else output.PASS
+        task = bar.add_task("runs", total=run_count)
+
+        # the last chunk may have fewer runs than the others
+        chunks_done = len(plan.chunks) - len(chunks_to_do)
+        bar.advance(task, min(run_count, chunks_done * plan.head["chunk"]))
+
+        if not chunks_to_do:
+            return
+        for chunk, rows in finished_chunks:
+            campaign.write_chunk(out, chunk, rows)
+            bar.advance(task, len(rows))
