@@ -19,15 +19,23 @@ from rollerrig.wsp_interface import signals
 
 UNITS = ("reference", "external", "none")
 _AXLES = range(1, signals.AXLES + 1)
+# largest values that the fields accept
 _HIGHEST_BAR = 10.0
 _HIGHEST_KM_H = 300.0
+_PA_PER_BAR = 1e5
+_KM_H_PER_M_S = 3.6
+# an error message disappears after this time
 _ERROR_SHOWN_MS = 15_000
-_UNCHANGED = ""  # the choice that leaves a value as it is in the scenario
+# time between two looks at the state of the bench
+_FOLLOW_S = 0.5
+# the choice that leaves a value as it is in the scenario
+_UNCHANGED = ""
 
 
 async def carry_out(command: Awaitable[Any], done: str = "") -> bool:
-    """Carry out a command and show its result: `done`, or the error. Returns whether it succeeded."""
-    client = ui.context.client  # the control that was clicked may be gone when the answer comes
+    """Carry out a command and show the text `done`, or the error; return whether it succeeded."""
+    # keep the client: the control that was clicked may be gone when the answer comes
+    client = ui.context.client
     try:
         await command
     except RollerrigError as error:
@@ -47,7 +55,7 @@ async def carry_out(command: Awaitable[Any], done: str = "") -> bool:
 
 
 def frictions() -> dict[float, str]:
-    """The kinematic frictions mu_cd that can be set under an axle, with their labels.
+    """Return the kinematic frictions mu_cd that can be set under an axle, with their labels.
 
     0 restores the friction of the scenario.
     """
@@ -80,7 +88,7 @@ def _card(title: str) -> ui.card:
 
 
 def _bench(desk: Desk) -> None:
-    """The controls that prepare a bench."""
+    """Show the controls that prepare a bench."""
     with _card("1  Bench"):
         scenario = _choice_or_text(
             store.names("scenarios"), "velim_a1", "scenario, or a TOML file"
@@ -113,12 +121,12 @@ def _bench(desk: Desk) -> None:
 
 
 def _choice_or_text(names: list[str], value: str, label: str) -> ui.select:
-    """A field with names to choose from, which also takes another name that is typed."""
+    """Return a field that offers names and also accepts any other typed name."""
     return ui.select(names, value=value, label=label, with_input=True, new_value_mode="add-unique")
 
 
 def _run(desk: Desk) -> None:
-    """The controls that start and stop the run."""
+    """Show the controls that start and stop the run."""
     with _card("2  Run"), ui.row().classes("w-full no-wrap gap-2"):
         start = ui.button("Start", on_click=lambda: carry_out(_write(desk, "run", 1.0), "started"))
         start.props("color=positive").classes("grow").mark("start")
@@ -131,7 +139,7 @@ def _run(desk: Desk) -> None:
             start.set_enabled(desk.held())
             stop.set_enabled(desk.running())
 
-        ui.timer(0.5, follow)
+        ui.timer(_FOLLOW_S, follow)
 
 
 async def _write(desk: Desk, register: str, value: float) -> None:
@@ -142,6 +150,7 @@ async def _write(desk: Desk, register: str, value: float) -> None:
 
 
 def _set_points(desk: Desk) -> None:
+    """Show the controls of brake demand and roller speed."""
     with _card("Set-points"):
         with ui.row().classes("w-full no-wrap items-center gap-2"):
             _demand(desk)
@@ -150,7 +159,7 @@ def _set_points(desk: Desk) -> None:
 
 
 def _demand(desk: Desk) -> None:
-    """The controls of the brake demand."""
+    """Show the controls of the brake demand."""
     field = ui.number(
         "brake demand, bar", value=3.8, min=0.0, max=_HIGHEST_BAR, step=0.1, format="%.2f"
     )
@@ -158,9 +167,10 @@ def _demand(desk: Desk) -> None:
 
     async def set_demand() -> None:
         bar = _number(field)
-        await carry_out(_brake(desk, bar * 1e5), f"demand {bar:.2f} bar")
+        await carry_out(_brake(desk, bar * _PA_PER_BAR), f"demand {bar:.2f} bar")
 
     async def release() -> None:
+        # NaN releases the demand
         done = "the demand comes from node 17 or the scenario again"
         await carry_out(_brake(desk, math.nan), done)
 
@@ -173,27 +183,26 @@ async def _brake(desk: Desk, pressure_Pa: float) -> None:
 
 
 def _speed(desk: Desk) -> None:
-    """The controls of the roller speed of a held rig."""
+    """Show the controls of the roller speed of a held rig."""
     field = ui.number("roller speed, km/h", value=120.0, min=0.0, max=_HIGHEST_KM_H, step=5.0)
     field.classes("grow").mark("speed")
 
     async def set_speed() -> None:
         km_h = _number(field)
-        await carry_out(
-            _write(desk, "speed_set_point", km_h / 3.6), f"a held rig rolls at {km_h:.0f} km/h"
-        )
+        command = _write(desk, "speed_set_point", km_h / _KM_H_PER_M_S)
+        await carry_out(command, f"a held rig rolls at {km_h:.0f} km/h")
 
     ui.button("Set", on_click=set_speed).mark("set-speed")
     ui.label("while held").classes("desk-small")
 
 
 def _number(field: ui.number) -> float:
-    """The number in a field; 0 if it is empty."""
+    """Return the number in a field, or 0 if the field is empty."""
     return 0.0 if field.value is None else float(field.value)
 
 
 def _adhesion(desk: Desk) -> None:
-    """The controls of the friction under each axle."""
+    """Show the controls of the friction under each axle."""
     with (
         _card("Adhesion under the axles: friction mu_cd"),
         ui.grid(columns=2).classes("w-full gap-2"),
@@ -217,7 +226,7 @@ async def _set_friction(desk: Desk, choice: ui.select, axle: int) -> None:
 
 
 def _faults(desk: Desk) -> None:
-    """The controls that inject a fault, and the list of active faults."""
+    """Show the controls that inject a fault, and the list of active faults."""
     with _card("Faults"):
         kind = ui.select(
             {row.name: f"{row.name}: {row.text}" for row in catalogue.CATALOGUE},
@@ -256,12 +265,15 @@ def _faults(desk: Desk) -> None:
 
 
 def _active_faults(desk: Desk) -> None:
-    """The list of faults that are active, each with a button that lifts it."""
+    """Show the list of active faults, each with a button that lifts it."""
     place = ui.column().classes("w-full gap-1")
     shown: list[str] = []
 
     def follow() -> None:
-        active = desk.bench.faults if desk.bench and not desk.bench.ended else []
+        active: list[str] = []
+        if desk.bench and not desk.bench.ended:
+            active = desk.bench.faults
+        # build the list again only when it changes
         if active == shown:
             return
         shown[:] = active
@@ -273,15 +285,19 @@ def _active_faults(desk: Desk) -> None:
                     lift = ui.button("Lift", on_click=partial(_change_fault, desk, fault, True))
                     lift.props("flat dense").mark("lift")
 
-    ui.timer(0.5, follow)
+    ui.timer(_FOLLOW_S, follow)
 
 
 def _plain(value: float) -> str:
-    """A number as the text of a fault has it: whole numbers without a point."""
-    return f"{int(value)}" if float(value).is_integer() else f"{value:g}"
+    """Return a number as in the text of a fault: whole numbers have no decimal point."""
+    if float(value).is_integer():
+        return f"{int(value)}"
+    return f"{value:g}"
 
 
 async def _change_fault(desk: Desk, fault: str, lift: bool) -> None:
+    """Lift an active fault, or inject a fault given as a text such as `name parameter=value`."""
+
     async def command() -> None:
         door = desk.free_door()
         if lift:

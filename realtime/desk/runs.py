@@ -1,4 +1,8 @@
-"""The library of runs on the page: sort, filter, compare two, open in Rerun, download, note."""
+"""The table of runs on the page.
+
+The user can sort and filter runs, compare two of them, open a run in Rerun, download it, and write
+a note on it.
+"""
 
 import asyncio
 from collections.abc import Callable
@@ -16,6 +20,7 @@ from rollerrig.realtime.desk.manual import carry_out
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import figures
 
+# figures of a summary that have a column in the table
 _FIGURES = (
     "stop_time_s",
     "stop_distance_m",
@@ -24,7 +29,7 @@ _FIGURES = (
     "vents",
     "air_consumption_NL",
 )
-# beginnings of the names of those channels whose differences are listed
+# a comparison lists the channels whose names begin so
 _COMPARED_CHANNELS = (
     "vehicle_speed",
     "sliding_",
@@ -34,15 +39,23 @@ _COMPARED_CHANNELS = (
     "adhesion_4",
     "cylinder_pressure_",
 )
+_KM_H_PER_M_S = 3.6
+# the viewer serves its page after this time
 _VIEWER_STARTS_S = 2.0
+# a Vue template of Quasar: the verdict is green if the run is valid, otherwise orange
 _VERDICT_CELL = """<q-td :props="props"><span :style="{color: props.value === 'valid' ?
         '#2fbf93' : '#ff8a4c'}" class="desk-verdict">{{ props.value }}</span></q-td>"""
 
 
 def _columns() -> list[dict[str, Any]]:
-    """The columns of the table, as NiceGUI declares them."""
-    labels = {name: name for name in ("name", "when", "scenario", "unit", "verdict")}
-    labels["name"] = "run"
+    """Return the columns of the table in the form that NiceGUI requires."""
+    labels = {
+        "name": "run",
+        "when": "when",
+        "scenario": "scenario",
+        "unit": "unit",
+        "verdict": "verdict",
+    }
     for figure in figures.FIGURES:
         if figure.name in _FIGURES:
             labels[figure.name] = _with_unit(figure.title, figure.unit)
@@ -65,7 +78,7 @@ def _with_unit(title: str, unit: str) -> str:
 
 
 class _RunTable:
-    """The table of runs, what can be done with the runs chosen in it, and a place for results."""
+    """The table of runs, buttons that act on the chosen runs, and a place for results."""
 
     def __init__(self, desk: Desk) -> None:
         self.desk = desk
@@ -107,40 +120,48 @@ class _RunTable:
         self.table.rows = library.rows(self.desk.folder)
 
     def chosen(self, count: int) -> list[Path]:
-        """The folders of the chosen runs. Raises ConfigError if there are more or fewer."""
+        """Return the folders of the chosen runs.
+
+        Raises ConfigError unless exactly `count` runs are chosen.
+        """
         selected = self.table.selected
         if len(selected) != count:
             raise ConfigError(f"{len(selected)} runs are chosen in the table: choose {count}")
+
         return [self.desk.folder / row["name"] for row in selected]
 
     def show_note(self) -> None:
-        """Show the note of the chosen run, if it is a single one."""
+        """Show the note of the chosen run, if exactly one run is chosen."""
         if len(self.table.selected) == 1:
             self.note.value = library.note(self.chosen(1)[0])
 
     async def compare(self) -> None:
         """Show two runs next to each other."""
         first, second = self.chosen(2)
-        both = await run.io_bound(library.compared, first, second)
-        figures_of_both, differences = both or ([], [])
+        # `io_bound` returns None if the desk shuts down
+        compared = await run.io_bound(library.compared, first, second)
+        figures_of_both, differences = compared or ([], [])
         curves = []
         for folder in (first, second):
-            curves.append(await run.io_bound(library.channel, folder, "vehicle_speed_m_s", 3.6))
+            curve = await run.io_bound(library.channel, folder, "vehicle_speed_m_s", _KM_H_PER_M_S)
+            curves.append(curve)
+
         self.place.clear()
         with self.place:
             _comparison([first.name, second.name], figures_of_both, differences, curves)
 
     async def rerun(self) -> None:
-        """Open a run in Rerun's viewer, in another tab."""
+        """Open the chosen run in Rerun's viewer, in another tab of the browser."""
         address = await run.io_bound(self.desk.rerun, self.chosen(1)[0]) or ""
         await asyncio.sleep(_VIEWER_STARTS_S)
         ui.navigate.to(address, new_tab=True)
+        # the link is for browsers that block the new tab
         self.place.clear()
         with self.place:
             ui.link(f"Rerun: {address}", address, new_tab=True)
 
     async def download(self, kind: str) -> None:
-        """Send the chosen run to the browser as a file of a kind."""
+        """Send the chosen run to the browser as a file of a kind of `library.FORMATS`."""
         await carry_out(self._download(kind))
 
     async def _download(self, kind: str) -> None:
@@ -156,7 +177,7 @@ class _RunTable:
 
 
 def build(desk: Desk) -> Callable[[], None]:
-    """Put the table of runs into the page; returns the function that reads the runs again."""
+    """Put the table of runs into the page; return the function that reads the runs again."""
     table = _RunTable(desk)
     table.fill()
     return table.fill
@@ -165,7 +186,7 @@ def build(desk: Desk) -> Callable[[], None]:
 def _comparison(
     names: list[str], both: list[ComparedFigure], differences: list[Any], curves: list[Any]
 ) -> None:
-    """Two runs: figures, vehicle speeds, and the largest differences of some channels."""
+    """Show figures, largest differences of channels, and vehicle speeds of two runs."""
     with ui.row().classes("w-full no-wrap items-start gap-4"):
         figure_rows = [
             {
@@ -195,7 +216,7 @@ def _comparison(
 
 
 def _speeds(names: list[str], curves: list[Any]) -> None:
-    """A plot of the vehicle speeds of two runs in km/h."""
+    """Plot the vehicle speeds of two runs in km/h."""
     series = []
     for name, curve, shade in zip(names, curves, (colours.SKY_BLUE, colours.ORANGE), strict=True):
         series.append(
@@ -221,7 +242,7 @@ def _speeds(names: list[str], curves: list[Any]) -> None:
 
 
 def _table(title: str, heads: dict[str, str], rows: list[dict[str, Any]]) -> ui.table:
-    """A table; `heads` maps the keys of its rows to the heads of their columns."""
+    """Show a table; `heads` maps the keys of its rows to the heads of their columns."""
     columns = [
         {"name": key, "label": label, "field": key, "align": "left"} for key, label in heads.items()
     ]

@@ -1,8 +1,11 @@
-"""Serves the desk: on loopback to this machine alone, elsewhere to those who have its token.
+"""Serves the desk.
+
+On loopback, it serves every program of this machine. On any other address, a request needs the
+token of the desk.
 
 The server refuses requests that come from a page of another site. On loopback it also refuses
-requests for another host name. Otherwise a page of a stranger could reach the bench through the
-browser of its operator.
+requests for another host name. Otherwise a foreign web page could reach the bench through the
+browser of the operator.
 """
 
 import asyncio
@@ -30,16 +33,23 @@ PORT = 8530
 COOKIE = "rollerrig-desk"
 _SERVED_SUFFIXES = (".html", ".svg", ".png", ".json", ".xml", ".csv", ".pdf", ".rrd", ".log")
 _LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
+# status codes of HTTP
 _FORBIDDEN = 403
 _NOT_FOUND = 404
-_POLICY_VIOLATION = 1008  # close code of a WebSocket, RFC 6455
-Message = MutableMapping[str, Any]  # of ASGI
+# close code of a WebSocket, RFC 6455
+_POLICY_VIOLATION = 1008
+# of an address; 24 bytes of random data cannot be guessed
+_TOKEN_BYTES = 24
+# time between two looks whether the server answers
+_LOOK_AGAIN_S = 0.05
+# a message of ASGI, and the scope of a request
+Message = MutableMapping[str, Any]
 
 
 class Guard:
-    """ASGI middleware that passes on only requests with the token and from no other site.
+    """ASGI middleware that passes on only requests with the token that no other site has caused.
 
-    An empty token means that none is required.
+    An empty token means that requests need none.
     """
 
     def __init__(self, app: Any, token: str) -> None:
@@ -72,8 +82,9 @@ class Guard:
             return
 
         async def send_with_cookie(message: Message) -> None:
-            # later requests of the page have the cookie instead of the address
-            if message["type"] == "http.response.start" and token_in_address and self.token:
+            # only the first request has the token in its address; later ones have the cookie
+            begins_response = message["type"] == "http.response.start"
+            if begins_response and token_in_address and self.token:
                 cookie = f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
                 message["headers"] = [*message.get("headers", []), (b"set-cookie", cookie.encode())]
             await send(message)
@@ -82,9 +93,9 @@ class Guard:
 
 
 def refused(headers: MutableMapping[str, str], token_in_address: str, token: str) -> str:
-    """Why a request is refused; empty if it is not.
+    """Return why a request is refused; empty if it is allowed.
 
-    `token` is the right one, empty if none is required.
+    `token` is the correct token, or empty if requests need none.
     """
     host = headers.get("host", "")
     origin = headers.get("origin")
@@ -107,7 +118,7 @@ def refused(headers: MutableMapping[str, str], token_in_address: str, token: str
 
 
 def free(host: str, port: int) -> int:
-    """The port itself, or for port 0 one that is free. Raises ConfigError if it is in use."""
+    """Return the port, or any free port if it is 0. Raises ConfigError if it is in use."""
     try:
         with socket.create_server((host, port)) as probe:
             return int(probe.getsockname()[1])
@@ -119,7 +130,7 @@ def free(host: str, port: int) -> int:
 
 
 def routes(desk: Desk) -> None:
-    """Register what is served beside the page: its script, rows, and reports below the folder."""
+    """Register the other addresses: the script of the page, new rows, and files of reports."""
     app.add_static_file(
         local_file=Path(__file__).with_name("desk.js"), url_path="/desk/desk.js", max_cache_age=0
     )
@@ -130,6 +141,7 @@ def routes(desk: Desk) -> None:
 
     @app.get("/file/{path:path}")
     def file(path: str) -> Any:
+        # a path with `..` must not leave the folder of runs
         folder = desk.folder.resolve()
         found = (folder / path).resolve()
         inside = found.is_relative_to(folder)
@@ -141,10 +153,10 @@ def routes(desk: Desk) -> None:
 def serve(
     desk: Desk, host: str, port: int, show: bool, on_ready: Callable[[str, str], None]
 ) -> None:
-    """Serve until interrupted. `show` opens a browser.
+    """Serve the desk until it is interrupted. `show` opens a browser.
 
-    `on_ready(address, warning)` is called once the server answers; the warning is empty on loopback.
-    Raises ConfigError if the port cannot be opened.
+    It calls `on_ready(address, warning)` as soon as the server answers. The warning is empty on
+    loopback. Raises ConfigError if the port cannot be opened.
     """
     port = free(host, port)
     exposed = {
@@ -153,8 +165,11 @@ def serve(
         "port": port,
         "who": "WHO HAS THE TOKEN OF ITS ADDRESS",
     }
-    warning = events.text(Code.SERVER_EXPOSED, exposed) if beyond_loopback(host) else ""
-    token = secrets.token_urlsafe(24) if warning else ""
+    warning = ""
+    token = ""
+    if beyond_loopback(host):
+        warning = events.text(Code.SERVER_EXPOSED, exposed)
+        token = secrets.token_urlsafe(_TOKEN_BYTES)
     address = _address(host, port, token)
     tasks: list[asyncio.Task[None]] = []
 
@@ -162,8 +177,9 @@ def serve(
         # NiceGUI calls its start-up functions before it listens
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
         with socket.socket(family) as probe:
+            # `connect_ex` returns 0 when the connection is made
             while probe.connect_ex((host, port)):
-                await asyncio.sleep(0.05)
+                await asyncio.sleep(_LOOK_AGAIN_S)
         on_ready(address, warning)
 
     def begin() -> None:
@@ -190,7 +206,7 @@ def serve(
 
 
 def _address(host: str, port: int, token: str) -> str:
-    """The address of the page, with its token if it has one."""
+    """Return the address of the page, with its token if there is one."""
     name = f"[{host}]" if ":" in host else host
     query = f"?token={token}" if token else ""
     return f"http://{name}:{port}/{query}"

@@ -1,9 +1,9 @@
 """The report of a set of sequences: one HTML file that needs nothing else, JUnit XML, and JSON.
 
-The HTML (and on demand a PDF) has a title block and a summary. For each sequence it has the verdicts
-with margins and sources, what each axle did, plots, events, the resolved configuration, and how
-punctual bench and bus were. It links to the recordings. All three files have the same verdicts. None
-of them is a certification.
+The HTML (and on demand a PDF) has a title block and a summary. For each sequence it has the
+verdicts with margins and sources, what each axle did, plots, events, the resolved configuration,
+and how punctual bench and bus were. It links to the recordings. All three files have the same
+verdicts. None of them is a certification.
 """
 
 import contextlib
