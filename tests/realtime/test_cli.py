@@ -46,16 +46,16 @@ def test_no_verb_is_a_usage_error(capsys):
 
 def test_an_unknown_scenario_is_a_message_and_not_a_traceback(capsys):
     assert cli.main(["run", "velim_a9", "--json"]) == cli.USAGE
-    told = capsys.readouterr()
-    assert "velim_a9" in json.loads(told.out)["error"]
-    assert "Traceback" not in told.err
+    printed = capsys.readouterr()
+    assert "velim_a9" in json.loads(printed.out)["error"]
+    assert "Traceback" not in printed.err
 
 
 def test_a_wrong_value_names_its_key_and_what_is_allowed(capsys):
     assert cli.main(["run", "velim_a1", "--set", "loop.tick_hz=17"]) == cli.USAGE
-    told = capsys.readouterr().err
-    assert "tick_hz" in told
-    assert "100" in told
+    printed = capsys.readouterr().err
+    assert "tick_hz" in printed
+    assert "100" in printed
 
 
 def test_the_version_is_that_of_the_package(capsys):
