@@ -22,12 +22,14 @@ from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
 
 DEVICE_TYPE = 0x000A0196  # encoder, multi-sensor
 PRODUCT = process_image.Product("axle speed unit", 0x406)
+# names of the objects that carry signals, by index
 TITLES = {
     0x6030: "Speed value",
     0x2100: "Tooth frequency",
     0x2101: "Pulse counter",
     0x2102: "Speed value fine",
 }
+# The acceleration is no signal, but it is converted like one: a count is 0.01 rad/s2.
 ACCELERATION = Place(SPEED_NODE, 0x6040, 1, "I16", 0.01)
 DEFAULTS = {"teeth": 80.0}
 _AXLES = range(1, AXLES + 1)
@@ -41,15 +43,17 @@ TPDOS = (
 def rows(parameters: Mapping[str, float]) -> list[Row]:
     """Return the objects of the device profile. `parameters`: `teeth` of each pole wheel."""
     teeth = round(parameters["teeth"])
+    # as many revolutions as the 32-bit pulse counter can distinguish, within the 16 bits of 6502h
+    revolutions = min(0xFFFF, 0xFFFFFFFF // max(teeth, 1))
     zeros = [0] * AXLES
     by_axle = [f"Axle {axle}" for axle in _AXLES]
     return [
-        *process_image.rows(SPEED_NODE, 0, parameters, TITLES),
+        *process_image.rows(SPEED_NODE, axle=0, parameters=parameters, titles=TITLES),
         Row(0x6000, 0, "Operating parameters", "U16", "rw", 0),
         Row(0x6001, 0, "Measuring units per revolution", "U32", "const", teeth),
         Row(0x6002, 0, "Total measuring range in measuring units", "U32", "const", 0xFFFFFFFF),
         Row(0x6003, 0, "Preset value", "U32", "rw", 0),
-        Row(0x6004, 0, "Position value", "U32", "ro", 0, True, text="teeth, axle 1"),
+        Row(0x6004, 0, "Position value", "U32", "ro", 0, mappable=True, text="teeth, axle 1"),
         *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", zeros, by_axle),
         *array(
             0x6020,
@@ -73,7 +77,7 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
             factor=ACCELERATION.scale,
         ),
         Row(0x6200, 0, "Cyclic timer", "U16", "rw", 0, unit="ms"),
-        Row(0x6500, 0, "Operating status", "U16", "ro", 0, True),
+        Row(0x6500, 0, "Operating status", "U16", "ro", 0, mappable=True),
         Row(0x6501, 0, "Single-turn resolution", "U32", "const", teeth),
         Row(
             0x6502,
@@ -81,11 +85,11 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
             "Number of distinguishable revolutions",
             "U16",
             "const",
-            min(0xFFFF, 0xFFFFFFFF // max(teeth, 1)),
+            revolutions,
         ),
-        Row(0x6503, 0, "Alarms", "U16", "ro", 0, True),
+        Row(0x6503, 0, "Alarms", "U16", "ro", 0, mappable=True),
         Row(0x6504, 0, "Supported alarms", "U16", "const", 0x1000),
-        Row(0x6505, 0, "Warnings", "U16", "ro", 0, True),
+        Row(0x6505, 0, "Warnings", "U16", "ro", 0, mappable=True),
         Row(0x6506, 0, "Supported warnings", "U16", "const", 0),
         Row(0x6507, 0, "Profile and software version", "U32", "const", 0x00010302),
         Row(0x6508, 0, "Operating time", "U32", "ro", 0, unit="h", factor=0.1),
@@ -97,7 +101,10 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
 def build(
     row: np.ndarray, parameters: Mapping[str, float] | None = None, storage: Path | None = None
 ) -> Node:
-    """Build the node. `row`: live float64 array of all signals; `storage`: the file of 1010h."""
+    """Build the node.
+
+    `row`: live float64 array of all signals. `storage`: the file of stored parameters (1010h).
+    """
     parameters = DEFAULTS | dict(parameters or {})
     profile = Profile(DEVICE_TYPE, PRODUCT.name, tpdos=TPDOS)
     node = process_image.build(
@@ -108,14 +115,17 @@ def build(
 
 
 class SpeedUnit:
-    """Positions, presets and accelerations. They are computed here, because they are no signals."""
+    """The objects that carry no signal: positions, presets, accelerations and times.
+
+    Their values are computed here from the signals.
+    """
 
     def __init__(self, node: Node, row: np.ndarray) -> None:
         self.node = node
         self._row = row
         self._time = signals.column("time")
         self._speeds = signals.span("measured_speed")
-        # samples (time in s, speeds in rad/s) of the last two SYNCs
+        # samples of the last two SYNCs
         self._newest = self._sample()
         self._before = self._newest
         node.on_sync.append(self._take_sample)
@@ -149,10 +159,11 @@ class SpeedUnit:
         return signals.count(change_rad_s / (newest_s - before_s), ACCELERATION)
 
     def _operating_time(self) -> int:
-        """Return the simulated time in 0.1 h."""
+        """Return the simulated time in 0.1 h, which is 360 s."""
         return int(self._row.item(self._time) / 360.0) & 0xFFFFFFFF
 
     def _sample(self) -> tuple[float, list[float]]:
+        """Return the time in s and the speeds of the axles in rad/s."""
         return self._row.item(self._time), self._row[self._speeds].tolist()
 
     def _take_sample(self) -> None:

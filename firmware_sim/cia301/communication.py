@@ -26,7 +26,7 @@ from rollerrig.wsp_interface.bus.connection_set import (
 )
 
 PDOS = 4  # in each direction
-MAPPED = 8  # objects in a PDO at most
+MOST_MAPPED = 8  # objects in a PDO
 SDO_SERVERS = 3
 HISTORY = 8  # errors in 1003h
 # transmission types of PDOs
@@ -190,7 +190,7 @@ def _pdo(index: int, name: str, cob_id: int, used: Sequence[Pdo]) -> list[Row]:
         len(pdo.mapped),
         "Mapped object",
         "rw",
-        entries + [0] * (MAPPED - len(entries)),
+        entries + [0] * (MOST_MAPPED - len(entries)),
     )
 
 

@@ -86,7 +86,7 @@ class Emergency:
         cob_id = node.objects.values[key(0x1014, 0)]
         if not valid(cob_id):
             self._waiting.clear()
-        while self._waiting and node.state.has_emergencies:
+        while self._waiting and node.state.has_services:
             if node.now_ns < self._free_ns:
                 node.timers.set("emergency", self._free_ns, self.flush)
                 return

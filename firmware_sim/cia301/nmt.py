@@ -7,7 +7,7 @@ from enum import IntEnum
 
 
 class State(IntEnum):
-    """NMT states, with the number that a heartbeat carries."""
+    """NMT states, with the number that a heartbeat carries (0: the boot-up message)."""
 
     INITIALISING = 0
     STOPPED = 4
@@ -15,13 +15,13 @@ class State(IntEnum):
     PRE_OPERATIONAL = 127
 
     @property
-    def has_emergencies(self) -> bool:
+    def has_services(self) -> bool:
         """Whether the services SDO, SYNC, TIME and EMCY are active."""
         return self in (State.OPERATIONAL, State.PRE_OPERATIONAL)
 
     @property
     def title(self) -> str:
-        """The state as the standard writes it."""
+        """The name of the state as it is spelled in the standard, for example PRE-OPERATIONAL."""
         return self.name.replace("_", "-")
 
 
@@ -35,8 +35,9 @@ class Command(IntEnum):
     RESET_COMMUNICATION = 130
 
 
-# the state that a command leads to
-COMMANDED = {
+# The state that a node enters on a command. The two reset commands are not here: they restart the
+# node, which then enters PRE-OPERATIONAL.
+STATE_AFTER = {
     Command.START: State.OPERATIONAL,
     Command.STOP: State.STOPPED,
     Command.ENTER_PRE_OPERATIONAL: State.PRE_OPERATIONAL,

@@ -18,7 +18,7 @@ from rollerrig.firmware_sim.cia301.emergency import Emergency
 from rollerrig.firmware_sim.cia301.heartbeat import Consumer, Producer
 from rollerrig.firmware_sim.cia301.host import MS, Host
 from rollerrig.firmware_sim.cia301.lss import UNCONFIGURED, LssSlave
-from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
+from rollerrig.firmware_sim.cia301.nmt import STATE_AFTER, Command, State
 from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.firmware_sim.cia301.pdo import EVENT, Rpdo, Tpdo
 from rollerrig.firmware_sim.cia301.sdo import SdoServer
@@ -167,8 +167,8 @@ class Node(Host):
         if len(frame.data) != 2 or frame.data[1] not in (0, self.node_id):
             return
         command = frame.data[0]
-        if command in COMMANDED:
-            self._enter(COMMANDED[Command(command)])
+        if command in STATE_AFTER:
+            self._enter(STATE_AFTER[Command(command)])
         elif command in (Command.RESET_NODE, Command.RESET_COMMUNICATION):
             self.reset_node(everything=command == Command.RESET_NODE)
 
@@ -211,7 +211,7 @@ class Node(Host):
         self.remote_handlers[HEARTBEAT + self.node_id] = self.consumer.on_request
         for partner in self.consumer.watched:
             self._listen(HEARTBEAT + partner, self.consumer.on_frame)
-        if self.state.has_emergencies:
+        if self.state.has_services:
             self._listen_to_services()
         # PDOs are live only in OPERATIONAL
         for rpdo in self.rpdos:

@@ -45,7 +45,7 @@ class SyncConsumer:
         self._length = 1 if values[key(0x1019, 0)] else 0
         self._patience_ns = values[key(0x1006, 0)] * US * 3 // 2
         self._window_ns = values[key(0x1007, 0)] * US
-        if not self._patience_ns or not node.state.has_emergencies:
+        if not self._patience_ns or not node.state.has_services:
             node.timers.cancel("sync")
             node.emergency.clear(SYNC_MISSING)
         self._receive = receive

@@ -27,7 +27,7 @@ from typing import Any, Protocol
 import can
 import numpy as np
 
-from rollerrig.firmware_sim.cia301.nmt import COMMANDED, Command, State
+from rollerrig.firmware_sim.cia301.nmt import STATE_AFTER, Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import rig_objects as rig
 from rollerrig.wsp_interface.bus import buses
@@ -205,8 +205,8 @@ class Unit:
         if command in (Command.RESET_NODE, Command.RESET_COMMUNICATION):
             self._leave_operational()
             self._boot()
-        elif command in COMMANDED:
-            state = COMMANDED[Command(command)]
+        elif command in STATE_AFTER:
+            state = STATE_AFTER[Command(command)]
             if state is not State.OPERATIONAL:
                 self._leave_operational()
             self.state = state

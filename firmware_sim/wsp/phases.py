@@ -1,9 +1,13 @@
 """The phase machine of one axle's dump valve, as tables: wishes, transitions, interrupts, magnets.
 
-Sliding and wheel acceleration, each in five classes, select a wish. The phase and the event (a wish, or
-a stronger event) select the next phase, unless the present phase must finish its pulse and pause.
-Source: the usual matrix of slip and deceleration criteria. Its entries are assumptions, tuned on the
-plant of this project.
+Sliding and wheel acceleration, each in five classes, select a wish: the phase that the wheel needs.
+An event is this wish, or a stronger event that replaces it. The phase and the event select the next
+phase, unless the present phase must finish its pulse and pause first.
+
+The entries of the tables are plain integers, because compiled code reads them.
+
+Source: the usual matrix of slip and deceleration criteria. Its entries are assumptions, tuned on
+the plant of this project.
 """
 
 from enum import IntEnum
@@ -21,49 +25,67 @@ class Phase(IntEnum):
     HOLD = 2
     STEP_VENT = 3  # a vent pulse, then hold
     VENT = 4
-    RUN_UP = 5  # vents until the wheel turns with the vehicle, as an anchor of the reference
+    # vents until the wheel turns with the vehicle; then its speed corrects the reference speed
+    RUN_UP = 5
     LOCKED_OUT = 6  # a safety timer has expired: the brake applies, whatever the wheel does
 
 
 class Event(IntEnum):
-    """Events of an axle. The first five are wishes; of the others the highest number wins."""
+    """Events of an axle.
+
+    The first five are wishes; each has the number of the phase that it requests. RUN_UP, TIMER and
+    CUT_OFF replace a wish, and a higher number replaces a lower one. There is one exception: the
+    VENT of an axle with a stuck speed sensor replaces RUN_UP (`logic.event_of`).
+    """
 
     FILL = 0
     STEP_FILL = 1
     HOLD = 2
     STEP_VENT = 3
     VENT = 4
-    RUN_UP = 5
-    TIMER = 6
-    CUT_OFF = 7
+    RUN_UP = 5  # the axle is chosen to run up
+    TIMER = 6  # the valve has vented or held for too long
+    CUT_OFF = 7  # the vehicle is too slow for wheel slide protection
 
 
-# short names for the tables below
-F, SF, H, SV, V, R, L = (int(phase) for phase in Phase)
+# short names of the phases (and of the wishes with the same numbers) for the tables below
+F = int(Phase.FILL)
+SF = int(Phase.STEP_FILL)
+H = int(Phase.HOLD)
+SV = int(Phase.STEP_VENT)
+V = int(Phase.VENT)
+R = int(Phase.RUN_UP)
+L = int(Phase.LOCKED_OUT)
 
-# the wish; rows: class of the sliding against the reference; columns: class of the acceleration
+# The wish. Rows: class of the sliding, which is the reference speed less the wheel speed. Columns:
+# class of the wheel acceleration. The band is the range of sliding that the unit aims for.
 WISHES = np.array(
     [
-        # falls fast, falls, steady, rises, rises fast
+        # columns: the wheel speed falls fast, falls, is steady, rises, rises fast
         [F, F, F, F, F],  # no sliding
         [H, SF, SF, F, F],  # below the band
         [V, SV, SF, SF, SF],  # in the band
-        [V, V, SV, H, H],  # above it
-        [V, V, V, V, H],  # deep
+        [V, V, SV, H, H],  # above the band
+        [V, V, V, V, H],  # far above the band
     ]
 )
 
-# the next phase; rows: phase; columns: event (fill, step fill, hold, step vent, vent, run-up, timer,
-# cut-off)
+# the next phase; rows: present phase; columns: event
 NEXT = np.array(
     [
-        [F, F, H, SV, V, R, L, F],  # FILL: the wheel has not slid yet, so there are no fill steps
-        *[[F, SF, H, SV, V, R, L, F]] * 5,  # STEP_FILL to RUN_UP
+        # columns: FILL, STEP_FILL, HOLD, STEP_VENT, VENT, RUN_UP, TIMER, CUT_OFF
+        [F, F, H, SV, V, R, L, F],  # FILL: stays full, because the wheel has not slid yet
+        [F, SF, H, SV, V, R, L, F],  # STEP_FILL
+        [F, SF, H, SV, V, R, L, F],  # HOLD
+        [F, SF, H, SV, V, R, L, F],  # STEP_VENT
+        [F, SF, H, SV, V, R, L, F],  # VENT
+        [F, SF, H, SV, V, R, L, F],  # RUN_UP
         [F, F, F, F, F, F, F, F],  # LOCKED_OUT
     ]
 )
 
-# 1: the event ends the phase before its pulse and pause are over; rows and columns as in NEXT
+# whether an event may end a phase before its pulse and pause are over (1: yes); rows and columns as
+# in NEXT
 INTERRUPTS = np.array(
     [
         [1, 1, 1, 1, 1, 1, 1, 1],  # FILL
@@ -76,7 +98,7 @@ INTERRUPTS = np.array(
     ]
 )
 
-# energised magnets during the pulse of a phase, and after it
+# the pair of magnets; rows: phase; columns: during the pulse of the phase, after the pulse
 MAGNETS = np.array(
     [
         [FILLING, FILLING],  # FILL

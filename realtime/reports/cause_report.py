@@ -73,7 +73,7 @@ def _misfit(diagnosis: Diagnosis) -> dict[str, Any]:
         "before": _missing_adhesion_rms(diagnosis.design, diagnosis.base),
         "noise_floor": _noise_floor(diagnosis),
         "p_value": diagnosis.p_value,
-        "worst_against": sentences.worst_against(diagnosis),
+        "worst_against": sentences.worst_covariates(diagnosis),
     }
 
 
@@ -112,7 +112,7 @@ def _unknown(diagnosis: Diagnosis) -> dict[str, Any]:
     if formula is None:
         return {
             "formula": None,
-            "against": sentences.worst_against(diagnosis),
+            "against": sentences.worst_covariates(diagnosis),
             "heldout_gain": None,
         }
     return {

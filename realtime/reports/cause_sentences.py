@@ -25,29 +25,37 @@ MOST_COVARIATES_SHOWN = 3
 
 def number(value: float, digits: int = 3) -> str:
     """Return a number with so many significant digits, if possible without an exponent."""
-    return f"{float(f'{value:.{digits}g}'):g}"
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:g}"
 
 
 def unit(name: str) -> str:
-    """Return a unit as it follows a number; nothing for a plain number."""
+    """Return a unit with the space before it; an empty text for a number without a unit."""
     return "" if name in ("", "-") else f" {name}"
 
 
-def against(test: ScoreTest) -> str:
-    """Return the covariate of a smooth function, with its wheelset if it is that of one."""
+def covariate_of(test: ScoreTest) -> str:
+    """Return the covariate of a smooth function, as the report names it.
+
+    For example, "along speed" gives "speed". A covariate of a single wheelset contains the number of
+    the wheelset: "along time of one axle" gives "time of axle 2".
+    """
     covariate = test.name.removeprefix("along ")
     return covariate.replace("one axle", f"axle {test.axle}")
 
 
-def worst_against(diagnosis: Diagnosis) -> list[str]:
-    """Return the covariates along which the base is wrong, the most significant first."""
+def worst_covariates(diagnosis: Diagnosis) -> list[str]:
+    """Return the covariates along which the base is most significantly wrong, the worst first."""
     smooth = [test for test in diagnosis.score_tests if evidence.is_smooth_function(test.name)]
     smooth = sorted(smooth, key=lambda test: test.p_value)
-    return [against(test) for test in smooth[:MOST_COVARIATES_SHOWN]]
+    return [covariate_of(test) for test in smooth[:MOST_COVARIATES_SHOWN]]
 
 
 def formula_text(formula: EmpiricalFormula) -> str:
-    """Return an empirical formula in symbols and numbers."""
+    """Return an empirical formula in symbols and numbers: a wave [N1], or a polynomial [N1, N2].
+
+    The equations are in `decide.empirical`.
+    """
     name = formula.covariate.word
     unit_of_x = formula.covariate.unit
     shape = formula.cause.shape
@@ -55,12 +63,16 @@ def formula_text(formula: EmpiricalFormula) -> str:
     if "period" in shape:
         angle = f"2 pi {name} / {shape['period']:.4g} {unit_of_x}"
         return f"{_left_side(formula)} += {a:+.3g} cos({angle}) {b:+.3g} sin({angle})"
-    z = f"z = ({name} - {shape['centre']:.4g} {unit_of_x}) / {shape['scale']:.4g} {unit_of_x}"
+    # a term on the vehicle is a force; a term of friction has no unit
     force = " N" if formula.is_on_vehicle else ""
-    return f"{_left_side(formula)} += {a:+.3g}{force} z {b:+.3g}{force} z^2, {z}"
+    polynomial = f"{a:+.3g}{force} z {b:+.3g}{force} z^2"
+    centre = f"{shape['centre']:.4g} {unit_of_x}"
+    scale = f"{shape['scale']:.4g} {unit_of_x}"
+    return f"{_left_side(formula)} += {polynomial}, z = ({name} - {centre}) / {scale}"
 
 
 def _left_side(formula: EmpiricalFormula) -> str:
+    """Return the symbol of the quantity that a formula changes: a force, or the log of friction."""
     return "R" if formula.is_on_vehicle else "ln mu"
 
 
@@ -75,9 +87,10 @@ def notes(diagnosis: Diagnosis) -> list[str]:
 def note_sentence(note: Note) -> str:
     """Return the sentence of a note, without a full stop."""
     causes = " and ".join(note.causes)
-    remainder = "" if note.remainder is None else against(note.remainder)
+    remainder = "" if note.remainder is None else covariate_of(note.remainder)
     match note.code:
         case NoteCode.GAIN_NOT_JUDGED:
+            # subject and verb of the sentence, for example "the moments of sanding are"
             unknown = table.BY_NAME[note.causes[0]].unknown_in_other_runs
             return (
                 f"{unknown} not known for the runs that were not fitted: the gain cannot be judged "
@@ -106,14 +119,17 @@ def note_sentence(note: Note) -> str:
 
 
 class Remainder(NamedTuple):
-    """What the reported causes leave."""
+    """The evidence that the reported causes do not explain.
 
-    share: float  # of all evidence
-    against: list[str]  # covariates, the largest remainder first
+    The names of the fields are keys of the JSON report.
+    """
+
+    share: float  # that of the largest remainder in the evidence of the causes and itself
+    against: list[str]  # covariates along which a remainder is left, the largest first
 
 
 def remainder(diagnosis: Diagnosis) -> Remainder:
-    """Return what the causes of a diagnosis leave."""
+    """Return the evidence that the causes of a diagnosis do not explain."""
     left = [
         test
         for test in diagnosis.remainder
@@ -122,17 +138,23 @@ def remainder(diagnosis: Diagnosis) -> Remainder:
     left = sorted(left, key=lambda test: -test.statistic)
     return Remainder(
         share=decision.remainder_share(diagnosis.causes, diagnosis.remainder),
-        against=[against(test) for test in left],
+        against=[covariate_of(test) for test in left],
     )
 
 
 def score_test_of(diagnosis: Diagnosis, name: str) -> ScoreTest | None:
     """Return the score test of a cause, None if these runs cannot show it."""
-    return next((test for test in diagnosis.score_tests if test.name == name), None)
+    for test in diagnosis.score_tests:
+        if test.name == name:
+            return test
+    return None
 
 
 def detectability(deviation: float) -> float:
-    """Return the size of an effect that nine of ten data sets with this deviation would show."""
+    """Return the smallest size of an effect that is found in nine of ten data sets.
+
+    `deviation` is the standard deviation of the estimate of this effect.
+    """
     return thresholds.DETECTABLE_DEVIATIONS * deviation
 
 
@@ -142,6 +164,7 @@ def rejected_because(diagnosis: Diagnosis, name: str) -> str:
     if test is None:
         return "these runs cannot show it"
     if not evidence.is_significant(test):
+        # the size of a cause is its first parameter; the source of a mechanism's row is its unit
         row = BY_NAME[name].parameters[0]
         smallest = number(detectability(test.deviation[0]), 2)
         return (
@@ -150,7 +173,8 @@ def rejected_because(diagnosis: Diagnosis, name: str) -> str:
         )
     if diagnosis.causes:
         return f"explained by {diagnosis.causes[0].cause.name}, which fits better"
-    return "the remainder does not follow its form"
+    # significant by its score, but no cause was good enough after the fit
+    return "the remainder does not have the form of this cause"
 
 
 # --- the story ---
@@ -174,8 +198,8 @@ def story(diagnosis: Diagnosis) -> list[str]:
         )
     if diagnosis.verdict == Verdict.UNEXPLAINED:
         lines.append(
-            "Something is wrong that no mechanism of the library explains; it shows against "
-            f"{', '.join(worst_against(diagnosis))}."
+            "The base model is wrong, and no mechanism of the library explains the error. The error "
+            f"depends most significantly on {', '.join(worst_covariates(diagnosis))}."
         )
         if diagnosis.formula is None:
             lines.append("No formula was found that improves the runs that were never fitted.")
@@ -187,25 +211,29 @@ def story(diagnosis: Diagnosis) -> list[str]:
 
 
 def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
-    """Yield the sentence of a cause, and another one on what cannot be distinguished from it."""
+    """Yield the sentence of a cause, and a sentence on causes that look the same in these runs."""
     cause = identified.cause
     row = BY_NAME[cause.name]
+
     values = []
     for name, estimate in estimates.parameters(identified).items():
         if name != ALONE.name:
             interval = f"{number(estimate.low)} to {number(estimate.high)}"
             values.append(f"{name} = {number(estimate.value)} ({interval}){unit(estimate.unit)}")
+
     place = f" on wheelset {cause.axle}" if cause.axle else ""
     if cause.shape.get(ALONE.name):
-        place += ", that of the contaminant alone"
+        place += ", only in the friction of the contaminant"
     yield f"Cause: {row.text}{place} [{row.name}]; {', '.join(values)}."
 
     if identified.confusable:
         shares = {rival.name: rival.share for rival in identified.rivals}
         alike = []
         for name in identified.confusable:
-            share = f" (which wins {shares[name]:.0%} as much)" if name in shares else ""
-            alike.append(f"{name}{share}")
+            if name in shares:
+                alike.append(f"{name} (with {shares[name]:.0%} of its likelihood ratio)")
+            else:
+                alike.append(name)
         yield (
             f"  These runs cannot distinguish it from {', '.join(alike)}; separating_test.toml would."
         )

@@ -1,4 +1,6 @@
-"""The report of a study: what tune, validate and explain return for programs, for people and as a page.
+"""The report of a study: the result of `tune`, `validate` or `explain` in three forms.
+
+Programs read the JSON file. People read the page and the summary in the terminal.
 
 The module of each study makes one `StudyReport`. `realtime.commands.study` writes its files and
 prints it.
@@ -9,7 +11,7 @@ from typing import Any, NamedTuple
 
 from rich.text import Text
 
-# head and rows of a table
+# a table: the titles of its columns, and its rows
 Table = tuple[Sequence[str], Sequence[Sequence[str]]]
 
 
@@ -21,14 +23,22 @@ class Model(NamedTuple):
 
 
 class StudyReport(NamedTuple):
-    """A report in its three forms, and the model where the study makes one."""
+    """A report in its three forms, and the model where the study makes one.
+
+    Each item of the summary is a line (str), a table (title, head, rows) or rich text.
+    """
 
     result: dict[str, Any]  # content of the JSON file
     page: str  # HTML
-    summary: tuple[Any, ...]  # for the terminal: lines, (title, head, rows), rich text
+    summary: tuple[Any, ...]  # for the terminal
     model: Model | None = None
 
 
 def verdict_and_sentences(verdict: str, name: str, sentences: Sequence[str]) -> tuple[Text, ...]:
-    """Return the summary of an explanation: the verdict in bold, then its sentences."""
-    return (Text(f"{verdict}: {name}", "bold"), *map(Text, sentences))
+    """Return the summary of an explanation: a title in bold, then the sentences.
+
+    The title is the verdict with the `name` of the dataset or recording.
+    """
+    title = Text(f"{verdict}: {name}", "bold")
+    lines = [Text(sentence) for sentence in sentences]
+    return (title, *lines)

@@ -19,7 +19,7 @@ from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS, Signal
 
-# name of the application in Rerun; the viewer keeps the layouts of applications apart
+# name of the application in Rerun; the viewer stores a separate layout for each application
 APPLICATION = "rollerrig"
 TIMELINE = "t"
 
@@ -29,8 +29,8 @@ NETWORK = "/network"
 RESULT = "/result"
 RIG = "/rig"
 VALVES = "/valves"
-MORE = "/more"  # before signals without a group, which no plot shows
-REFERENCES = "/ref"  # before the runs that are drawn beneath the first one
+MORE = "/more"  # parent of the signals without a group, which no plot shows
+REFERENCES = "/ref"  # parent of the reference runs, which are drawn faintly under the first run
 
 # Rerun's level, and the colour, of each level of events
 LEVELS = {
@@ -60,8 +60,7 @@ UNITS = {
     "acceleration": Unit("m/s², braking positive", -1.0),
 }
 
-# Signals that differ from the default: axles in their colours, the vehicle in its colour, and lines
-# of this width in points.
+# width of a line in points, and the signals whose lines have another width
 _WIDTH = 1.5
 _WIDTHS = {
     "adhesion": 2.5,
@@ -71,13 +70,14 @@ _WIDTHS = {
     "wsp_reference_speed": 1.0,
     "motor_torque_demand": 0.8,
 }
-# the colour of all axles of a signal
+# Signals with a fixed colour. The others have the colours of the axles, or that of the vehicle.
 COLOUR_OF_SIGNAL = {
     "adhesion_degraded": colours.LIMIT,
     "adhesion_recovered": colours.LIMIT,
     "wsp_reference_speed": colours.REFERENCE,
     "brake_demand": colours.REFERENCE,
 }
+# legends of signals whose name, with spaces, would not be a good legend
 _LEGENDS = {
     "adhesion_degraded": "f_d degraded",
     "adhesion_recovered": "f_r recovered",
@@ -89,17 +89,26 @@ _LEGENDS = {
     "reservoir_pressure": "reservoir",
 }
 
-# a run that is drawn beneath another: opacity of its lines (of 255), and their width as a share
+# lines of a reference run: opacity (0 to 255), and width as a share of the usual one
 _FAINT_OPACITY = 110
 _FAINT_WIDTH = 0.6
 
 
 # --- where a group is drawn ---
 
-# groups that the two large tabs show
-_IN_COLUMNS = ("speeds", "sliding", "valves", "pressures", "adhesion", "transition", "acceleration")
-# groups in the small tabs, with their titles; a group that neither table names gets a tab as well
-_IN_TABS = {
+# groups that the two large tabs show ("Axle by axle" and "All axles")
+_IN_LARGE_TABS = (
+    "speeds",
+    "sliding",
+    "valves",
+    "pressures",
+    "adhesion",
+    "transition",
+    "acceleration",
+)
+# Groups in the small tabs ("More"), with the titles of their tabs. A group that is in neither table
+# gets a small tab too, with its name as the title.
+_IN_SMALL_TABS = {
     "energy": "Dissipated energy W_sp (J/m)",
     "motors": "Roller motors (Nm)",
     "tracking": "Tracking error (m/s)",
@@ -113,18 +122,18 @@ _IN_TABS = {
     "film": "Contaminant on the rollers (1: as prepared)",
     "loop": "Loop (µs)",
 }
-# groups in tabs whose series are not the axles, so that they need a legend
+# groups in the small tabs that need a legend, because their series are not the axles
 _WITH_LEGEND = ("loop",)
 
 _SPEEDS_TITLE = "Speeds: vehicle, wheels, WSP reference, faults (km/h)"
 
-# s. The width of the window of the live view.
+# width of the time window of the live view
 _WINDOW_S = 20.0
 
-# samples that are enough for the median of the limit of adhesion
+# so many samples of a wheel are enough for the median of the limit of adhesion
 _ENOUGH_SAMPLES = 100_000
 
-# m/s. Above this sliding a wheel counts as sliding.
+# a wheel counts as sliding above this sliding speed
 _SLIDING_M_S = 1.0
 
 
@@ -203,23 +212,28 @@ def _legend(signal: Signal, axle: int) -> str:
     label = _LEGENDS.get(signal.name, signal.name.replace("_", " "))
     if signal.axles == 1:
         return label
+
+    # the only signal of axles in its plot: the title of the plot describes it
     of_axles = [other for other in SIGNALS if other.group == signal.group and other.axles > 1]
     if len(of_axles) == 1:
         return f"axle {axle}"
+
+    # each axle has a plot, and the title of the plot contains the axle
     if signal.group in _BY_AXLE:
         return label
     return f"{label} {axle}"
 
 
 def valve(axle: int, prefix: str = "") -> str:
-    """Return the path of the dump valve of an axle; the view shows its last part as its name."""
+    """Return the path of the dump valve of an axle. The view shows the last part of the path."""
     return f"{prefix}{VALVES}/axle_{axle}"
 
 
 def valve_states(rows: np.ndarray, axle: int) -> np.ndarray:
-    """Return the states of the dump valve of an axle: places in `colours.VALVE_STATES`, int64 (n,).
+    """Return the states of the dump valve of an axle, int64 (n,).
 
-    `rows` are rows of all signals, shape (n, columns).
+    A state is its place in `colours.VALVE_STATES`. NaN becomes state 0, and other values are limited
+    to the table. `rows` are rows of all signals, shape (n, columns).
     """
     states = np.nan_to_num(rows[:, signals.column("valve", axle)])
     return np.clip(states, 0, len(colours.VALVE_STATES) - 1).astype(np.int64)
@@ -232,7 +246,10 @@ def times(time_s: np.ndarray) -> rr.TimeColumn:
 
 
 class Changes:
-    """Sends states only where they change; keeps the last state of each path."""
+    """Sends states only where they change.
+
+    It remembers the last state of each path between calls.
+    """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
@@ -245,8 +262,13 @@ class Changes:
         states: np.ndarray,
         as_columns: Callable[[np.ndarray], Any],
     ) -> None:
-        """Send states (n,) of times (n,) in s; `as_columns` converts those that are sent."""
-        changes = np.flatnonzero(np.diff(states, prepend=self._last.get(path, -1)) != 0)
+        """Send states of shape (n,), which are 0 or more, at times of shape (n,) in s.
+
+        `as_columns` converts the states that are sent.
+        """
+        # no state is -1, so the first state of a path is always sent
+        before = self._last.get(path, -1)
+        changes = np.flatnonzero(np.diff(states, prepend=before) != 0)
         self._last[path] = states[-1]
         if changes.size:
             columns = as_columns(states[changes])
@@ -262,13 +284,16 @@ def log_styles(
     faint: bool = False,
     curves: Sequence[Styled] = (),
 ) -> None:
-    """Log the styles of all entities and of further curves, under a prefix.
+    """Log the styles of all entities and of further curves.
 
-    `faint` is for a run that is drawn beneath another.
+    `prefix` is the path of a reference run, and is empty for the first run. `faint` is the style of
+    reference runs.
     """
+    # the name of a reference run is the last part of its path
     run = prefix.rpartition("/")[2]
     for entity in (*lines(), *curves):
-        stream.log(prefix + entity.path, _series_style(entity, run, faint), static=True)
+        style = _series_style(entity, run, faint)
+        stream.log(prefix + entity.path, style, static=True)
 
     names = [name for name, _ in colours.VALVE_STATES]
     shades = [colour for _, colour in colours.VALVE_STATES]
@@ -278,6 +303,7 @@ def log_styles(
 
 
 def _series_style(entity: Styled, run: str, faint: bool) -> rr.SeriesLines:
+    """Return the style of an entity. `run` is the name of a reference run, empty for the first."""
     names = list(entity.names)
     if run:
         names = [f"{run}: {name}" for name in names]
@@ -313,12 +339,14 @@ _ENDS_OF_UNKNOWN_RUN = AxisEnds(adhesion=0.4, transition=1.0)
 def axis_ends(channels: Mapping[str, Any]) -> AxisEnds:
     """Return the upper ends of axes for channels by name, (n,) each; missing channels count as 0.
 
-    The plots of adhesion contain the utilised adhesion, and both limits while a wheel slides. Where
-    no wheel slides f_r is far above the utilised adhesion, and may be outside the plot.
+    The plots of adhesion contain the utilised adhesion. While a wheel slides, they also contain both
+    limits (f_d degraded, f_r recovered). Where no wheel slides, f_r is far above the utilised
+    adhesion and may be outside the plot.
     """
     used = _largest(channels, "adhesion")
     transition = _largest(channels, "transition")
     limit = float(np.median(_limit_while_sliding(channels)))
+    # the factors leave room above the curves; an axis is never shorter than 0.1 or 0.2
     return AxisEnds(
         adhesion=max(0.1, 1.15 * limit, 1.4 * used),
         transition=min(1.0, max(0.2, 1.1 * transition)),
@@ -332,6 +360,7 @@ def _channels_of(channels: Mapping[str, Any], signal: str) -> list[np.ndarray]:
 
 
 def _largest(channels: Mapping[str, Any], signal: str) -> float:
+    """Return the largest recorded value of a signal, at least 0."""
     values = [float(channel.max(initial=0.0)) for channel in _channels_of(channels, signal)]
     return max(values, default=0.0)
 
@@ -341,9 +370,10 @@ def _limit_while_sliding(channels: Mapping[str, Any]) -> np.ndarray:
     limits = _channels_of(channels, "adhesion_recovered")
     slidings = _channels_of(channels, "sliding")
     samples = []
+    # both lists have an item for each axle; either is empty if the signal is not recorded
     for limit, sliding in zip(limits, slidings, strict=False):
         while_sliding = limit[sliding > _SLIDING_M_S]
-        # a long run has more samples than the median needs
+        # a long run has more samples than the median needs, so only every n-th one is used
         every = 1 + limit.size // _ENOUGH_SAMPLES
         samples.append(while_sliding[::every])
     if not any(some.size for some in samples):
@@ -369,7 +399,7 @@ def blueprint(
         live: follow the newest sample in a window of 20 s; otherwise show the whole run.
         bare: leave out the bars of the viewer, for pictures.
         eye: the view of the rig.
-        references: names of runs that are drawn beneath the first.
+        references: names of the reference runs, which are drawn under the first run.
         ends: upper ends of axes, see `axis_ends`.
     """
     page = _Page(
@@ -396,6 +426,7 @@ def blueprint(
 
 
 def _time_axis(live: bool) -> rrb.TimeAxis:
+    """Return the time axis of a plot: a separate one if live, else one that all plots share."""
     link = rrb.components.LinkAxis
     return rrb.TimeAxis(link=link.Independent if live else link.LinkToGlobal)
 
@@ -410,15 +441,15 @@ def _window() -> rrb.VisibleTimeRange:
 
 
 class _Page(NamedTuple):
-    """What all views share: time axis, time window (None: all), paths of runs, ends of axes."""
+    """The settings that all views share."""
 
     axis: rrb.TimeAxis
-    window: rrb.VisibleTimeRange | None
-    runs: tuple[str, ...]
+    window: rrb.VisibleTimeRange | None  # None: the whole run
+    runs: tuple[str, ...]  # paths of the runs; that of the first run is empty
     ends: AxisEnds
 
     def contents(self, *paths: str) -> list[str]:
-        """Return paths under every run."""
+        """Return the given paths of every run."""
         contents = []
         for run in self.runs:
             for path in paths:
@@ -517,7 +548,7 @@ def _axle(page: _Page, axle: int) -> rrb.Vertical:
         ["/pressures/brake_demand", f"/pressures/cylinder_pressure_{axle}"],
     )
     lanes = _valve_lanes(page, f"Axle {axle}: dump valve", axle)
-    # every run has a lane
+    # every run has a lane, so more runs need more height
     lanes_share = 0.8 + 0.8 * len(page.runs)
     return rrb.Vertical(
         speed,
@@ -577,10 +608,10 @@ def _right_column(page: _Page, eye: rrb.EyeControls3D | None) -> rrb.Vertical:
 def _further_plots(page: _Page) -> rrb.Tabs:
     """Return a tab for each group that no other view shows."""
     all_groups = {signal.group for signal in SIGNALS if signal.group}
-    without_place = sorted(all_groups - {*_IN_TABS, *_IN_COLUMNS})
+    without_place = sorted(all_groups - {*_IN_SMALL_TABS, *_IN_LARGE_TABS})
     plots = []
-    for group in [*_IN_TABS, *without_place]:
-        title = _IN_TABS.get(group, group.capitalize())
+    for group in [*_IN_SMALL_TABS, *without_place]:
+        title = _IN_SMALL_TABS.get(group, group.capitalize())
         plots.append(_plot_of_group(page, title, group, legend=group in _WITH_LEGEND))
     return rrb.Tabs(*plots, name="More")
 

@@ -1,4 +1,4 @@
-"""`import rollerrig`: what notebooks call."""
+"""The Python API for notebooks and programs: `import rollerrig`."""
 
 import json
 import subprocess
@@ -15,6 +15,7 @@ EXAMPLE = Path(__file__).parents[2] / "docs/examples/first_stops.ipynb"
 
 
 def python(code, *arguments):
+    """Run code in a new Python process and return its output."""
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
@@ -23,12 +24,16 @@ def python(code, *arguments):
     ).stdout.strip()
 
 
-def test_importing_it_loads_nothing_that_takes_time():
-    code = "import rollerrig, sys; print([one for one in ('numpy', 'numba', 'subprocess') if one in sys.modules])"
+def test_the_import_loads_no_slow_module():
+    code = (
+        "import rollerrig, sys; "
+        "slow = ('numpy', 'numba', 'subprocess'); "
+        "print([module for module in slow if module in sys.modules])"
+    )
     assert python(code) == "[]"
 
 
-def test_a_run_returns_what_its_folder_holds(tmp_path):
+def test_a_run_returns_the_content_of_its_folder(tmp_path):
     stop = rollerrig.run(
         "velim_a1",
         pacing="free",
@@ -39,48 +44,44 @@ def test_a_run_returns_what_its_folder_holds(tmp_path):
         faults=["speed_noise_burst axle=2 at=0.5 for=0.5"],
     )
     assert stop.folder == tmp_path / "stop"
-    assert (
-        stop.summary
-        == json.loads((stop.folder / "summary.json").read_text())
-        == rollerrig.load(stop.folder).summary
-    )
+    assert stop.summary == json.loads((stop.folder / "summary.json").read_text())
+    assert stop.summary == rollerrig.load(stop.folder).summary
     assert stop.summary["stopped"]
     assert stop.scenario["vehicle"]["wheel_radius_m"] == 0.467
+
     assert tuple(stop.table.column_names) == tuple(stop.frame().columns) == COLUMNS
     assert stop.frame()["vehicle_speed_m_s"].iloc[0] == pytest.approx(5.0)
+
     begun = [event.fields for event in stop.events if event.code == "fault.begins"]
     assert [fields["kind"] for fields in begun] == ["speed_noise_burst"]
     assert "axle=2" in begun[0]["fault"]
 
 
-def test_without_pandas_there_is_a_table_all_the_same(free_stop):
-    assert (
-        python(
-            "import sys; sys.modules['pandas'] = None; import rollerrig; "
-            "print(type(rollerrig.load(sys.argv[1]).table).__module__)",
-            free_stop.out,
-        )
-        == "pyarrow.lib"
+def test_the_table_of_a_run_does_not_need_pandas(free_stop):
+    # None in sys.modules makes `import pandas` fail
+    code = (
+        "import sys; sys.modules['pandas'] = None; import rollerrig; "
+        "print(type(rollerrig.load(sys.argv[1]).table).__module__)"
     )
+    assert python(code, free_stop.out) == "pyarrow.lib"
 
 
-def test_the_version_is_that_of_the_command_line():
-    assert (
-        python(
-            "import sys; sys.argv = ['rollerrig', '--version']; from rollerrig.realtime import cli; cli.main()"
-        )
-        == f"rollerrig {rollerrig.__version__}"
+def test_the_api_and_the_command_line_have_the_same_version():
+    code = (
+        "import sys; sys.argv = ['rollerrig', '--version']; "
+        "from rollerrig.realtime import cli; cli.main()"
     )
+    assert python(code) == f"rollerrig {rollerrig.__version__}"
 
 
-def test_a_run_that_is_not_valid_comes_with_a_warning(tmp_path):
+def test_a_run_that_is_not_valid_causes_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="the coach did not stop within 1 s"):
         stop = rollerrig.run("velim_a1", pacing="free", out=tmp_path / "stop", duration_max_s=1.0)
     assert not stop.summary["valid"]
 
 
 @pytest.mark.parametrize(
-    ("call", "words"),
+    ("call", "message"),
     [
         (lambda: rollerrig.run("velim_a1", adhesoin="soap"), "did you mean 'adhesion'"),
         (
@@ -90,8 +91,8 @@ def test_a_run_that_is_not_valid_comes_with_a_warning(tmp_path):
         (lambda: rollerrig.explain("open_rail_cleanin"), "open_rail_cleaning"),
     ],
 )
-def test_what_a_command_refuses_is_raised_in_its_words(call, words):
-    with pytest.raises(RollerrigError, match=words):
+def test_an_invalid_argument_raises_the_message_of_the_command_line(call, message):
+    with pytest.raises(RollerrigError, match=message):
         call()
 
 
@@ -104,7 +105,7 @@ def test_the_notebook_of_the_documentation_runs(tmp_path, monkeypatch):
     import nbformat
     from nbclient import NotebookClient
 
-    # a kernel of this Python, whatever kernels the machine has
+    # The notebook runs in a Jupyter kernel of this Python. Other kernels of the machine are hidden.
     kernel = tmp_path / "kernels/python3"
     kernel.mkdir(parents=True)
     (kernel / "kernel.json").write_text(

@@ -1,4 +1,8 @@
-"""Output without a reader changes neither a run nor an exit status."""
+"""Output without a reader changes neither a run nor an exit status.
+
+The output of a command has no reader if it is a pipe whose other end is closed, as in
+`rollerrig run dry_stop | head -1`, or if its standard streams are closed.
+"""
 
 import json
 import os
@@ -10,7 +14,8 @@ import pytest
 from rollerrig.realtime import cli
 from rollerrig.realtime.campaign import campaign
 
-RUN = (sys.executable, "-m", "rollerrig.realtime.cli")
+ROLLERRIG = (sys.executable, "-m", "rollerrig.realtime.cli")
+# a short run
 STOP = (
     "run",
     "dry_stop",
@@ -23,7 +28,7 @@ STOP = (
     "--set",
     "duration_max_s=20",
 )
-FAILING = """title = "a limit that no stop can meet"
+FAILING_SEQUENCE = """title = "a limit that no stop can meet"
 [start]
 speed = "10 km/h"
 [[step]]
@@ -35,6 +40,7 @@ unit = "m"
 max = 0.001
 source = "assumption"
 """
+# three runs; the first friction is filled in by the test
 CAMPAIGN = """scenario = "dry_stop"
 unit = "none"
 chunk = 1
@@ -44,64 +50,83 @@ initial_speed_m_s = [3.0]
 """
 
 
-def without_reader(*command, **streams):
-    """Run a command whose streams that are None are pipes without a reader; its exit status."""
-    read, write = os.pipe()
-    os.close(read)
-    connected = {name: write if stream is None else stream for name, stream in streams.items()}
+def status_without_reader(*arguments, ignore_stderr=False):
+    """Return the exit status of a rollerrig command whose output is a pipe without a reader.
+
+    `ignore_stderr`: only standard output is this pipe, and standard error is discarded.
+    """
+    read_end, write_end = os.pipe()
+    os.close(read_end)
+    stderr = subprocess.DEVNULL if ignore_stderr else write_end
     try:
-        return subprocess.run(command, **connected, timeout=300).returncode
+        done = subprocess.run(
+            (*ROLLERRIG, *arguments), stdout=write_end, stderr=stderr, timeout=300
+        )
     finally:
-        os.close(write)
+        os.close(write_end)
+    return done.returncode
 
 
-@pytest.fixture
-def failing(tmp_path):
-    path = tmp_path / "failing.toml"
-    path.write_text(FAILING)
-    return str(path)
-
-
-def test_a_failed_sequence_is_failed_whoever_reads_its_output(failing, tmp_path):
-    words = (*RUN, "sequence", failing, "--wsp", "none", "--out", str(tmp_path / "report"))
-    assert cli.main([*words[len(RUN) : -1], str(tmp_path / "read")]) == 1
-    assert without_reader(*words, stdout=None, stderr=subprocess.DEVNULL) == 1
-
-
-def test_a_run_is_whole_when_nobody_reads_its_progress(tmp_path):
-    out = tmp_path / "run"
-    assert without_reader(*RUN, *STOP, "--out", str(out), stdout=None, stderr=None) == 0
-    assert json.loads((out / "summary.json").read_text())["stopped"]
-
-
-@pytest.mark.parametrize(("friction", "status", "workers"), [(0.05, 0, 2), (7.0, 1, 1)])
-def test_a_campaign_is_finished_and_keeps_its_status_whoever_reads_its_output(
-    friction, status, workers, tmp_path
-):
-    (tmp_path / "plan.toml").write_text(CAMPAIGN.format(friction=friction))
-    words = (*RUN, "campaign", str(tmp_path / "plan.toml"), "--workers", str(workers), "--out")
-    assert without_reader(*words, str(tmp_path / "out"), stdout=None, stderr=None) == status
-    assert len(campaign.result(tmp_path / "out")) == 3
-    assert (tmp_path / "out" / "report.html").stat().st_size > 1000
-
-
-@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&-", "<&- >&- 2>&-"])
-def test_a_run_needs_no_standard_stream(closed, tmp_path):
-    out = tmp_path / "run"
-    done = subprocess.run(
-        ["sh", "-c", f'exec "$@" {closed}', "sh", *RUN, *STOP, "--out", str(out)],
+def run_in_shell(*arguments, closed):
+    """Run a rollerrig command with standard streams closed by a redirection, for example "2>&-"."""
+    return subprocess.run(
+        ["sh", "-c", f'exec "$@" {closed}', "sh", *ROLLERRIG, *arguments],
         capture_output=True,
         timeout=300,
     )
+
+
+@pytest.fixture
+def failing_sequence(tmp_path):
+    path = tmp_path / "failing.toml"
+    path.write_text(FAILING_SEQUENCE)
+    return str(path)
+
+
+def test_a_failed_sequence_exits_with_1_with_and_without_a_reader(failing_sequence, tmp_path):
+    command = ("sequence", failing_sequence, "--wsp", "none", "--out")
+    with_reader = str(tmp_path / "read")
+    without_reader = str(tmp_path / "report")
+    assert cli.main([*command, with_reader]) == 1
+    assert status_without_reader(*command, without_reader, ignore_stderr=True) == 1
+
+
+def test_a_run_is_complete_when_nobody_reads_its_progress(tmp_path):
+    out = tmp_path / "run"
+    assert status_without_reader(*STOP, "--out", str(out)) == 0
+    assert json.loads((out / "summary.json").read_text())["stopped"]
+
+
+@pytest.mark.parametrize(
+    ("friction", "status", "workers"),
+    [
+        (0.05, 0, 2),
+        # this friction is out of bounds, so one of the three runs fails
+        (7.0, 1, 1),
+    ],
+)
+def test_a_campaign_without_a_reader_finishes_with_its_usual_exit_status(
+    friction, status, workers, tmp_path
+):
+    plan = tmp_path / "plan.toml"
+    plan.write_text(CAMPAIGN.format(friction=friction))
+    out = tmp_path / "out"
+    command = ("campaign", str(plan), "--workers", str(workers), "--out", str(out))
+    assert status_without_reader(*command) == status
+    assert len(campaign.result(out)) == 3
+    assert (out / "report.html").stat().st_size > 1000
+
+
+# standard input is 0 ("<&-" closes it), output 1 (">&-"), error 2 ("2>&-")
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&-", "<&- >&- 2>&-"])
+def test_a_run_needs_no_standard_stream(closed, tmp_path):
+    out = tmp_path / "run"
+    done = run_in_shell(*STOP, "--out", str(out), closed=closed)
     assert done.returncode == 0
     assert json.loads((out / "summary.json").read_text())["stopped"]
     assert b"Traceback" not in done.stderr
 
 
-def test_json_stands_alone_on_standard_output_when_standard_error_is_closed(tmp_path):
-    done = subprocess.run(
-        ["sh", "-c", 'exec "$@" 2>&-', "sh", *RUN, *STOP, "--json", "--out", str(tmp_path / "run")],
-        capture_output=True,
-        timeout=300,
-    )
+def test_standard_output_holds_only_json_when_standard_error_is_closed(tmp_path):
+    done = run_in_shell(*STOP, "--json", "--out", str(tmp_path / "run"), closed="2>&-")
     assert json.loads(done.stdout)["stopped"]

@@ -355,7 +355,9 @@ def test_friction_of_the_contaminant_alone_is_reported_in_words_and_does_not_cha
 ) -> None:
     found = diagnosis_of(Cause("friction_trend", 0, {"contaminant_alone": 1.0}, (-0.05,)))
     sentence = cause_sentences.story(found)[0]
-    assert "in a stop, that of the contaminant alone [friction_trend]; rate_1_s" in sentence
+    assert (
+        "in a stop, only in the friction of the contaminant [friction_trend]; rate_1_s" in sentence
+    )
     model = tmp_path / "extended.toml"
     model.write_text(extended_model.toml(found))
     params = scenario.load("velim_a1", str(model)).params
