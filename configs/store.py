@@ -1,6 +1,7 @@
 """Finds a configuration by its name among the packaged ones, or by path, and parses it.
 
-`load("scenarios", "velim_a1")` and `load("scenarios", "my/own.toml")` both work in any folder.
+`load("scenarios", "velim_a1")` and `load("scenarios", "folder/my.toml")` both work: the
+first in any working directory, the second relative to it.
 """
 
 import os
@@ -19,16 +20,18 @@ def names(kind: str) -> list[str]:
     return sorted(path.stem for path in (ROOT / kind).glob("*.toml"))
 
 
-def find(kind: str, name: str, beside: Path | None = None) -> Path:
-    """Returns the file of a packaged configuration, or of a path.
+def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
+    """Returns the file of a configuration. Raises ConfigError if there is none.
 
-    A path is also looked up in the folder of `beside`, the file that mentions it. Raises ConfigError.
+    `name` is the name of a packaged configuration, or a path: it is a path if it ends in .toml or
+    has a folder. A path is relative to the working directory. If nothing is there, it is relative
+    to the folder of `mentioned_in`, the file that mentions it.
     """
-    given = Path(name)
-    if given.suffix == ".toml" or len(given.parts) > 1:
-        candidates = [given]
-        if beside:
-            candidates.append(beside.parent / given)
+    path = Path(name)
+    if path.suffix == ".toml" or len(path.parts) > 1:
+        candidates = [path]
+        if mentioned_in:
+            candidates.append(mentioned_in.parent / path)
         for candidate in candidates:
             # os.path, because Path raises an error for a name that is too long or contains NUL
             if os.path.isfile(candidate):
@@ -55,7 +58,7 @@ def parse(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
 
 
-def load(kind: str, name: str, beside: Path | None = None) -> tuple[dict[str, Any], Path]:
-    """Returns the content of a configuration, and its file. Raises ConfigError."""
-    path = find(kind, name, beside)
+def load(kind: str, name: str, mentioned_in: Path | None = None) -> tuple[dict[str, Any], Path]:
+    """Returns the content of a configuration, and its file (see `find`). Raises ConfigError."""
+    path = find(kind, name, mentioned_in)
     return parse(path), path

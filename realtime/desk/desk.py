@@ -199,7 +199,7 @@ class Desk:
             return
         text = f"alarm acknowledged at the desk: {alarm.text}"[:_LONGEST_NOTE]
         try:
-            await self.door().ask(lambda harness: harness.note(text))
+            await self.door().send_as_harness(lambda harness: harness.note(text))
         except RollerrigError as error:
             self.alarm("warning", f"acknowledged here, but not in the events of the run: {error}")
 

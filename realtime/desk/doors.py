@@ -1,9 +1,10 @@
-"""The commands that the desk can give to a running bench: over Modbus, and over node 127 on its bus.
+"""Sends commands of the desk to a running bench, by two ways ("doors"): Modbus and the CAN bus.
 
-Any other program can send each of these commands as well; the desk has no special authority. Modbus
-has the commands of a control room (run, stop, emergency stop, speed, demand, scenario) and the state
-of the bench. Node 127 has the commands of a harness (faults, friction, notes), each on a short
-connection. If the bench refuses a command, the error has the message of the bench.
+Over Modbus the desk acts as a control room: run, stop, emergency stop, speed, demand, scenario. It
+also reads the state of the bench there. On the CAN bus it acts as a test harness (node 127):
+faults, friction, notes. It connects to the bus for each command and disconnects afterwards. Any
+other program can send the same commands; the desk has no special authority. If the bench refuses a
+command, the error contains the reason that the bench gives.
 """
 
 import asyncio
@@ -25,8 +26,8 @@ _REGISTERS = {row.name: row for row in (*BITS, *WORDS)}
 _FIRST_UNREAD_WORD = 404  # the page shows none of the registers from here on
 _REFUSAL_EVENT_S = 1.0  # how long to wait for the event with the reason of a refusal
 _POLL_S = 0.1
-# Modbus exception codes
-_WHY = {
+# Modbus exception code -> what it means on this bench
+_EXCEPTION_MEANING = {
     1: "it cannot be done",
     2: "there is no such register, or it cannot be written",
     3: "the value is not allowed",
@@ -36,7 +37,7 @@ _WHY = {
 
 
 def _blocks(rows: tuple[Register, ...]) -> list[list[Register]]:
-    """Registers grouped into blocks without a gap, because a gap cannot be read."""
+    """Group registers into blocks of adjacent addresses: one request can read one block."""
     blocks: list[list[Register]] = []
     next_address = -1
     for row in rows:
@@ -53,16 +54,17 @@ _BLOCKS = _blocks(BITS) + _blocks(_WORDS_READ)
 
 
 class Doors:
-    """The ways into one bench.
+    """The Modbus and the CAN connection of the desk to one bench.
 
-    `values` are its registers by name. While there are none, `why` is the reason, and `unanswered`
-    whether the bench should have answered.
+    `values` are the Modbus registers by name, as `poll` last read them. They are empty if Modbus
+    cannot be used. Then `no_modbus_because` is the reason, else an empty string. `unanswered` is
+    true if the reason is a fault: the bench has Modbus, but it does not answer.
     """
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
         self.values: dict[str, float] = {}
-        self.why = "the bench has not opened it yet"
+        self.no_modbus_because = "the bench has not opened it yet"
         self.unanswered = False
         self._client: AsyncModbusTcpClient | None = None
 
@@ -76,11 +78,11 @@ class Doors:
     # -- Modbus
 
     async def poll(self) -> None:
-        """Read all registers into `values`, or set `why` to the reason why that is not possible."""
+        """Read all registers, and set `values`, `no_modbus_because` and `unanswered`."""
         values: dict[str, float] = {}
         unanswered = False
-        why = self._closed_because()
-        if not why:
+        reason = self._closed_because()
+        if not reason:
             host, port = self.bench.modbus
             try:
                 client = await self._connected(host, port)
@@ -89,14 +91,15 @@ class Doors:
             except (ModbusException, OSError) as error:
                 values = {}
                 unanswered = True
-                why = f"{host}:{port} does not answer: {error}"
-        # all three together here, because the lights are drawn while this function waits
+                reason = f"{host}:{port} does not answer: {error}"
+        # Set together after the last await: while this function waits, a page may draw the lights,
+        # and it must not see some of them new and some old.
         self.values = values
-        self.why = why
+        self.no_modbus_because = reason
         self.unanswered = unanswered
 
     def _closed_because(self) -> str:
-        """Why the bench has no Modbus for the desk; empty if it has."""
+        """The reason why the desk does not connect to Modbus; empty if it can try."""
         if self.bench.ended:
             return "the bench has ended"
         if self.bench.over_tls:
@@ -104,9 +107,10 @@ class Doors:
         _, port = self.bench.modbus
         if port:
             return ""
+        # the bench opens its server before the first sample
         if not self.bench.points:
             return "the bench has not opened it yet"
-        return "this run has none (only wall pacing has)"
+        return "this run has no server (only wall pacing has one)"
 
     async def write(self, name: str, value: float) -> None:
         """Write a register or coil by its name, in its unit. NaN withdraws a demand.
@@ -114,9 +118,10 @@ class Doors:
         Raises BusError if there is no Modbus or if the bench refuses.
         """
         row = _REGISTERS[name]
-        if self.why:
-            raise BusError(f"{name} cannot be written over Modbus: {self.why}")
+        if self.no_modbus_because:
+            raise BusError(f"{name} cannot be written over Modbus: {self.no_modbus_because}")
         raw = NO_DEMAND if math.isnan(value) else round(value / row.scale)
+
         events_before = len(self.bench.events)
         answer: Any
         try:
@@ -124,26 +129,32 @@ class Doors:
             if row.kind == BIT:
                 answer = await client.write_coil(row.address, bool(raw), device_id=PLC_UNIT)
             else:
-                answer = await client.write_register(row.address, raw & 0xFFFF, device_id=PLC_UNIT)
+                word = raw & 0xFFFF  # two's complement of a negative number
+                answer = await client.write_register(row.address, word, device_id=PLC_UNIT)
         except (ModbusException, OSError) as error:
             raise BusError(
                 f"{name} = {value:g}: the bench does not answer over Modbus: {error}"
             ) from None
+
         if answer.isError():
+            # an exception code has no details; an event of the bench may have them
             code = answer.exception_code
             refusals = (Code.FAULT_REFUSED, Code.SCENARIO_REFUSED)
             reason = await self._reason(refusals, events_before)
             if not reason:
-                reason = _WHY.get(code, "it gives no reason")
+                reason = _EXCEPTION_MEANING.get(code, "it gives no reason")
             raise BusError(f"the bench refuses {name} = {value:g} (exception {code:02X}): {reason}")
 
     async def _connected(self, host: str, port: int) -> AsyncModbusTcpClient:
+        """Connect if necessary, and return the client. Raises OSError."""
         if self._client is None:
             self._client = AsyncModbusTcpClient(
                 host, port=port, timeout=3.0, retries=0, reconnect_delay=0.0
             )
-        if not self._client.connected and not await self._client.connect():
-            raise OSError("no connection")
+        if not self._client.connected:
+            connects = await self._client.connect()
+            if not connects:
+                raise OSError("no connection")
         return self._client
 
     def close(self) -> None:
@@ -153,10 +164,11 @@ class Doors:
 
     # -- node 127
 
-    async def ask(self, command: Callable[[harness_client.Harness], None]) -> None:
-        """Call `command` with a harness that has not joined: inject, lift, friction, brake, note.
+    async def send_as_harness(self, command: Callable[[harness_client.Harness], None]) -> None:
+        """Connect to the bus, call `command` with a harness, and disconnect.
 
-        Raises BusError if there is no bus or if the bench refuses.
+        The harness does not join the run. `command` may call its methods inject, lift, friction,
+        brake and note. Raises BusError if there is no bus or if the bench refuses.
         """
         if self.bench.ended:
             raise BusError("there is no bus: the bench has ended")
@@ -166,26 +178,27 @@ class Doors:
             )
         events_before = len(self.bench.events)
         try:
-            await asyncio.to_thread(self._call, command)
+            await asyncio.to_thread(self._send_once, command)
         except BusError as error:
             reason = await self._reason((Code.HARNESS_REFUSED,), events_before)
             raise BusError(f"the bench: {reason or error}") from None
 
-    def _call(self, command: Callable[[harness_client.Harness], None]) -> None:
+    def _send_once(self, command: Callable[[harness_client.Harness], None]) -> None:
         with contextlib.closing(harness_client.connect(self.bench.bus)) as harness:
             command(harness)
 
     async def brake(self, pressure_Pa: float) -> None:
-        """Command a cylinder pressure; NaN leaves it to node 17 and the scenario.
+        """Command a cylinder pressure. NaN withdraws it: node 17 and the scenario then decide.
 
-        Raises BusError.
+        Modbus is used if the bench has it, else the bus, where nothing can be withdrawn. Raises
+        BusError.
         """
-        if not self.why:
+        if not self.no_modbus_because:
             await self.write("brake_demand_set_point", pressure_Pa)
         elif math.isnan(pressure_Pa):
-            raise BusError(f"only Modbus can withdraw a demand, and {self.why}")
+            raise BusError(f"only Modbus can withdraw a demand, and {self.no_modbus_because}")
         else:
-            await self.ask(lambda harness: harness.brake(pressure_Pa))
+            await self.send_as_harness(lambda harness: harness.brake(pressure_Pa))
 
     async def _reason(self, refusals: tuple[Code, ...], events_before: int) -> str:
         """The text of the first new event of these codes; empty if none comes in time."""
@@ -213,12 +226,13 @@ async def _read(client: AsyncModbusTcpClient, block: list[Register]) -> dict[str
 
 
 def _value(row: Register, raw: list[int], at: int) -> float:
-    """The value of a register in its unit, from the raw words (or bits) at a place."""
-    count = int(raw[at])
+    """The value of a register in its unit. Its raw words (or bits) begin at the place `at`."""
+    number = int(raw[at])
     if row.width == 2:  # the high word comes first
-        count = raw[at] << 16 | raw[at + 1]
+        number = raw[at] << 16 | raw[at + 1]
     if row.kind in signals.KINDS:
         low, high = signals.KINDS[row.kind]
-        if count > high:  # a negative number in two's complement
-            count -= high - low + 1
-    return count * row.scale
+        if number > high:  # a negative number in two's complement
+            values_of_type = high - low + 1
+            number -= values_of_type
+    return number * row.scale

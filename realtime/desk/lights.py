@@ -126,7 +126,7 @@ def _drives(registers: dict[str, float], doors: Doors) -> Light:
 def _nodes(name: str, nodes: tuple[int, ...], registers: dict[str, float], doors: Doors) -> Light:
     """One light for some nodes of the rig, by their NMT states."""
     if not registers:
-        return Light(name, GREY, f"no Modbus: {doors.why}")
+        return Light(name, GREY, f"no Modbus: {doors.no_modbus_because}")
     states = {node: int(registers[f"node_{node}_state"]) for node in nodes}
     wrong = {node: state for node, state in states.items() if state != _OPERATIONAL}
     if not wrong:
@@ -139,12 +139,12 @@ def _nodes(name: str, nodes: tuple[int, ...], registers: dict[str, float], doors
 
 
 def _modbus(bench: Bench, doors: Doors) -> Light:
-    if not doors.why:
+    if not doors.no_modbus_because:
         host, port = bench.modbus
         clients = doors.values["modbus_clients"]
         return Light("Modbus", GREEN, f"{host}:{port}, {clients:.0f} clients")
     colour = RED if doors.unanswered else GREY
-    return Light("Modbus", colour, doors.why)
+    return Light("Modbus", colour, doors.no_modbus_because)
 
 
 def _recorder(bench: Bench) -> Light:

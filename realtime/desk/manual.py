@@ -217,7 +217,7 @@ async def _set_friction(desk: Desk, choice: ui.select, axle: int) -> None:
     mu = float(choice.value or 0.0)
 
     async def command() -> None:
-        await desk.free_door().ask(lambda harness: harness.friction(mu, (axle,)))
+        await desk.free_door().send_as_harness(lambda harness: harness.friction(mu, (axle,)))
 
     await carry_out(command(), f"axle {axle}: {frictions()[mu]}")
 
@@ -301,9 +301,9 @@ async def _change_fault(desk: Desk, fault: str, lift: bool) -> None:
     async def command() -> None:
         door = desk.free_door()
         if lift:
-            await door.ask(lambda harness: harness.lift(fault))
+            await door.send_as_harness(lambda harness: harness.lift(fault))
         else:
-            await door.ask(lambda harness: harness.inject(fault))
+            await door.send_as_harness(lambda harness: harness.inject(fault))
 
     done = "lifted" if lift else "injected"
     await carry_out(command(), f"{done}: {fault}")

@@ -14,7 +14,7 @@ import time
 import httpx
 import socketio
 
-# seconds that the desk has for an answer; on a busy machine it needs many
+# longest time in s to wait for an answer: on a busy machine the desk is slow
 ANSWER_WITHIN_S = 60.0
 # seconds between two requests for rows, as in desk.js
 PERIOD_S = 0.1
@@ -29,6 +29,7 @@ async def browse(address: str) -> None:
         await _connect(address, client_id[1])
         print("connected", flush=True)
 
+        # what the page has so far: rows of this bench, up to this number of points
         bench = ""
         points = 0
         while True:
@@ -52,6 +53,7 @@ async def _connect(address: str, client_id: str) -> None:
             "next_message_id=0",
         )
     )
+    # nothing reads or closes the websocket: tasks of the client keep it open in the background
     websocket = socketio.AsyncClient()
     await websocket.connect(
         f"{address}?{query}",

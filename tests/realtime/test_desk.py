@@ -377,7 +377,7 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
                 with contextlib.suppress(AssertionError):
                     press()
             await asyncio.sleep(0.1)
-        raise AssertionError(f"{what}: {one.doors and one.doors.why}, {one.alarms}")
+        raise AssertionError(f"{what}: {one.doors and one.doors.no_modbus_because}, {one.alarms}")
 
     async def play(user):
         def press(marker):

@@ -24,8 +24,10 @@ from rollerrig.rig import params
 from rollerrig.rig.identify.data import mdf, quality
 from rollerrig.rig.identify.data.runs import AXLES, Curve, Dataset, Run
 
+# the keys of dataset.toml outside its tables
 HEAD = (
     choice("kind", "braking_runs", ("braking_runs", "creep_curve", "recorder"), "what the data is"),
+    # in the file the key is `vehicle`; `parse` renames it
     choice("vehicle_set", "uic_z1", (), "configs/vehicles; written `vehicle`"),
     number("sample_time_s", 0.01, 1e-4, 0.1, "s"),
     choice("file", "", (), "the file of a creep curve"),
@@ -33,6 +35,7 @@ HEAD = (
     choice("source", "", (), "where the data is from"),
     choice("note", "", (), "what the reader of a report must know; the report repeats it"),
 )
+# the keys of a table [[run]]
 RUN = (
     choice("file", "", (), "CSV, Parquet or MDF4"),
     choice("group", "tune", ("tune", "validate"), "validate: never fitted, only judged"),
@@ -40,16 +43,18 @@ RUN = (
     number("initial_speed_m_s", -1.0, 0.0, 150.0, "m/s"),
     number("mu_cd", -1.0, 1e-4, 1.0, "estimated where not given"),
     number("mass_kg", -1.0, 1000.0, 200000.0, "kg"),
+    # where drives hold the speed, the wheels brake no mass, so there is no force balance
     flag("held", False, "drives held the speed of the surface: no force balance of a vehicle"),
 )
-# Each value is one standard deviation. A value that is not given is estimated from the data, except
-# the defaults of calibration and form, which are assumptions.
+# The keys of the table [accuracy]. Each value is one standard deviation. The default -1 means "not
+# given": the value is estimated from the data. The other two defaults are assumptions.
 ACCURACY = (
     number("speed_m_s", -1.0, 1e-5, 5.0, "m/s"),
     number("wheel_speed_rad_s", -1.0, 1e-5, 10.0, "rad/s"),
     number("torque_fraction", -1.0, 1e-5, 0.5, "of the run's largest torque"),
     number("load_fraction", -1.0, 1e-5, 0.5, "of the static load"),
     number("calibration_fraction", 0.003, 0.0, 0.2, "of torque, load and mass"),
+    # `form` is the form of a law: a library law is never exactly the true one
     number(
         "form_fraction",
         0.07,
@@ -142,12 +147,14 @@ def parse(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
+    # the key can only be above the first table, which begins with "[" at the start of a line
     top, bracket, rest = text.partition("\n[")
     top = re.sub(r"^vehicle(\s*=)", r"vehicle_set\1", top, flags=re.MULTILINE)
     try:
         content = tomllib.loads(top + bracket + rest)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    # the pattern above does not match an indented or a quoted key
     if isinstance(content.get("vehicle"), str):
         content["vehicle_set"] = content.pop("vehicle")
     return content
@@ -172,25 +179,27 @@ def find(folder: Path | str) -> Path:
 def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:
     """Returns the parameter sections of the base model.
 
-    They are those of a packaged vehicle and the contact with a rail, then the overrides of
-    `tables`. Raises ConfigError.
+    The sections of a packaged vehicle come first. Then the contact of a rig is replaced by that of
+    a rail. The tables of `tables` override both. Raises ConfigError.
     """
     packaged, vehicle_file = store.load("vehicles", vehicle)
     sections: dict[str, dict[str, Any]] = {key: dict(value) for key, value in packaged.items()}
     contact = sections.setdefault("contact", {})
-    contact["lateral_radius_m"] = 0.3
-    contact["roller_radius_m"] = math.inf
+    contact["lateral_radius_m"] = 0.3  # of the rail head
+    contact["roller_radius_m"] = math.inf  # a rail is straight
     for key in MODEL_TABLES:
         overrides = tables.get(key, {})
+        # checks keys and bounds only; the overrides themselves have no defaults filled in
         table.read(params.ROWS[key], overrides, f"{where} [{key}]")
         sections.setdefault(key, {}).update(overrides)
     return params.check(sections, f"{where} with {vehicle_file.name}")
 
 
 def read_rows(rows: tuple[Row, ...], content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Returns what `table.read` returns, for rows whose default may lie outside their bounds.
+    """Returns the value of each row, from `content` or by default. Raises ConfigError.
 
-    Such a default means "not given". It is returned unchecked. Raises ConfigError.
+    Unlike `table.read`, it allows a default outside the bounds of its row, such as -1 for "not
+    given". A value in `content` must be within the bounds.
     """
     not_given = {
         row.name: row.default
@@ -225,6 +234,7 @@ def read_table(path: Path) -> pa.Table:
         if path.suffix.lower() == ".parquet":
             return pyarrow.parquet.ParquetFile(path).read()
         content = path.read_bytes()
+        # skip the comment lines at the top of a CSV file
         while content.startswith(b"#"):
             content = content[content.index(b"\n") + 1 :]
         return pyarrow.csv.read_csv(pa.BufferReader(content))
@@ -272,7 +282,7 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
         data = read_table(path)
 
     if entry["held"]:
-        mass_kg = math.inf  # no force of the wheels changes the speed
+        mass_kg = math.inf  # so that the forces of the wheels do not change the speed
     elif entry["mass_kg"] > 0:
         mass_kg = entry["mass_kg"]
     else:
@@ -308,7 +318,11 @@ def _values_of_axles(data: pa.Table, quantity: str, unit: str, path: Path) -> np
 
 
 def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str, Any]) -> Curve:
-    """Returns the checked creep curve of a dataset. Raises ConfigError."""
+    """Returns the checked creep curve of a dataset. Raises ConfigError.
+
+    Its points are in the file of the key `file`, else in the files of the tables [[run]]. Warnings
+    are added to the dataset.
+    """
     names = [row.get("file", "") for row in tables.get("run", [])]
     if head["file"]:
         names = [head["file"]]

@@ -21,9 +21,10 @@ from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2
 from rollerrig.rig.identify.data.runs import Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
-# Tables of (ratio [D1], what it means and what to do).
-# r omega / v:
-_WHEEL = (
+# Tables of the ratios [D1] that a known error of the data gives. A row holds the ratio, and what it
+# means and what to do.
+# r omega / v, where a quantity is in another unit:
+_SPEED_RATIOS = (
     (1000.0, "wheel_radius_m is in millimetres: divide it by 1000"),
     (60.0 / (2.0 * np.pi), "wheel_speed is in rpm: multiply it by 2 pi / 60"),
     (1.0 / (2.0 * np.pi), "wheel_speed is in turns a second: multiply it by 2 pi"),
@@ -31,13 +32,13 @@ _WHEEL = (
     (1.0 / 3.6, "vehicle_speed_m_s is in km/h: divide it by 3.6"),
     (2.0, "wheel_radius_m is a diameter: halve it"),
 )
-# omega / v:
-_RIM = (
+# omega / v, where the channel has the speed of the rim and not the angular speed:
+_RIM_SPEED_RATIOS = (
     (1.0, "wheel_speed is in m/s: divide it by the radius"),
     (3.6, "wheel_speed is in km/h: divide it by 3.6 and the radius"),
 )
 # N / (M g / 4):
-_LOAD = (
+_LOAD_RATIOS = (
     (1e-3, "it is in kN: multiply by 1000"),
     (0.5, "it is of one wheel: double it"),
     (AXLES, f"it is the vehicle's weight: divide by {AXLES}"),
@@ -45,17 +46,21 @@ _LOAD = (
     (1e-3 / GRAVITY_M_S2, "it is in t: multiply by 9806.65"),
 )
 # integral of sum C / r over the loss of momentum:
-_TORQUE = (
+_TORQUE_RATIOS = (
     (1e-3, "it is in kN m: multiply by 1000"),
     (0.5, "it is of one wheel: double it"),
     (AXLES, f"it is the vehicle's: divide by {AXLES}"),
 )
-_SAME_RATIO = 0.06  # a ratio within this share of a row's ratio is that of the row
+# a measured ratio matches a row if it differs from the ratio of the row by less than this share
+_SAME_RATIO = 0.06
 
-LARGEST_CLOCK_SHIFT_S = 0.3
-LEAST_CORRELATION = 0.5  # of torque and wheel speed, where a shift counts
-LEAST_GAIN = 0.25  # of correlation by a shift, for a sign of it
-CLEAR_GAIN = 0.5  # of correlation by a shift, for a proof by a single wheelset
+LARGEST_CLOCK_SHIFT_S = 0.3  # a smaller shift is allowed
+# a shift counts only if torque and wheel speed then have at least this correlation
+LEAST_CORRELATION = 0.5
+# increase of the correlation by a shift that is a weak sign, which wheelsets or runs must confirm
+LEAST_GAIN = 0.25
+# increase of the correlation by a shift that is a proof on a single wheelset
+CLEAR_GAIN = 0.5
 
 
 def check(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
@@ -83,7 +88,9 @@ def _check_rolling(run: Run, path: Path, radius_m: float) -> None:
         if 0.5 < ratio < 1.5:
             continue
         unknown = "check the radius (metres) and the unit of wheel_speed (rad/s)"
-        why = _meaning(wheel_rad_s / speed_m_s, _RIM, _meaning(ratio, _WHEEL, unknown))
+        # the table of rim speeds goes first, and the other table serves where it has no match
+        other_unit = _meaning(ratio, _SPEED_RATIOS, unknown)
+        why = _meaning(wheel_rad_s / speed_m_s, _RIM_SPEED_RATIOS, other_unit)
         raise ConfigError(
             f"{path}: wheelset {j + 1} runs at {ratio:.3g} times the vehicle's speed with "
             f"wheel_radius_m = {radius_m:g}; rolling wheels give 1: {why}"
@@ -99,7 +106,7 @@ def _check_weight(run: Run, path: Path) -> None:
         ratio = float(load_N) / static_N
         if not 0.7 < ratio < 1.4:
             unknown = "loads are newtons for both wheels; check mass_kg too"
-            why = _meaning(ratio, _LOAD, unknown)
+            why = _meaning(ratio, _LOAD_RATIOS, unknown)
             raise ConfigError(
                 f"{path}: wheel_load_{j + 1}_N is {load_N:.4g}, a wheelset of this vehicle carries "
                 f"{static_N:.4g} N: {why}"
@@ -125,7 +132,7 @@ def _check_momentum(
         - float(coast_N.sum()) * step_s
         + vehicle["wheelset_inertia_kgm2"] / radius_m * lost_rad_s
     )
-    # too little was lost by braking for a judgement
+    # the brakes took too little momentum to judge them
     if lost_m_s < 3.0 or momentum_Ns < 0.3 * run.mass_kg * lost_m_s:
         return
 
@@ -135,7 +142,7 @@ def _check_momentum(
     finding = (
         f"{path}: brake_torque accounts for {share:.3g} of the momentum that the vehicle loses"
     )
-    why = _meaning(share, _TORQUE, "")
+    why = _meaning(share, _TORQUE_RATIOS, "")
     if why:
         raise ConfigError(f"{finding}; 1 is right: {why}")
     if not 0.1 < share < 10.0:
@@ -152,32 +159,41 @@ def _decrease(values: np.ndarray) -> np.ndarray:
 
 
 class _Shift(NamedTuple):
-    """A shift in time of wheel speed behind torque, and what it gains."""
+    """The shift in time that makes torque and wheel speed of a wheelset agree best."""
 
-    shift_s: float
-    gain: float  # of correlation; nan: cannot be judged; 0: the shift is allowed
+    shift_s: float  # above 0: wheel speed is late
+    # increase of the correlation by the shift; 0: the shift is allowed; nan: cannot be judged
+    gain: float
 
 
 def check_clocks(runs: Sequence[Run], where: str, vehicle: Mapping[str, Any]) -> None:
     """Raises ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2].
 
-    A clock belongs to a channel or to a run. So a weak sign on one wheelset in one of several runs
-    counts as chance. It counts where most wheelsets of the run, or most runs of the wheelset, show
-    it.
+    A clock belongs to a channel of all runs, or to all channels of a run. So a weak sign on one
+    wheelset of one run is chance. It counts only if most wheelsets of this run show it, or this
+    wheelset in most runs (so always if there is a single run). A clear sign always counts.
     """
-    shifts = [[_clock_shift(run, axle, vehicle) for axle in range(AXLES)] for run in runs]
-    gains = np.array([[shift.gain for shift in of_run] for of_run in shifts])
-    seen = gains > LEAST_GAIN
-    judged = np.isfinite(gains)
-    for r, j in np.argwhere(seen):
-        in_most_of_run = 2 * seen[r].sum() > judged[r].sum()
-        in_most_of_axle = 2 * seen[:, j].sum() > judged[:, j].sum()
-        if not (gains[r, j] > CLEAR_GAIN or in_most_of_run or in_most_of_axle):
+    shifts = []  # by run, then by wheelset
+    for run in runs:
+        shifts.append([_clock_shift(run, axle, vehicle) for axle in range(AXLES)])
+    gains = np.array([[shift.gain for shift in shifts_of_run] for shifts_of_run in shifts])
+
+    has_sign = gains > LEAST_GAIN  # (runs, AXLES)
+    is_judged = np.isfinite(gains)
+    for r, j in np.argwhere(has_sign):
+        is_clear = gains[r, j] > CLEAR_GAIN
+        in_most_wheelsets = 2 * has_sign[r].sum() > is_judged[r].sum()
+        in_most_runs = 2 * has_sign[:, j].sum() > is_judged[:, j].sum()
+        if not (is_clear or in_most_wheelsets or in_most_runs):
             continue
+
         shift_s = shifts[r][j].shift_s
-        late, early = "brake_torque", "wheel_speed"
         if shift_s > 0:
-            late, early = "wheel_speed", "brake_torque"
+            late = "wheel_speed"
+            early = "brake_torque"
+        else:
+            late = "brake_torque"
+            early = "wheel_speed"
         raise ConfigError(
             f"{where}: run '{runs[r].name}': {late} of wheelset {j + 1} comes {abs(shift_s):.2g} s "
             f"behind {early}; clocks may differ by {LARGEST_CLOCK_SHIFT_S:g} s at most: shift one "
@@ -186,43 +202,63 @@ def check_clocks(runs: Sequence[Run], where: str, vehicle: Mapping[str, Any]) ->
 
 
 def _clock_shift(run: Run, axle: int, vehicle: Mapping[str, Any]) -> _Shift:
-    """Returns the shift of a wheelset's wheel speed behind its torque, and what it gains."""
+    """Returns the shift between wheel speed and torque of a wheelset in a run."""
     wheel_m_s = vehicle["wheel_radius_m"] * run.wheel_speed_rad_s[:, axle]
     if np.mean(np.abs(run.speed_m_s - wheel_m_s)) < 1.0:
         return _Shift(0.0, math.nan)  # it hardly slides
-    shift_s, best, at_zero = _best_shift(run, axle, vehicle["wheelset_inertia_kgm2"])
-    if abs(shift_s) > LARGEST_CLOCK_SHIFT_S and best > LEAST_CORRELATION:
-        return _Shift(shift_s, best - at_zero)
+    shift_s, correlation, unshifted = _best_shift(run, axle, vehicle["wheelset_inertia_kgm2"])
+    if abs(shift_s) > LARGEST_CLOCK_SHIFT_S and correlation > LEAST_CORRELATION:
+        return _Shift(shift_s, correlation - unshifted)
     return _Shift(shift_s, 0.0)
 
 
 def _best_shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float, float]:
-    """Returns (shift in s of greatest correlation, that correlation, correlation without shift)."""
+    """Returns the shift in s with the best correlation, this correlation, and that without shift.
+
+    The two sides of [D2] are correlated: J domega/dt of the measured wheel speed, and -C of the
+    measured torque. Their difference r T changes slowly, so only fast changes are compared. All
+    three values are 0 if the run is too short.
+    """
     step_s = float(np.mean(np.diff(run.time_s)))
     window = 2 * max(int(0.1 / step_s), 3) + 1
-    second = max(int(1.0 / step_s), 4)  # samples; the largest shift that is tried
-    moves = run.speed_m_s > 5.0
-    if np.count_nonzero(moves) < 4 * second:
+    most_samples = max(int(1.0 / step_s), 4)  # the largest shift that is tried, one second
+    is_moving = run.speed_m_s > 5.0
+    if np.count_nonzero(is_moving) < 4 * most_samples:
         return 0.0, 0.0, 0.0
 
     wheel_rad_s = run.wheel_speed_rad_s[:, axle]
-    gains_Nm = inertia_kgm2 * smoothed(wheel_rad_s, window, 3, 1, step_s)
-    takes_Nm = -smoothed(run.torque_Nm[:, axle], window, 3)
-    gains = _fast_part(gains_Nm, second, moves)
-    takes = _fast_part(takes_Nm, second, moves)
+    inertial_Nm = inertia_kgm2 * smoothed(wheel_rad_s, window, 3, 1, step_s)
+    braking_Nm = -smoothed(run.torque_Nm[:, axle], window, 3)
+    inertial = _fast_part(inertial_Nm, most_samples, is_moving)
+    braking = _fast_part(braking_Nm, most_samples, is_moving)
 
-    n = gains.size
-    correlations = np.array(
-        [
-            np.mean(gains[max(0, k) : n + min(0, k)] * takes[max(0, -k) : n + min(0, -k)])
-            for k in range(-second, second + 1)
-        ]
+    shifts = range(-most_samples, most_samples + 1)
+    correlations = np.array([_correlation(inertial, braking, shift) for shift in shifts])
+    best = int(np.argmax(correlations))
+    unshifted = most_samples  # place of the shift 0
+    return (
+        (best - most_samples) * step_s,
+        float(correlations[best]),
+        float(correlations[unshifted]),
     )
-    at = int(np.argmax(correlations))
-    return (at - second) * step_s, float(correlations[at]), float(correlations[second])
 
 
-def _fast_part(values: np.ndarray, second: int, moves: np.ndarray) -> np.ndarray:
-    """Returns what changes within a second, at the chosen samples, with mean 0 and deviation 1."""
-    fast = (values - gaussian_filter1d(values, second))[moves]
+def _correlation(inertial: np.ndarray, braking: np.ndarray, shift: int) -> np.floating[Any]:
+    """Returns the correlation if `inertial` is late by `shift` samples (below 0: early).
+
+    Both have mean 0 and deviation 1, so the mean of their product is the correlation. Samples
+    without a counterpart are left out.
+    """
+    n = inertial.size
+    later = inertial[max(0, shift) : n + min(0, shift)]
+    earlier = braking[max(0, -shift) : n + min(0, -shift)]
+    return np.mean(later * earlier)
+
+
+def _fast_part(values: np.ndarray, width: int, chosen: np.ndarray) -> np.ndarray:
+    """Returns the fast changes of values at the chosen samples, scaled to mean 0 and deviation 1.
+
+    A change is fast if a Gaussian filter of this width, in samples, removes it.
+    """
+    fast = (values - gaussian_filter1d(values, width))[chosen]
     return (fast - fast.mean()) / max(float(fast.std()), 1e-12)

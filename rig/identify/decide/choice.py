@@ -1,9 +1,13 @@
 """Fits causes and chooses the most likely one, its confusable rivals, and a second one.
 
-A cause must win more likelihood than the choice of its shape costs, and not in one place of one run
-only. A second cause must win more than a wrong shape of the first one could lend to it. If there
-are two, the first one is chosen again with the second in the model: a cause that had to account for
-the effects of both gives way.
+"Wins" means: the cause reduces the deviance (-2 ln L) of the model by a ratio.
+
+- The first cause must win more than the choice of its shape costs. Its evidence must not come from
+  one short part of one run only.
+- A wrong shape of the first cause leaves a remainder that looks like a second one. A second cause
+  must win more than that.
+- If there are two causes, the first one is chosen again with the second in the model. Alone it had
+  to account for the effects of both, so another cause may fit better now.
 """
 
 from collections.abc import Sequence
@@ -38,11 +42,11 @@ class BlockwiseFit(NamedTuple):
     explanation: Explanation
     deviance: float  # -2 ln L
     covariance: np.ndarray  # of the causes' coefficients, one cause after the other
-    blocks: np.ndarray  # (5, blocks), see `deviance_by_block`
+    blocks: np.ndarray  # (5, blocks), the deviance as in `deviance_by_block`
 
 
 class Candidate(NamedTuple):
-    """A cause that may be the right one: its score test, and its fit, whose last cause it is."""
+    """A cause that may be the right one: its score test, and a fit with it as the last cause."""
 
     test: ScoreTest
     fit: BlockwiseFit
@@ -61,8 +65,9 @@ class IdentifiedCause(NamedTuple):
 
     score_test: ScoreTest
     cause: Cause  # as fitted
-    likelihood_ratio: float  # drop of -2 ln L, less what the choice of the shape costs
-    # (5,) the same before that cost, in the filters of the four wheelsets and of the vehicle
+    # drop of -2 ln L, less what the choice of the shape costs
+    likelihood_ratio: float
+    # (5,) drop of -2 ln L without that cost, in each filter: four wheelsets, then the vehicle
     ratio_by_filter: tuple[float, ...]
     deviation: tuple[float, ...]  # standard deviation of each coefficient
     confusable: tuple[str, ...]  # names of the rivals that cannot be distinguished from it
@@ -81,17 +86,19 @@ class IdentifiedCause(NamedTuple):
 def fit_explanation(design: Design, explanation: Explanation) -> BlockwiseFit:
     """Fit an explanation to a design.
 
-    A cause with a finite step is also fitted from another start. Windows are moved off the grid of
-    the search.
+    If the last cause has a finite step, it is also fitted from an untuned base, and the better fit
+    is kept. Then the windows of causes are moved off the grid of the search.
     """
-    fit = fitting.fit(design, explanation, 6)
+    fit = fitting.fit(design, explanation, steps=6)
     if explanation.causes:
         last = explanation.causes[-1].name
         if table.BY_NAME[last].finite_step:
             restarted = shapes.restarted(design, fit.explanation, last)
-            fit = min(fit, fitting.fit(design, restarted, 9), key=lambda fit: fit.deviance)
+            fit_of_restarted = fitting.fit(design, restarted, steps=9)
+            fit = min(fit, fit_of_restarted, key=lambda fit: fit.deviance)
     if any(table.BY_NAME[cause.name].edge_step for cause in explanation.causes):
-        fit = fitting.fit(design, shapes.refine_windows(design, fit.explanation), 4)
+        refined = shapes.refine_windows(design, fit.explanation)
+        fit = fitting.fit(design, refined, steps=4)
     return BlockwiseFit(*fit, blocks=deviance_by_block(design, fit.explanation))
 
 
@@ -104,7 +111,10 @@ def fit_explanations(
 
 
 def deviance_by_block(design: Design, explanation: Explanation) -> np.ndarray:
-    """Return the deviance in blocks of all runs, shape (5, blocks): wheels, then vehicle."""
+    """Return the deviance in blocks of BLOCK_S of all runs, shape (5, blocks).
+
+    The rows are the filters: four wheelsets, then the vehicle.
+    """
     innovation, variance, _, vehicle_innovation, vehicle_variance = sensitivity.innovations(
         design, inputs(design, explanation)
     )
@@ -124,10 +134,12 @@ def deviance_by_block(design: Design, explanation: Explanation) -> np.ndarray:
 def with_remaining_irregularity(
     workspace: Workspace, base: Explanation, promising: list[Cause]
 ) -> tuple[Explanation, list[BlockwiseFit]]:
-    """Return an explanation with the irregularity that the best promising cause leaves.
+    """Return the base on a smoother rail, and the fits of all promising causes.
 
-    The second value is the fits of all promising causes. The effect of a cause that is not in the
-    model looks like a rougher rail, and would hide in it.
+    The effect of a cause that is not in the model looks like a rough rail, and would hide in it. So
+    the irregularity of the rail is taken from the best fit of a promising cause, and the base is
+    fitted again with this irregularity and without the cause. The base is returned unchanged if no
+    such fit has a smoother rail.
     """
     fits = fit_explanations(
         workspace,
@@ -141,7 +153,8 @@ def with_remaining_irregularity(
         sigma=best.explanation.sigma,
         length_m=best.explanation.length_m,
     )
-    return fitting.fit(workspace.design, smoother, 4, noise=False).explanation, fits
+    fit = fitting.fit(workspace.design, smoother, steps=4, noise=False)
+    return fit.explanation, fits
 
 
 def fit_significant(
@@ -153,8 +166,8 @@ def fit_significant(
 ) -> list[Candidate]:
     """Fit each significant cause together with an explanation, at most `most` of them.
 
-    A `ready` fit of a cause with a finite step is used again: such a fit starts from an untuned
-    base and takes long.
+    `ready` are fits that were made before. Those of causes with a finite step are not repeated:
+    they start from an untuned base, which takes long.
     """
     present = {cause.name for cause in explanation.causes}
     significant = [
@@ -189,11 +202,12 @@ def add_ready_fits(
     normal: fitting.NormalEquations,
     nulls: list[evidence.Scores],
 ) -> list[Candidate]:
-    """Return the candidates, with ready fits where these are better.
+    """Return the candidates, with fits that were made before (`ready`) where these are better.
 
-    A ready fit replaces that of another shape of its cause if it is better. It is added if it wins
-    so much that its cause needs no score: scores say little far from the base. `deviance` is that
-    of the base.
+    A ready fit may have another shape of the same cause than the candidate. It replaces the fit of
+    the candidate if it is clearly better. If its cause is no candidate, its score is not
+    significant; but scores are unreliable far from the base, so a ready fit that wins very much is added anyway.
+    `deviance` is that of the base.
     """
     best = {candidate.test.name: candidate for candidate in candidates}
     for fit in ready:
@@ -204,10 +218,11 @@ def add_ready_fits(
         known = best.get(cause.name)
         if known is None:
             if deviance - fit.deviance > thresholds.CERTAIN_RATIO:
+                # trials=1: no price of a choice among shapes; this ratio exceeds any such price
                 best[cause.name] = Candidate(test._replace(trials=1), fit)
         elif fit.deviance < known.fit.deviance - thresholds.BETTER_FIT_RATIO:
             best[cause.name] = Candidate(test._replace(trials=known.test.trials), fit)
-    return [*best.values()]
+    return list(best.values())
 
 
 # --- the most likely cause ---
@@ -216,24 +231,29 @@ def add_ready_fits(
 def choose(
     design: Design, explanation: Explanation, deviance: float, candidates: list[Candidate]
 ) -> tuple[Explanation, list[IdentifiedCause]]:
-    """Return the explanation with the best further cause, and that cause.
+    """Return the explanation with the best further cause, and a list with that cause.
 
-    Both are without a further cause if none wins enough. `deviance` is that of the explanation.
+    If no candidate wins enough, return the explanation unchanged and an empty list. `deviance` is
+    that of the explanation.
     """
     ratios = []
     for test, fit in candidates:
+        # The mean statistic without any effect is the number of coefficients. Null simulations may
+        # show a larger one: the excess comes by chance and does not count.
         chance = max(test.expected - len(test.estimate), 0.0)
         ratios.append(deviance - fit.deviance - chance - _price(test))
     if max(ratios, default=0.0) < thresholds.LEAST_RATIO:
         return explanation, []
+
     order = np.argsort(ratios)[::-1]
     top = int(order[0])
     test, best = candidates[top]
     ratio = ratios[top]
 
-    # Evidence that the tolerances had absorbed is not assigned to any block. The rest must not come
-    # from one place of one run.
-    drop = deviance_by_block(design, explanation) - best.blocks
+    # The evidence must not come from one block only. The blocks do not hold all of it: without the
+    # cause, tolerances of the base absorb a part of its effect. The drop of their prior deviance is
+    # in `ratio`, but in no block.
+    drop = deviance_by_block(design, explanation) - best.blocks  # (5, blocks)
     whole = max(float(drop.sum()), ratio)
     outside_best_block = whole - drop.sum(axis=0).max()
     least_outside = max(thresholds.SCORE_FLOOR, thresholds.SHARE_OUTSIDE_BEST_BLOCK * whole)
@@ -244,12 +264,13 @@ def choose(
     others = [(candidates[int(k)], ratios[k]) for k in order[1:]]
     rivals = _rivals(best, ratio, others)
     cause = best.explanation.causes[-1]
+    first_coefficient = len(best.covariance) - len(cause.values)
     identified = IdentifiedCause(
         score_test=test,
         cause=cause,
         likelihood_ratio=float(ratio),
         ratio_by_filter=tuple(drop.sum(axis=1)),
-        deviation=_deviation(test, best.covariance, len(best.covariance) - len(cause.values)),
+        deviation=_deviation(test, best.covariance, first_coefficient),
         confusable=_confusable(rivals, design.form),
         rivals=rivals,
     )
@@ -264,9 +285,9 @@ def refine_scales(
     if better == explanation:
         return explanation, causes
 
-    fit = fitting.fit(design, better, 4)
+    fit = fitting.fit(design, better, steps=4)
     refined = []
-    at = 0
+    at = 0  # place of the first coefficient of a cause in the covariance
     for identified, cause in zip(causes, fit.explanation.causes, strict=True):
         deviation = _deviation(identified.score_test, fit.covariance, at)
         refined.append(identified._replace(cause=cause, deviation=deviation))
@@ -281,10 +302,15 @@ def _price(test: ScoreTest) -> float:
 
 
 def _deviation(test: ScoreTest, covariance: np.ndarray, at: int) -> tuple[float, ...]:
-    """Return the deviations of a cause's coefficients, from place `at` of the covariance."""
+    """Return the standard deviations of a cause's coefficients.
+
+    They begin at place `at` of the covariance. The nominal deviations are widened by the spread
+    that null simulations show, and by the numerical errors of the filter (`floor`).
+    """
     nominal = np.sqrt(np.diag(covariance)[at : at + len(test.estimate)])
+    widening = max(test.spread, 1.0)
     floor = table.BY_NAME[test.name].floor
-    return tuple(float(np.hypot(s * max(test.spread, 1.0), floor)) for s in nominal)
+    return tuple(float(np.hypot(deviation * widening, floor)) for deviation in nominal)
 
 
 def _rivals(
@@ -306,8 +332,9 @@ def _rivals(
 def _confusable(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
     """Return the names of the rivals that may be the right cause.
 
-    A rival is confusable if it loses by chance only, or by less than the share `form`: no law of
-    the library is nearer to the truth than that.
+    A rival is confusable if it may be worse by chance only (Vuong's test), or if it wins nearly as
+    much as the identified cause: less by a share below `form`. `form` is the share of an effect by
+    which any law of the library may differ from the true law.
     """
     return tuple(
         rival.name for rival in rivals if not rival.is_distinguishable or rival.share > 1.0 - form
@@ -317,12 +344,13 @@ def _confusable(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
 def is_distinguishable(
     best: BlockwiseFit, other: BlockwiseFit, ratio: float, other_ratio: float
 ) -> bool:
-    """Return whether another fit cannot be the better one, by Vuong's test on blocks."""
+    """Return whether another fit is worse by more than chance, by Vuong's test on blocks."""
     difference = ratio - other_ratio
     is_clearly_less = other_ratio < thresholds.CLEARLY_LESS_SHARE * ratio
     if is_clearly_less and difference > thresholds.CLEARLY_LESS_RATIO:
         return True
     by_block = (other.blocks - best.blocks).sum(axis=0)
+    # standard deviation of the sum over the blocks
     spread = float(by_block.std(ddof=1) * np.sqrt(by_block.size))
     least = max(thresholds.VUONG_DEVIATIONS * spread, thresholds.VUONG_LEAST_RATIO)
     return bool(difference >= least)
@@ -343,6 +371,9 @@ def add_second_cause(
     `causes` holds the first cause, `candidates` those among which it was chosen. The remainder is
     the tests of the smooth functions with the causes in the model. It is None if stops simulated
     with the causes do not brake like the recording.
+
+    The first turn of the loop looks for a second cause. If there is one, the second turn only tests
+    the remainder that both causes leave.
     """
     design = workspace.design
     remainder: list[ScoreTest] = []
@@ -358,6 +389,7 @@ def add_second_cause(
             )
         except ConfigError:
             return explanation, causes, None
+
         deviance = fitting.deviance(design, explanation)
         remainder = [test for test in tests if evidence.is_smooth_function(test.name)]
         if len(causes) >= thresholds.MOST_CAUSES:
@@ -369,8 +401,9 @@ def add_second_cause(
             workspace, explanation, tests, thresholds.MOST_FITTED_SECOND
         )
         if second_candidates:
-            # what the first cause wins by being fitted once more does not belong to the second
-            explanation, deviance, _ = fitting.fit(design, explanation, 9)
+            # Fit the first cause once more without the second, as the candidates were fitted too.
+            # Else the second would get the credit for a better fit of the first.
+            explanation, deviance, _ = fitting.fit(design, explanation, steps=9)
             first = first._replace(cause=explanation.causes[0])
             causes = [first]
 
@@ -385,9 +418,10 @@ def add_second_cause(
             break
         if not _are_both_needed(workspace, better, deviance):
             break
-        first_now = first._replace(cause=better.causes[0])
-        better, both = _choose_first_again(workspace, better, first_now, second, candidates)
+        first_with_second = first._replace(cause=better.causes[0])
+        better, both = _choose_first_again(workspace, better, first_with_second, second, candidates)
 
+        # a cause that could be confused with the first one must win more
         ratio = deviance - fitting.deviance(design, better)
         is_confusable = second.score_test.name in first.confusable
         least = thresholds.CONFUSABLE_SECOND_SHARE * first.likelihood_ratio
@@ -405,10 +439,12 @@ def _test_with_causes(
     seed: int,
     searches_windows: bool,
 ) -> list[ScoreTest]:
-    """Return the score tests of what an explanation with causes leaves.
+    """Return the score tests of further causes and smooth functions, with causes in the model.
 
-    With `searches_windows` promising windows are tested on the smoother rail that they leave. All
-    else is judged on the rail as it was fitted. Raises ConfigError as the null simulations do.
+    `known` are the names of the causes in the model. With `searches_windows` the promising windows
+    are tested on a smoother rail (see `with_remaining_irregularity`), because a rough rail hides
+    them. All other causes are tested on the rail as it was fitted. Raises ConfigError as the null
+    simulations do.
     """
     windows = []
     if searches_windows:
@@ -436,7 +472,11 @@ def _test_with_causes(
 
 
 def _may_be_second(first: IdentifiedCause, test: ScoreTest) -> bool:
-    """Return whether a cause, by its score, wins more than the first can lend to it."""
+    """Return whether a cause can win more than the first can lend to it.
+
+    Its ratio is not known before its fit. It is estimated generously from the score, in equal parts
+    over the filters that respond to the cause.
+    """
     ratio = test.statistic / thresholds.SCORE_SHARE_OF_RATIO
     filters = _filters_that_respond(test)
     by_filter = ratio * filters / filters.sum()
@@ -462,13 +502,15 @@ def _net_likelihood(
 ) -> float:
     """Return the likelihood ratio of a second cause less what the first can lend to it.
 
-    A wrong shape of the first cause would lend it. In each filter the first cause can lend a share
-    of its ratio there. `by_filter` (5,) is the ratio of the second cause in each filter.
+    A wrong shape of the first cause leaves a remainder, and the second cause wins by explaining it.
+    This part is "lent" by the first cause. In each filter it is at most a share of the ratio of the
+    first cause there. `by_filter` (5,) is the ratio of the second cause in each filter.
     """
     ratios = np.array([by_filter, first.ratio_by_filter])
     share = thresholds.LENT_SHARE
     if first.cause.axle == 0:
-        # wheelsets have one level and one recovery: an error in one of them moves the others
+        # All wheelsets share one friction level and one recovery, so an error on one wheelset moves
+        # the others. Their filters are therefore summed: columns are now wheelsets, and vehicle.
         ratios = np.add.reduceat(ratios, [0, AXLES], axis=1)
         if second.axle:
             share = thresholds.LENT_SHARE_TO_ONE_AXLE
@@ -480,7 +522,8 @@ def _net_likelihood(
 def _are_both_needed(workspace: Workspace, explanation: Explanation, deviance: float) -> bool:
     """Return whether the first of two causes still wins enough with the second in the model.
 
-    `deviance` is that of the first cause alone.
+    `deviance` is that of the first cause alone. "Enough" is more than the second cause, by a wrong
+    shape, could lend to the first.
     """
     with_both, with_second = fit_explanations(
         workspace,
@@ -503,8 +546,8 @@ def _choose_first_again(
 ) -> tuple[Explanation, list[IdentifiedCause]]:
     """Return explanation and causes after the first cause is chosen again.
 
-    The second cause is in the model now. The candidates for the first cause are those among which
-    it was chosen before.
+    The second cause is in the model now. `candidates` are the causes among which the first one was
+    chosen before, so `first` is among them. It stays unless another one is clearly better.
     """
     others = [c for c in candidates if c.test.name != second.score_test.name]
     fits = fit_explanations(
@@ -516,12 +559,13 @@ def _choose_first_again(
         "first cause again",
     )
 
-    # likelihood ratio of each candidate beyond that of the first cause
+    # what each candidate wins more than the first cause, both less the price of their shapes
     price_of_first = _price(first.score_test)
-    deviance = fitting.deviance(workspace.design, explanation) + price_of_first
+    priced_deviance = fitting.deviance(workspace.design, explanation) + price_of_first
     gains = []
     for other, fit in zip(others, fits, strict=True):
-        gains.append(deviance - fit.deviance - _price(other.test))
+        gains.append(priced_deviance - fit.deviance - _price(other.test))
+
     place_of_first = next(k for k, other in enumerate(others) if other.test == first.score_test)
     top = place_of_first
     if max(gains) >= thresholds.BETTER_FIT_RATIO:
@@ -534,6 +578,7 @@ def _choose_first_again(
     rivals = _rivals(fits[top], ratios[top], losers)
     confusable = _confusable(rivals, workspace.design.form)
     if top == place_of_first:
+        # those from the first choice stay; each name once, in order
         all_confusable = tuple(dict.fromkeys(first.confusable + confusable))
         return explanation, [first._replace(confusable=all_confusable, rivals=rivals), second]
 
@@ -543,7 +588,7 @@ def _choose_first_again(
         score_test=test,
         cause=better.causes[0],
         likelihood_ratio=ratios[top],
-        ratio_by_filter=first.ratio_by_filter,
+        ratio_by_filter=first.ratio_by_filter,  # not computed again: still of the cause before
         deviation=_deviation(test, fits[top].covariance, 0),
         confusable=confusable,
         rivals=rivals,
@@ -552,7 +597,10 @@ def _choose_first_again(
 
 
 def _without_each_other(causes: list[IdentifiedCause]) -> list[IdentifiedCause]:
-    """Return the causes, none of them confusable with another one of them."""
+    """Return the causes, without these causes in their lists of confusable names.
+
+    The data support both of them, so they are no alternatives.
+    """
     names = [identified.score_test.name for identified in causes]
     return [
         identified._replace(

@@ -1,10 +1,12 @@
 """Looks for an empirical formula for what no cause explains: one covariate, two coefficients.
 
-The covariates along which the remainder is smooth are tried with a polynomial of second order,
-those of place and wheel angle with a wave as well. A formula is accepted only if it improves runs
+The remainder is what the model with its causes leaves. The covariates along which it is most
+significant are tried: the wheel angle with a wave, each other covariate with a polynomial of second
+order. A wave along the rail is always tried too. A formula is accepted only if it improves runs
 that were never fitted. Otherwise the report names the covariates of the remainder, and no formula.
 
-    [N1] ln mu += a z + b z^2, z = (x - centre) / scale;  or a cos(2 pi x / p) + b sin(2 pi x / p)
+    [N1] ln mu += a z + b z^2, z = (x - centre) / scale;  or
+         ln mu += a cos(2 pi x / p) + b sin(2 pi x / p), p the period
     [N2] R += a z + b z^2 in N, x the vehicle's speed or time
 """
 
@@ -23,9 +25,12 @@ from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, Covariate
 
+# periods in m that are tried for the wave along the rail
 PERIODS_M = np.geomspace(4.0, 150.0, 400)
-EVERY = 5  # of these samples is enough to find a period
-# number of each covariate in a shape (from 1 on), and the covariate, by its word
+# every fifth sample is enough to find the period
+SAMPLE_STRIDE = 5
+# Word of a covariate -> (its number in a shape, the covariate). The number is its place in
+# COVARIATES, counted from 1. A covariate without a word is not for empirical formulas.
 _BY_WORD = {
     covariate.word: (number, covariate)
     for number, covariate in enumerate(COVARIATES, start=1)
@@ -36,7 +41,8 @@ _BY_WORD = {
 class EmpiricalFormula(NamedTuple):
     """An empirical term that improves runs that were never fitted."""
 
-    cause: Cause  # its shape holds the covariate, and a centre and a scale or a period
+    # its shape holds the number of the covariate, and either centre and scale or the period
+    cause: Cause
     explanation: Explanation  # the base with this cause
     gain: Gain
 
@@ -66,10 +72,12 @@ def find(
     fits = []
     for shape in _shapes(design, base, remainder):
         cause = Cause("empirical", 0, shape, (0.0, 0.0))
-        fit = fitting.fit(design, base._replace(causes=(*base.causes, cause)), 6)
+        with_formula = base._replace(causes=(*base.causes, cause))
+        fit = fitting.fit(design, with_formula, steps=6)
         if base_deviance - fit.deviance > thresholds.LEAST_RATIO_OF_FORMULA:
             fits.append(fit)
 
+    # the best fit that also improves the other runs
     for fit in sorted(fits, key=lambda fit: fit.deviance):
         measured_gain = gain.measure(held_out, base, fit.explanation, seed)
         if measured_gain.claimed:
@@ -81,6 +89,7 @@ def _shapes(design: Design, base: Explanation, remainder: Sequence[ScoreTest]) -
     """Return the shapes to try: of the most significant covariates, and a wave along the rail."""
     shapes: list[Shape] = []
     for test in sorted(remainder, key=lambda test: test.p_value):
+        # a name is "along WORD", or "along vehicle WORD" for what the vehicle's filter leaves
         along = test.name.removeprefix("along ")
         word = along.removeprefix("vehicle ")
         if word not in _BY_WORD:
@@ -103,9 +112,13 @@ def _shapes(design: Design, base: Explanation, remainder: Sequence[ScoreTest]) -
 
 
 def _period_m(design: Design, base: Explanation) -> float:
-    """Return the period in m of the strongest wave of the filtered irregularity along the rail."""
+    """Return the period in m of the strongest wave along the rail.
+
+    It is a wave of the irregularity as the filter estimates it: a wave in friction looks like one.
+    """
     _, _, irregularity, _, _ = sensitivity.innovations(design, inputs(design, base))
-    use = slice(None, None, EVERY)
+    use = slice(None, None, SAMPLE_STRIDE)
+    # Fourier integrals at the periods; samples are not equidistant in place, so no FFT
     waves = np.exp(2j * np.pi * design.place_m[use][:, None] / PERIODS_M)
     strength = np.abs((irregularity[use] - irregularity.mean()) @ waves)
     return float(PERIODS_M[np.argmax(strength)])

@@ -1,10 +1,12 @@
 """Moves the shape of causes off the grid of the search.
 
-A window that is half a bin away from the true one leaves a remainder at both edges. The remainder
-would look like another cause. So does a wrong scale of speed, time, work or heat. Edges are moved
-by ever smaller steps while the likelihood grows. Scales are multiplied by factors, and the
-coefficients are fitted again after each. A patch may also begin and end slowly, and patch or sand
-may act on the clean rail too, if that is more likely.
+The search knows only windows of whole bins and a few scales of speed, time, work or heat. A window
+that is half a bin away from the true one leaves a remainder at both edges, and a wrong scale leaves
+one too. This remainder would look like another cause.
+
+Edges are moved by ever smaller steps while the likelihood grows. Scales are multiplied by factors,
+and the coefficients are fitted again after each move. Two other forms of a window are tried: a
+patch that begins and ends slowly, and a patch or sand that acts on the clean rail too.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,7 @@ from rollerrig.rig.identify.causes.candidates import Cause, Explanation, untuned
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import fitting, thresholds
 
-# number of steps by which an edge is moved, each half of the one before
+# number of step sizes for an edge; each is half of the one before
 _EDGE_STEPS = 5
 # an edge or a scale is moved at most this number of times by the same step
 _MOST_MOVES = 8
@@ -26,7 +28,8 @@ _FIRST_STEP_ON_SMOOTHER_RAIL = 0.25
 _FIRST_STEP_OF_SLOW_EDGES = 0.5
 # factors by which scales are moved
 _FACTORS = (1.5, 1.0 / 1.5, 1.2, 1.0 / 1.2)
-# irregularity of the rail with which a base is started again, so that all levels are in reach
+# Irregularity of the rail with which `restarted` begins: on a rough rail a fit can
+# reach friction levels that are far from its start.
 _ROUGH_START = 0.06
 
 
@@ -34,7 +37,7 @@ class _SlowEdges(NamedTuple):
     """A patch that begins and ends slowly."""
 
     ramp: float  # share of its length
-    deeper: float  # factor on its depth that gives about the same effect
+    deeper: float  # factor by which its depth must grow for about the same effect
 
 
 _SLOW_EDGES = (_SlowEdges(ramp=0.5, deeper=1.1), _SlowEdges(ramp=1.0, deeper=1.3))
@@ -52,12 +55,14 @@ def refine_windows(design: Design, explanation: Explanation) -> Explanation:
 
     At least one of the causes must act in a window.
     """
-    # the effect of a window has roughened the rail of the base, and on a rough rail its edges
-    # hardly show: they are searched on a smoother one too
+    # The base was fitted without the window, so its rail is too rough: it took the effect of the
+    # window for irregularity. On a rough rail the edges hardly show. So they are searched on a
+    # smoother rail too, and there the irregularity is fitted again only when the edges are right.
     sigma = thresholds.SMOOTHER_RAIL_SHARE * explanation.sigma
-    smooth = fitting.fit(design, explanation._replace(sigma=sigma), 4, noise=False).explanation
+    smooth = explanation._replace(sigma=sigma)
+    smooth = fitting.fit(design, smooth, steps=4, noise=False).explanation
     smooth = _move_edges(design, smooth, _FIRST_STEP).explanation
-    smooth = fitting.fit(design, smooth, 4).explanation
+    smooth = fitting.fit(design, smooth, steps=4).explanation
     best = min(
         _move_edges(design, explanation, _FIRST_STEP),
         _move_edges(design, smooth, _FIRST_STEP_ON_SMOOTHER_RAIL),
@@ -79,7 +84,7 @@ def _deviance(shaped: _Shaped) -> float:
 
 
 def _with_slow_edges(design: Design, explanation: Explanation) -> list[_Shaped]:
-    """Return the explanation with each of its patches beginning and ending slowly."""
+    """Return one explanation per patch and form of slow edges, with this patch changed."""
     shaped = []
     for at, cause in enumerate(explanation.causes):
         if cause.name != "contaminated_patch":
@@ -91,13 +96,15 @@ def _with_slow_edges(design: Design, explanation: Explanation) -> list[_Shaped]:
 
 
 def _on_clean_rail_too(design: Design, explanation: Explanation) -> list[_Shaped]:
-    """Return the explanation with each of its windows acting on the clean rail too."""
-    both = dict.fromkeys(table.CONTAMINANT_ALONE, 0.0)
+    """Return one explanation per window, in which this window acts on the clean rail too."""
+    # `contaminant_alone` is a switch of a shape: 1 for the contaminant only, 0 for both
+    contaminant_and_clean_rail = dict.fromkeys(table.CONTAMINANT_ALONE, 0.0)
     shaped = []
     for at, cause in enumerate(explanation.causes):
         if table.BY_NAME[cause.name].edge_step:
-            other = cause._replace(shape=cause.shape | both)
-            fit = fitting.fit(design, explanation.with_cause(at, other), 3, noise=False)
+            other = cause._replace(shape=cause.shape | contaminant_and_clean_rail)
+            changed = explanation.with_cause(at, other)
+            fit = fitting.fit(design, changed, steps=3, noise=False)
             shaped.append(_Shaped(fit.explanation, fit.deviance))
     return shaped
 
@@ -105,8 +112,8 @@ def _on_clean_rail_too(design: Design, explanation: Explanation) -> list[_Shaped
 def restarted(design: Design, explanation: Explanation, name: str) -> Explanation:
     """Return the explanation with a cause in its most likely shape, fitted from an untuned base.
 
-    No small step leads there from a base that had to do without the cause: it had to leave recovery
-    out, and to take the rail for rough.
+    `name` is that of the cause. The base was fitted without it, so it explains its effect wrongly:
+    by no recovery and by a rough rail. Small steps do not lead from there to the right values.
     """
     fits = []
     for shape in table.BY_NAME[name].shapes:
@@ -115,7 +122,8 @@ def restarted(design: Design, explanation: Explanation, name: str) -> Explanatio
             for cause in explanation.causes
         ]
         begin = untuned(design)._replace(sigma=_ROUGH_START, causes=tuple(causes))
-        fits.append(fitting.fit(design, begin, 5, noise=False, free=("ln_mu",)))
+        # of the base only the friction levels are fitted
+        fits.append(fitting.fit(design, begin, steps=5, noise=False, free=("ln_mu",)))
     return min(fits, key=lambda fit: fit.deviance).explanation
 
 
@@ -142,18 +150,18 @@ def _move_while_it_pays(
     least_ratio: float,
     fits_again: bool,
 ) -> _Shaped:
-    """Return the best explanation after moving cause number `at` again and again.
+    """Return the best explanation after the same move of cause number `at` is repeated.
 
-    Each move must win more than `least_ratio`, after the coefficients are fitted again or as they
-    are.
+    The moves stop when one reduces the deviance by `least_ratio` or less. With `fits_again` the
+    coefficients are fitted again after each move; else they stay as they are.
     """
     for _ in range(_MOST_MOVES):
         cause = best.explanation.causes[at]
         moved = best.explanation.with_cause(at, move(cause))
         if moved == best.explanation:
-            break
+            break  # the move is out of bounds
         if fits_again:
-            fit = fitting.fit(design, moved, 2, noise=False)
+            fit = fitting.fit(design, moved, steps=2, noise=False)
             shaped = _Shaped(fit.explanation, fit.deviance)
         else:
             shaped = _Shaped(moved, fitting.deviance(design, moved))
@@ -173,7 +181,11 @@ def _with_scale(key: str, factor: float, cause: Cause) -> Cause:
 
 
 def _slow_patch(cause: Cause, edges: _SlowEdges) -> Cause:
-    """Return a patch with slow edges at about the same place."""
+    """Return a patch with slow edges and about the same effect.
+
+    Its mean depth over both slow edges is half, so it is wider at each end: its length times
+    (1 - ramp / 2) is the length of the given patch.
+    """
     wider_m = cause.shape["length_m"] * 0.5 * edges.ramp / (2.0 - edges.ramp)
     shape = {
         "start_m": cause.shape["start_m"] - wider_m,
@@ -185,18 +197,24 @@ def _slow_patch(cause: Cause, edges: _SlowEdges) -> Cause:
 
 
 def _move_edges(design: Design, explanation: Explanation, first_step: float) -> _Shaped:
-    """Return the explanation with moved edges; `first_step` is a share of the table's step."""
+    """Return the best explanation after the edges of its windows are moved.
+
+    `first_step` is the first size of a move, as a share of `edge_step` in the table of causes. A
+    cause without a window has no step there and is skipped.
+    """
     best = _Shaped(explanation, fitting.deviance(design, explanation))
     for at, cause in enumerate(explanation.causes):
-        step = first_step * table.BY_NAME[cause.name].edge_step
-        if not step:
+        step = first_step * table.BY_NAME[cause.name].edge_step  # m or s
+        if step == 0.0:
             continue
         edges = [key for key in cause.shape if key.startswith(("start_", "length_", "duration_"))]
         for _ in range(_EDGE_STEPS):
             for key in edges:
                 for change in (step, -step):
                     move = partial(_with_edge, key, change)
-                    best = _move_while_it_pays(design, best, at, move, 0.0, fits_again=False)
+                    best = _move_while_it_pays(
+                        design, best, at, move, least_ratio=0.0, fits_again=False
+                    )
             step *= 0.5
     return best
 
@@ -206,10 +224,11 @@ def _with_edge(key: str, change: float, cause: Cause) -> Cause:
     shape = dict(cause.shape)
     shape[key] += change
     if key.startswith("start_"):
+        # keys of sand end with the name of a run, as in "start_s A1": the rest of the key stays
         extent = key.replace("start_s", "duration_s").replace("start_m", "length_m")
         shape[extent] = max(shape[extent] - change, 0.0)
 
-    # only a place may be negative
+    # only the start of a patch may be negative: a place before the start of the run
     for name, value in shape.items():
         if name != "start_m":
             shape[name] = max(value, 0.0)

@@ -25,7 +25,7 @@ from rollerrig.configs import table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.data import dataset, mdf
 
-# unit of stamps -> s
+# a unit of stamps -> its length in s
 TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 _ROSBAG_SUFFIXES = (".db3", ".mcap", ".bag")
@@ -42,10 +42,12 @@ class Column(NamedTuple):
 
 
 def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str, Column]:
-    """Returns these columns of a file.
+    """Returns the columns of a file that have these names.
 
-    `head` has the keys of dataset.toml, and `time` and `time_unit` of the stamps. Raises
-    ConfigError with the file and the column where something cannot be read.
+    `head` holds the keys `separator` and `decimal` of dataset.toml, and for the column of the
+    stamps its name `time` and its unit `time_unit`. MDF4 and rosbag2 need none of these keys: their
+    stamps are part of the format. Raises ConfigError with the file and the column where something
+    cannot be read.
     """
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _ROSBAG_SUFFIXES:
@@ -89,6 +91,7 @@ def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
     if suffix == ".parquet":
         return list(dataset.read_table(path).column_names)
     if suffix == ".csv":
+        # called before [channels] is known, so the column of the stamps has its standard name
         data, _ = _read_csv(path, {**head, "time": "time_s"})
         return list(data.column_names)
     return []
@@ -112,6 +115,7 @@ def _check_column(path: Path, name: str, names: list[str]) -> None:
 
 
 def _read_mdf(path: Path, names: Sequence[str]) -> dict[str, Column]:
+    """Returns the columns of an MDF4 file. Raises ConfigError."""
     signals = mdf.channels(path, tuple(names))
     for name in names:
         _check_column(path, name, list(signals))
@@ -135,7 +139,9 @@ def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, 
         all_lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read as text: {error}") from None
+    # comment lines are allowed at the top only
     lines = list(itertools.dropwhile(lambda line: line.startswith("#"), all_lines))
+    # the names, then either the units and a sample, or two samples
     if len(lines) < 3:
         raise ConfigError(
             f"{path}: the file has {len(lines)} lines; it needs a line of names and one line for "
@@ -169,9 +175,15 @@ def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, 
 
 
 def _units_of_line(names: list[str], line: list[str], time_name: str) -> dict[str, str]:
-    """Returns units by column; empty unless the line has a unit of time for the stamps."""
-    time_at = names.index(time_name) if time_name in names else 0
-    if len(line) <= time_at or line[time_at].strip(_BRACKETS) not in TIME:
+    """Returns the units by column if this line is a line of units, else an empty dict.
+
+    It is one if it has a unit of time in the column of the stamps. If no column has that name, the
+    first column counts.
+    """
+    stamps_at = 0
+    if time_name in names:
+        stamps_at = names.index(time_name)
+    if len(line) <= stamps_at or line[stamps_at].strip(_BRACKETS) not in TIME:
         return {}
     return {name: unit.strip(_BRACKETS) for name, unit in zip(names, line, strict=False)}
 
@@ -180,13 +192,16 @@ def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> n
     """Returns stamps (n,) in s, NaN where there is none."""
     types = pa.types
     if types.is_string(values.type) or types.is_large_string(values.type):
-        # without an offset the text is local time; with an offset it is an instant
+        # Text with an offset from UTC fails without a zone and is read with the zone UTC. Text
+        # without an offset is read without a zone, and the second cast keeps its count. Other text fails
+        # twice and stays text.
         for zone in (None, "UTC"):
             with suppress(pa.ArrowInvalid):
                 values = values.cast(pa.timestamp("ns", tz=zone))
 
     if types.is_timestamp(values.type):
-        # counts since 1970 in UTC, where no clock is turned back
+        # Only the count since 1970 is used. It is in UTC if the file gives a zone, so it does not
+        # jump when local clocks change to winter time.
         values = values.cast(pa.int64()).cast(pa.duration(values.type.unit))
     if types.is_duration(values.type):
         return _nanoseconds(values.cast(pa.duration("ns"))) * 1e-9
@@ -210,7 +225,7 @@ def _nanoseconds(values: pa.ChunkedArray) -> np.ndarray:
 def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
     """Returns a column as numbers (n,), NaN where there is none."""
     try:
-        # not safe: counts of ns since 1970 are rounded to 0.3 us
+        # safe=False allows rounding: a float holds a count of ns since 1970 to about 0.3 us only
         numbers = values.cast(pa.float64(), safe=False)
         return np.asarray(numbers.to_numpy(zero_copy_only=False), float)
     except (pa.ArrowInvalid, pa.ArrowNotImplementedError, ValueError, TypeError) as error:
@@ -224,6 +239,7 @@ def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
 
 
 def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
+    """Returns the columns of a rosbag2 recording. Raises ConfigError."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
@@ -243,7 +259,7 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
             _collect_messages(path, bag, samples)
-    except AttributeError as error:
+    except AttributeError as error:  # a message has no field of this name
         raise ConfigError(
             f'{path}: {error}; name a field that is a single number: "/topic:field.field"'
         ) from None
@@ -261,8 +277,12 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
 
 def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float, float]]]) -> None:
     """Appends (stamp s, value) of every message to the samples of its fields."""
-    topic_of = {name: name.partition(":")[0] for name in samples}
-    field_of = {name: name.partition(":")[2] for name in samples}
+    topic_of = {}
+    fields_of = {}  # path from the message to the number, field by field
+    for name in samples:
+        topic, _, fields = name.partition(":")
+        topic_of[name] = topic
+        fields_of[name] = fields.split(".")
     topics = {connection.topic for connection in bag.connections}
     for name in samples:
         _check_column(path, topic_of[name], sorted(topics))
@@ -270,11 +290,14 @@ def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float,
     wanted = [connection for connection in bag.connections if connection.topic in topic_of.values()]
     for connection, received_ns, raw in bag.messages(connections=wanted):
         message: Any = bag.deserialize(raw, connection.msgtype)
+
+        # the stamp of the header, if the message has one, else the time of reception
         time_s = received_ns * 1e-9
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         if stamp is not None:
             time_s = stamp.sec + stamp.nanosec * 1e-9
+
         for name in samples:
             if topic_of[name] == connection.topic:
-                value = reduce(getattr, field_of[name].split("."), message)
+                value = reduce(getattr, fields_of[name], message)
                 samples[name].append((time_s, float(value)))
