@@ -206,8 +206,8 @@ def add_ready_fits(
 
     A ready fit may have another shape of the same cause than the candidate. It replaces the fit of
     the candidate if it is clearly better. If its cause is no candidate, its score is not
-    significant; but scores are unreliable far from the base, so a ready fit that wins very much is added anyway.
-    `deviance` is that of the base.
+    significant. But scores are unreliable far from the base, so a ready fit that wins very much is
+    added anyway. `deviance` is that of the base.
     """
     best = {candidate.test.name: candidate for candidate in candidates}
     for fit in ready:

@@ -193,8 +193,8 @@ def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> n
     types = pa.types
     if types.is_string(values.type) or types.is_large_string(values.type):
         # Text with an offset from UTC fails without a zone and is read with the zone UTC. Text
-        # without an offset is read without a zone, and the second cast keeps its count. Other text fails
-        # twice and stays text.
+        # without an offset is read without a zone, and the second cast keeps its count. Other
+        # text fails twice and stays text.
         for zone in (None, "UTC"):
             with suppress(pa.ArrowInvalid):
                 values = values.cast(pa.timestamp("ns", tz=zone))
