@@ -1,1 +1,1 @@
-"""Which further stops would part the causes still possible."""
+"""Which further stops would distinguish the causes that are still possible."""

@@ -1,11 +1,11 @@
 """A stop that has not been run yet: its rough course for the simulator, and the file that runs it.
 
-In the rough course the wheels slide as a WSP lets them: sliding swings about a share of the speed.
-Where the brake torque is less than the adhesion there, the wheel creeps as much as its torque needs.
-The torque is what these courses need [K1]. The simulator then gives torque and sliding their
-dynamics. No wheelset is integrated here.
+In the rough course the wheels slide as a WSP lets them: their sliding swings about a share of the
+speed. Where the brake torque is smaller than the adhesion at that sliding, the wheel creeps as much
+as the torque needs. The torque follows from these courses [K1]. The simulator then gives torque and
+sliding their dynamics. No wheelset is integrated here.
 
-    [K1] C = r N f(s) - J domega/dt, not above what the brake gives at its pressure
+    [K1] C = r N f(s) - J domega/dt, at least 0; r N f(s) is at most the torque of the brake
 """
 
 import math
@@ -26,15 +26,22 @@ SLOWEST_M_S = 4.0  # a stop ends at this speed
 RELEASED_S = 1.0  # time with released brake, before the brake is applied
 FILL_S = 1.3  # time constant of the brake cylinders
 
-# sliding that a WSP lets wheels have: SHARE of the speed and LEAST_M_S, which swings by SWING of it
+# Sliding that a WSP lets wheels have: SHARE of the speed plus LEAST_M_S, which swings by the share
+# SWING of itself.
 SHARE = 0.07
 LEAST_M_S = 0.4
 SWING = 0.5
-PERIOD_S = 1.6
-PHASE_S = 0.3  # of the swing, from wheelset to wheelset
+PERIOD_S = 1.6  # of the swing
+PHASE_S = 0.3  # lead of the swing from each wheelset to the next
 CONTROL_S = 0.05  # the sliding is computed once in this time
-SMOOTHING_S = 0.08
+SMOOTHING_S = 0.08  # of sliding and force
 BISECTIONS = 14  # of the sliding of a creeping wheel
+
+_PASCAL_PER_BAR = 1e5
+# a sequence fails if a stop has not ended after this time
+_TIMEOUT_S = 280
+# a rig that holds the speed must not fall below this share of it
+_HELD_SHARE = 0.99
 
 
 class Stop(NamedTuple):
@@ -44,15 +51,17 @@ class Stop(NamedTuple):
     pressure_Pa: float
     mass_kg: float
     axle: int  # the only wheelset that brakes; 0: all brake
-    held_s: float = 0.0  # above 0: the rig holds the speed for so long
+    held_s: float = 0.0  # above 0: the rig holds the speed for this time
 
     @property
     def last_speed_m_s(self) -> float:
         """The speed at which the stop ends.
 
-        A single wheelset would need too long for a whole stop, so half the speed is its end.
+        It is half the initial speed if only one wheelset brakes: a whole stop would take too long.
         """
-        return 0.5 * self.initial_speed_m_s if self.axle else SLOWEST_M_S
+        if self.axle:
+            return 0.5 * self.initial_speed_m_s
+        return SLOWEST_M_S
 
     @property
     def title(self) -> str:
@@ -60,83 +69,126 @@ class Stop(NamedTuple):
         where = f"on wheelset {self.axle} only" if self.axle else "on all wheelsets"
         speed = f"for {self.held_s:g} s at a held" if self.held_s else "from"
         return (
-            f"{self.pressure_Pa / 1e5:g} bar {where} {speed} {self.initial_speed_m_s:g} m/s with "
-            f"{self.mass_kg / 1e3:.3g} t"
+            f"{self.pressure_Pa / _PASCAL_PER_BAR:g} bar {where} {speed} "
+            f"{self.initial_speed_m_s:g} m/s with {self.mass_kg / 1e3:.3g} t"
         )
 
 
-def rough_run(data: Dataset, base: np.ndarray, stop: Stop, explanation: Explanation) -> Run:
-    """Returns the rough course of a stop under a fitted explanation, without noise.
+def is_on_rollers(data: Dataset) -> bool:
+    """Return whether the runs of a dataset are those of a roller rig, not of a track."""
+    return math.isfinite(data.sections["contact"]["roller_radius_m"])
 
-    `base` (PARAMETERS,) are the parameters of the base model.
+
+# --- the rough course ---
+
+
+class _Course(NamedTuple):
+    """The speed of the vehicle, and sliding and force of the wheelsets."""
+
+    speed_m_s: np.ndarray  # (n,)
+    sliding_m_s: np.ndarray  # (n, AXLES)
+    force_N: np.ndarray  # (n, AXLES)
+
+
+def rough_run(data: Dataset, base: np.ndarray, stop: Stop, explanation: Explanation) -> Run:
+    """Return the rough course of a stop under a fitted explanation, without noise.
+
+    `base` (PARAMETERS,) holds the parameters of the base model.
     """
     step_s = data.sample_time_s
     vehicle = data.sections["vehicle"]
-    brake = data.sections["brake"]
     radius_m = vehicle["wheel_radius_m"]
     row = base.copy()
     row[TAU] *= math.exp(explanation.base.get("ln_tau", 0.0))
     row[MU_CD] *= math.exp(explanation.level)
 
-    full_torque_Nm = max(
-        brake_torque_Nm_Pa(brake) * (stop.pressure_Pa - brake["spring_pressure_Pa"]), 0.0
-    )
-    braked = np.array([stop.axle in (0, j + 1) for j in range(AXLES)])
-    load_N = stop.mass_kg * GRAVITY_M_S2 / AXLES
     # a rig that holds the speed is a vehicle of infinite mass
     mass_kg = math.inf if stop.held_s else stop.mass_kg
-    n = int((RELEASED_S + stop.held_s if stop.held_s else LONGEST_S) / step_s)
+    is_braked = np.array([stop.axle in (0, axle) for axle in range(1, AXLES + 1)])
+    load_N = stop.mass_kg * GRAVITY_M_S2 / AXLES
+    course = _course(data, stop, row, is_braked, mass_kg)
 
-    speed = np.empty(n)
-    sliding = np.zeros((n, AXLES))
-    force_N = np.zeros((n, AXLES))
-    samples_of_control = max(int(CONTROL_S / step_s), 1)
-    v = stop.initial_speed_m_s
-    for k in range(n):
-        time_s = k * step_s
-        if k % samples_of_control == 0:
-            demand_Nm = full_torque_Nm * -math.expm1(-max(time_s - RELEASED_S, 0.0) / FILL_S)
-            samples = slice(k, k + samples_of_control)
-            for j in np.flatnonzero(braked):
-                sliding[samples, j], force_N[samples, j] = braked_wheel(
-                    v, demand_Nm / radius_m, load_N, row, time_s + PHASE_S * j
-                )
-        speed[k] = v
-        coast_N = (
-            vehicle["resistance_A_N"]
-            + vehicle["resistance_B_N_s_m"] * v
-            + vehicle["resistance_C_N_s2_m2"] * v * v
-        )
-        v -= step_s * (float(force_N[k].sum()) + coast_N) / mass_kg
-        if v < stop.last_speed_m_s:
-            n = k + 1
-            break
+    # the sliding is computed in steps of CONTROL_S: smooth them
+    speed_m_s = course.speed_m_s
+    window = SMOOTHING_S / step_s
+    sliding_m_s = gaussian_filter1d(course.sliding_m_s, window, axis=0, mode="nearest")
+    force_N = gaussian_filter1d(course.force_N, window, axis=0, mode="nearest")
 
-    speed = speed[:n]
-    sliding = gaussian_filter1d(sliding[:n], SMOOTHING_S / step_s, axis=0, mode="nearest")
-    force_N = gaussian_filter1d(force_N[:n], SMOOTHING_S / step_s, axis=0, mode="nearest")
-    wheel_rad_s = (speed[:, None] - sliding) / radius_m
+    wheel_rad_s = (speed_m_s[:, None] - sliding_m_s) / radius_m
     rate_rad_s2 = np.gradient(wheel_rad_s, step_s, axis=0)
     torque_Nm = radius_m * force_N - vehicle["wheelset_inertia_kgm2"] * rate_rad_s2  # [K1]
-    on_rollers = math.isfinite(data.sections["contact"]["roller_radius_m"])
+
+    surface_m_s = None
+    if is_on_rollers(data):
+        surface_m_s = np.repeat(speed_m_s[:, None], AXLES, axis=1)
+    n = speed_m_s.size
     return Run(
         name="planned",
         group="tune",
         mass_kg=mass_kg,
         mu_cd=None,
         time_s=step_s * np.arange(n),
-        speed_m_s=speed,
+        speed_m_s=speed_m_s,
         wheel_speed_rad_s=wheel_rad_s,
         load_N=np.full((n, AXLES), load_N),
-        torque_Nm=np.maximum(torque_Nm, 0.0) * braked,
+        torque_Nm=np.maximum(torque_Nm, 0.0) * is_braked,
         position_m=None,
-        surface_m_s=np.repeat(speed[:, None], AXLES, axis=1) if on_rollers else None,
+        surface_m_s=surface_m_s,
     )
+
+
+def _course(
+    data: Dataset, stop: Stop, row: np.ndarray, is_braked: np.ndarray, mass_kg: float
+) -> _Course:
+    """Return the course of a stop until its last speed or its longest time.
+
+    `row` (PARAMETERS,) holds the parameters of the wheelsets, `is_braked` (AXLES,) is true for those
+    that brake. `mass_kg` is infinite if the rig holds the speed.
+    """
+    step_s = data.sample_time_s
+    vehicle = data.sections["vehicle"]
+    brake = data.sections["brake"]
+    radius_m = vehicle["wheel_radius_m"]
+    load_N = stop.mass_kg * GRAVITY_M_S2 / AXLES
+    full_torque_Nm = max(
+        brake_torque_Nm_Pa(brake) * (stop.pressure_Pa - brake["spring_pressure_Pa"]), 0.0
+    )
+
+    duration_s = RELEASED_S + stop.held_s if stop.held_s else LONGEST_S
+    n = int(duration_s / step_s)
+    speed_m_s = np.empty(n)
+    sliding_m_s = np.zeros((n, AXLES))
+    force_N = np.zeros((n, AXLES))
+
+    samples_of_control = max(int(CONTROL_S / step_s), 1)
+    v = stop.initial_speed_m_s
+    for k in range(n):
+        time_s = k * step_s
+        if k % samples_of_control == 0:
+            # the cylinders fill after the released time
+            demand_Nm = full_torque_Nm * -math.expm1(-max(time_s - RELEASED_S, 0.0) / FILL_S)
+            samples = slice(k, k + samples_of_control)
+            for j in np.flatnonzero(is_braked):
+                sliding_m_s[samples, j], force_N[samples, j] = braked_wheel(
+                    v, demand_Nm / radius_m, load_N, row, time_s + PHASE_S * j
+                )
+        speed_m_s[k] = v
+
+        resistance_N = (
+            vehicle["resistance_A_N"]
+            + vehicle["resistance_B_N_s_m"] * v
+            + vehicle["resistance_C_N_s2_m2"] * v * v
+        )
+        v -= step_s * (float(force_N[k].sum()) + resistance_N) / mass_kg
+        if v < stop.last_speed_m_s:
+            n = k + 1
+            break
+    return _Course(speed_m_s[:n], sliding_m_s[:n], force_N[:n])
 
 
 @kernel
 def braked_wheel(speed, wanted_N, load_N, row, time_s):
-    """Returns (sliding in m/s, force in N) of a braked wheelset: as the WSP lets it, or as it creeps.
+    """Return (sliding in m/s, force in N) of a braked wheelset: as the WSP lets it, or as it creeps.
 
     `wanted_N` is the force that the brake torque needs, `row` (PARAMETERS,) the wheelset's parameters.
     """
@@ -159,34 +211,14 @@ def braked_wheel(speed, wanted_N, load_N, row, time_s):
     return 0.5 * (low + high), wanted_N
 
 
+# --- the file that runs the stop ---
+
+
 def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -> dict[str, Any]:
-    """Returns the stop as a sequence on the fitted base model: plain data for a TOML file.
+    """Return the stop as a sequence on the fitted base model: plain data for a TOML file.
 
     `rollerrig sequence` runs that file.
     """
-    sections = data.sections
-    law = dict(sections["adhesion"])
-    law["mu_cd"] = float(law["mu_cd"] * math.exp(explanation.level))
-    law["tau_m_J"] = float(law["tau_m_J"] * math.exp(explanation.base.get("ln_tau", 0.0)))
-    on_rollers = math.isfinite(sections["contact"]["roller_radius_m"])
-
-    step: dict[str, Any] = {
-        "title": stop.title,
-        "at": f"{RELEASED_S:g} s",
-        "set": {"brake_demand": f"{stop.pressure_Pa / 1e5:g} bar"},
-    }
-    if stop.held_s:
-        step["for"] = f"{stop.held_s:g} s"
-        step["expect"] = [f"vehicle_speed > {0.99 * stop.initial_speed_m_s:.4g} m/s"]
-    else:
-        step["until"] = f"vehicle_speed < {stop.last_speed_m_s:g} m/s"
-        step["timeout"] = "280 s"
-    if stop.axle:
-        # The dump valves of the other wheelsets stay open. So one wheelset slides at a speed that
-        # hardly decreases.
-        others = [j for j in range(1, AXLES + 1) if j != stop.axle]
-        step["fault"] = [f"vent_magnet_stuck axle={j}" for j in others]
-
     return {
         "title": f"Proposed by explain: {stop.title}",
         "criteria": "none",
@@ -195,17 +227,47 @@ def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -
             "speed": f"{stop.initial_speed_m_s:g} m/s",
             "mass": f"{stop.mass_kg:.6g} kg",
             "adhesion": "soap",
-            "tables": {
-                "adhesion": law,
-                "contact": dict(sections["contact"]),
-                "vehicle": dict(sections["vehicle"]),
-                "brake": dict(sections["brake"]),
-                "rig": {
-                    "mode": "contaminated_rollers" if on_rollers else "track",
-                    "speed": "held" if stop.held_s else "vehicle",
-                },
-                "loop": {"record_hz": round(1.0 / data.sample_time_s)},
-            },
+            "tables": _tables(stop, data, explanation),
         },
-        "step": [step],
+        "step": [_step(stop)],
     }
+
+
+def _tables(stop: Stop, data: Dataset, explanation: Explanation) -> dict[str, Any]:
+    """Return the tables of the scenario: those of the dataset with the fitted adhesion law."""
+    sections = data.sections
+    law = dict(sections["adhesion"])
+    law["mu_cd"] = float(law["mu_cd"] * math.exp(explanation.level))
+    law["tau_m_J"] = float(law["tau_m_J"] * math.exp(explanation.base.get("ln_tau", 0.0)))
+    return {
+        "adhesion": law,
+        "contact": dict(sections["contact"]),
+        "vehicle": dict(sections["vehicle"]),
+        "brake": dict(sections["brake"]),
+        "rig": {
+            "mode": "contaminated_rollers" if is_on_rollers(data) else "track",
+            "speed": "held" if stop.held_s else "vehicle",
+        },
+        "loop": {"record_hz": round(1.0 / data.sample_time_s)},
+    }
+
+
+def _step(stop: Stop) -> dict[str, Any]:
+    """Return the step of the sequence that brakes."""
+    step: dict[str, Any] = {
+        "title": stop.title,
+        "at": f"{RELEASED_S:g} s",
+        "set": {"brake_demand": f"{stop.pressure_Pa / _PASCAL_PER_BAR:g} bar"},
+    }
+    if stop.held_s:
+        step["for"] = f"{stop.held_s:g} s"
+        step["expect"] = [f"vehicle_speed > {_HELD_SHARE * stop.initial_speed_m_s:.4g} m/s"]
+    else:
+        step["until"] = f"vehicle_speed < {stop.last_speed_m_s:g} m/s"
+        step["timeout"] = f"{_TIMEOUT_S} s"
+    if stop.axle:
+        # The dump valves of the other wheelsets stay open. So one wheelset slides at a speed that
+        # hardly decreases.
+        others = [axle for axle in range(1, AXLES + 1) if axle != stop.axle]
+        step["fault"] = [f"vent_magnet_stuck axle={axle}" for axle in others]
+    return step
