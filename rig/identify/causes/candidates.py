@@ -49,12 +49,12 @@ class Explanation(NamedTuple):
         return float(np.mean(levels or [0.0]))
 
     def with_cause(self, at: int, cause: Cause) -> "Explanation":
-        """Returns the explanation with another cause at this place."""
+        """Return the explanation with another cause at this place."""
         return self._replace(causes=(*self.causes[:at], cause, *self.causes[at + 1 :]))
 
 
 def untuned(design: Design) -> Explanation:
-    """Returns the explanation before a fit: the base model, without causes."""
+    """Return the explanation before a fit: the base model, without causes."""
     return Explanation(
         base={f"ln_mu_cd_{run}": 0.0 for run in range(design.mass_kg.size)},
         sigma=UNTUNED_SIGMA,
@@ -64,7 +64,7 @@ def untuned(design: Design) -> Explanation:
 
 
 def inputs(design: Design, explanation: Explanation) -> Inputs:
-    """Returns the inputs of the replay under an explanation."""
+    """Return the inputs of the replay under an explanation."""
     base = defaultdict(float, explanation.base)
     runs = range(design.mass_kg.size)
 
@@ -97,7 +97,7 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
 
 
 def _with_cause(design: Design, i: Inputs, cause: Cause) -> Inputs:
-    """Returns inputs as a cause changes them."""
+    """Return inputs as a cause changes them."""
     row = table.BY_NAME[cause.name]
     mechanism = row.mechanism
     value = cause.values[0] if cause.values else 0.0
@@ -120,12 +120,12 @@ def _with_cause(design: Design, i: Inputs, cause: Cause) -> Inputs:
 
 
 def _segments_of_axle(design: Design, axle: int) -> np.ndarray:
-    """Returns for each segment whether it is of this wheelset; 0 means all, shape (segments,)."""
+    """Return for each segment whether it is of this wheelset; 0 means all, shape (segments,)."""
     return (design.axle == axle - 1) | (axle == 0)
 
 
 def _with_memory(i: Inputs, shape: Shape, length_m: float) -> Inputs:
-    """Returns inputs with adhesion memory of this length."""
+    """Return inputs with adhesion memory of this length."""
     p = i.parameters.copy()
     p[:, parameters.MEMORY] = max(length_m, 0.0)
     p[:, parameters.MEMORY_POWER] = shape.get("speed_power", 0.0)
@@ -134,7 +134,7 @@ def _with_memory(i: Inputs, shape: Shape, length_m: float) -> Inputs:
 
 
 def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inputs:
-    """Returns inputs for a wheel speed that is measured late: the wheel's inputs are shifted as much.
+    """Return inputs for a wheel speed that is measured late: the wheel's inputs are shifted as much.
 
     The vehicle is measured in time, so its force balance keeps the torque that is not shifted.
     """
@@ -152,7 +152,7 @@ def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inp
 
 
 def _with_courses(design: Design, i: Inputs, cause: Cause) -> Inputs:
-    """Returns inputs that a cause changes by its courses, of friction, load, torque or resistance."""
+    """Return inputs that a cause changes by its courses, of friction, load, torque or resistance."""
     mechanism = table.BY_NAME[cause.name].mechanism
     of_units = courses.courses(design, cause.name, cause.shape)
     change = courses.of_axle(design, cause.axle) * sum(
@@ -172,14 +172,14 @@ def _with_courses(design: Design, i: Inputs, cause: Cause) -> Inputs:
 
 
 def _shape_values(row: Search, shape: Shape) -> list[float]:
-    """Returns the values of a cause's shape parameters, in their order."""
+    """Return the values of a cause's shape parameters, in their order."""
     return [shape.get(known.name, known.default) for known in row.mechanism.formula_parameters[1:]]
 
 
 def resistance(
     design: Design, mass_kg: np.ndarray, row: Search, shape: Shape, value: float
 ) -> np.ndarray:
-    """Returns the force in N that a cause adds to the resistance, shape (vehicle samples,)."""
+    """Return the force in N that a cause adds to the resistance, shape (vehicle samples,)."""
     assert row.mechanism.constants is not None
     nothing = np.zeros(mass_kg.size)
     model = dict.fromkeys(RESISTANCE.values(), nothing)
@@ -194,7 +194,7 @@ def resistance(
 
 
 def changed_parameters(p: np.ndarray, row: Search, shape: Shape, value: float) -> np.ndarray:
-    """Returns parameters (segments, PARAMETERS) as a cause of this size changes their constants."""
+    """Return parameters (segments, PARAMETERS) as a cause of this size changes their constants."""
     assert row.mechanism.constants is not None
     out = p.copy()
     model = {key: p[:, at] for key, at in parameters.COLUMN.items()}
@@ -205,7 +205,7 @@ def changed_parameters(p: np.ndarray, row: Search, shape: Shape, value: float) -
 
 
 def shifted(design: Design, values: np.ndarray, by_s: np.ndarray) -> np.ndarray:
-    """Returns values(t + by) in each segment; `by_s` has the shape (segments,).
+    """Return values(t + by) in each segment; `by_s` has the shape (segments,).
 
     Splines of fifth order are used, because straight lines between samples would reduce the noise.
     """

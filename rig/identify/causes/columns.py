@@ -80,7 +80,7 @@ class SensitivityMatrix(NamedTuple):
     variants: list[Variant]
 
     def variant_of(self, cause: Cause) -> Variant | None:
-        """Returns the variant with the shape of a cause; None where the search has none."""
+        """Return the variant with the shape of a cause; None where the search has none."""
         for variant in self.variants:
             if (variant.cause, variant.axle, variant.shape) == (
                 cause.name,
@@ -107,7 +107,7 @@ class _Writer:
         self.variants: list[Variant] = []
 
     def add_course(self, wheel: np.ndarray | None) -> int:
-        """Adds a course of the wheels (n,) and returns its number; -1 for None."""
+        """Add a course of the wheels (n,) and returns its number; -1 for None."""
         if wheel is None:
             return -1
         self.courses_of_wheels.append(wheel.astype(np.float32))
@@ -123,7 +123,7 @@ class _Writer:
         axle: int = 0,
         run: int | None = None,
     ) -> int:
-        """Adds a column of a course, on an axle (0: all) of a run (None: all); returns its number."""
+        """Add a column of a course, on an axle (0: all) of a run (None: all); returns its number."""
         design = self.design
         number = len(self.columns)
         if vehicle is not None:
@@ -139,7 +139,7 @@ class _Writer:
     def add_variants(
         self, cause: str, parts: Iterable[Part], shape: Shape, axles: Iterable[int] = (0,)
     ) -> None:
-        """Adds a cause in a shape on each of some axles, with a column for each part."""
+        """Add a cause in a shape on each of some axles, with a column for each part."""
         numbered = [(self.add_course(wheel), felt) for wheel, felt in parts]
         for axle in axles:
             columns = []
@@ -149,7 +149,7 @@ class _Writer:
             self.variants.append(Variant(cause, tuple(columns), shape, axle))
 
     def vehicle_acceleration(self, felt: np.ndarray | None, axle: int) -> np.ndarray | None:
-        """Returns the acceleration of the vehicles, from the second entry of a `Part`."""
+        """Return the acceleration of the vehicles, from the second entry of a `Part`."""
         design = self.design
         if felt is None or felt.size == design.vehicle_m_s.size:
             return felt
@@ -157,16 +157,16 @@ class _Writer:
         return -sum_of_wheelsets(design, felt, axle) / (design.base[parameters.RADIUS] * mass_kg)
 
     def rate(self, name: str) -> np.ndarray:
-        """Returns the change of a wheel's acceleration for one of `sensitivity.RATES`, shape (n,)."""
+        """Return the change of a wheel's acceleration for one of `sensitivity.RATES`, shape (n,)."""
         return self.linear.rates[sensitivity.RATES.index(name)]
 
     def of_torque(self, change_Nm: np.ndarray) -> Part:
-        """Returns what a change of the brake torque does to wheels and vehicles."""
+        """Return what a change of the brake torque does to wheels and vehicles."""
         return -change_Nm / self.inputs.parameters[0, parameters.INERTIA], change_Nm
 
 
 def smooth_torque(design: Design, torque_Nm: np.ndarray) -> np.ndarray:
-    """Returns the torque of the step after each sample, smoothed within each segment, shape (n,)."""
+    """Return the torque of the step after each sample, smoothed within each segment, shape (n,)."""
     out = np.empty_like(torque_Nm)
     for s in range(design.segments):
         at = design.span(s)
@@ -179,14 +179,14 @@ def smooth_torque(design: Design, torque_Nm: np.ndarray) -> np.ndarray:
 
 
 def time_derivative(design: Design, values: np.ndarray) -> np.ndarray:
-    """Returns d/dt within each segment, shape (n,)."""
+    """Return d/dt within each segment, shape (n,)."""
     return np.concatenate(
         [np.gradient(values[design.span(s)], design.step_s) for s in range(design.segments)]
     )
 
 
 def sum_of_wheelsets(design: Design, values: np.ndarray, axle: int = 0) -> np.ndarray:
-    """Returns the sum over the wheelsets (or the value of one axle), shape (vehicle samples,)."""
+    """Return the sum over the wheelsets (or the value of one axle), shape (vehicle samples,)."""
     axles = range(AXLES) if axle == 0 else (axle - 1,)
     sums = []
     for run in range(design.mass_kg.size):
@@ -195,14 +195,14 @@ def sum_of_wheelsets(design: Design, values: np.ndarray, axle: int = 0) -> np.nd
 
 
 def vehicle_mass(design: Design) -> np.ndarray:
-    """Returns the mass in kg at each vehicle sample."""
+    """Return the mass in kg at each vehicle sample."""
     return np.repeat(design.mass_kg, np.diff(design.vehicle_start))
 
 
 def build(
     design: Design, inputs: Inputs, causes: Sequence[Cause] = (), search: bool = True
 ) -> tuple[SensitivityMatrix, LinearisedReplay]:
-    """Returns the sensitivity matrix around a replay, and that replay.
+    """Return the sensitivity matrix around a replay, and that replay.
 
     The matrix has the base and `causes`; with `search` also all other causes and smooth functions.
     """
@@ -229,7 +229,7 @@ def build(
 
 
 def _wanted(causes: Sequence[Cause], search: bool) -> list[tuple[Search, Shape]]:
-    """Returns the causes and shapes of a matrix: those of the search, then others of `causes`."""
+    """Return the causes and shapes of a matrix: those of the search, then others of `causes`."""
     wanted = []
     for row in table.TABLE:
         shapes = row.shapes if search else ()
@@ -243,7 +243,7 @@ def _wanted(causes: Sequence[Cause], search: bool) -> list[tuple[Search, Shape]]
 
 
 def _matrix(writer: _Writer, bins: Sequence["_Bins"]) -> SensitivityMatrix:
-    """Returns the matrix of the collected columns; numbers the courses that are not written out."""
+    """Return the matrix of the collected columns; numbers the courses that are not written out."""
     linear = writer.linear
     course = np.array(writer.course_of)
     count = len(writer.courses_of_wheels)
@@ -278,7 +278,7 @@ def _matrix(writer: _Writer, bins: Sequence["_Bins"]) -> SensitivityMatrix:
 
 
 def _changed(inputs: Inputs, constants: list[tuple[Search, Shape]]) -> np.ndarray:
-    """Returns parameters (segments, changes, PARAMETERS), each change with another one larger by STEP.
+    """Return parameters (segments, changes, PARAMETERS), each change with another one larger by STEP.
 
     The changes are those of the recovery, of the contaminant's level, and of each of some causes.
     """
@@ -293,7 +293,7 @@ def _changed(inputs: Inputs, constants: list[tuple[Search, Shape]]) -> np.ndarra
 
 
 def _add_base(writer: _Writer) -> None:
-    """Adds the columns of the base parameters."""
+    """Add the columns of the base parameters."""
     design = writer.design
     tolerance = max(design.calibration, 1e-4)
     # the gain of all torques and that of a wheelset share the tolerance
@@ -331,7 +331,7 @@ def _add_base(writer: _Writer) -> None:
 def _parts(
     writer: _Writer, row: Search, shape: Shape, constants: list[tuple[Search, Shape]]
 ) -> Iterator[Part]:
-    """Yields the part of each coefficient of a cause in a shape, on all axles."""
+    """Yield the part of each coefficient of a cause in a shape, on all axles."""
     design = writer.design
     linear = writer.linear
     mechanism = row.mechanism
@@ -362,12 +362,12 @@ def _parts(
 
 
 def _torque_delay_part(writer: _Writer) -> Part:
-    """Returns the part of a torque that is measured late."""
+    """Return the part of a torque that is measured late."""
     return writer.of_torque(time_derivative(writer.design, writer.torque_Nm))
 
 
 def _speed_delay_part(writer: _Writer) -> Part:
-    """Returns the part of a wheel speed that is measured late: the wheel's inputs are earlier ones."""
+    """Return the part of a wheel speed that is measured late: the wheel's inputs are earlier ones."""
     design = writer.design
     row = writer.inputs.parameters[0]
     error_rate_1_s = np.log(np.maximum(writer.linear.coefficients[:, F00], 1e-12)) / design.step_s
@@ -377,7 +377,7 @@ def _speed_delay_part(writer: _Writer) -> Part:
 
 
 def _inertia_part(writer: _Writer) -> Part:
-    """Returns the part of another inertia of the wheelsets."""
+    """Return the part of another inertia of the wheelsets."""
     design = writer.design
     inertia_kgm2 = writer.inputs.parameters[0, parameters.INERTIA]
     wheel = writer.torque_Nm / inertia_kgm2 - writer.rate("irregularity")
@@ -385,7 +385,7 @@ def _inertia_part(writer: _Writer) -> Part:
 
 
 def _radius_part(writer: _Writer) -> Part:
-    """Returns the part of another wheel radius."""
+    """Return the part of another wheel radius."""
     return writer.rate("radius"), None
 
 
@@ -406,12 +406,12 @@ class _Bins(NamedTuple):
 
 
 def _add_bins(writer: _Writer) -> list[_Bins]:
-    """Adds bins of place (all runs together) and of time (each run); a window is a run of bins."""
+    """Add bins of place (all runs together) and of time (each run); a window is a run of bins."""
     return [_add_place_bins(writer), _add_time_bins(writer)]
 
 
 def _add_place_bins(writer: _Writer) -> _Bins:
-    """Adds a column for each bin of place."""
+    """Add a column for each bin of place."""
     design = writer.design
     lowest_m, highest_m = design.places_m
     count = int(np.ceil((highest_m - lowest_m) / PLACE_BIN_M))
@@ -424,7 +424,7 @@ def _add_place_bins(writer: _Writer) -> _Bins:
 
 
 def _add_time_bins(writer: _Writer) -> _Bins:
-    """Adds two columns for each bin of time: on all wheelsets, and on those behind the first one."""
+    """Add two columns for each bin of time: on all wheelsets, and on those behind the first one."""
     design = writer.design
     on_all: list[int] = []
     behind_first: list[int] = []
@@ -444,7 +444,7 @@ def _add_time_bins(writer: _Writer) -> _Bins:
 
 
 def _add_size_changes(writer: _Writer, cause: Cause, constants: list[tuple[Search, Shape]]) -> None:
-    """Adds smooth functions in the size of a cause: a different size in each run, or along time.
+    """Add smooth functions in the size of a cause: a different size in each run, or along time.
 
     A true mechanism has one size, so these reveal a wrong cause.
     """
@@ -474,7 +474,7 @@ def _add_size_changes(writer: _Writer, cause: Cause, constants: list[tuple[Searc
 
 
 def _times(design: Design, part: np.ndarray | None, size: np.ndarray) -> np.ndarray | None:
-    """Returns an entry of a `Part` times a course (n,); None remains None."""
+    """Return an entry of a `Part` times a course (n,); None remains None."""
     if part is None:
         return None
     if part.size == size.size:
@@ -498,14 +498,14 @@ ALONG: dict[str, Callable[[Design, LinearisedReplay], np.ndarray]] = {
 
 
 def bumps(values: np.ndarray, count: int = 4) -> np.ndarray:
-    """Returns smooth functions of a covariate: Gaussian bumps at its quantiles, shape (count, n)."""
+    """Return smooth functions of a covariate: Gaussian bumps at its quantiles, shape (count, n)."""
     knots = np.quantile(values, np.linspace(0.04, 0.96, count))
     width = np.maximum(np.gradient(knots), 1e-3 * max(np.ptp(values), 1e-12))
     return np.exp(-0.5 * ((values - knots[:, None]) / width[:, None]) ** 2)
 
 
 def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
-    """Adds the smooth functions, which show that something remains that no cause explains.
+    """Add the smooth functions, which show that something remains that no cause explains.
 
     `swings`: the explanation has a cause with a phase.
     """
@@ -513,7 +513,7 @@ def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
     friction = writer.rate("friction")
 
     def add_along(name: str, changes: Iterable[np.ndarray], axles: Iterable[int] = (0,)) -> None:
-        """Adds changes of friction."""
+        """Add changes of friction."""
         parts = [(friction * change, None) for change in changes]
         writer.add_variants(f"along {name}", parts, {}, axles)
 

@@ -20,12 +20,12 @@ from rollerrig.rig.mechanisms.mechanism import COVARIATES, arguments
 
 @cache
 def array_kernel(course: Any) -> Any:
-    """Returns a kernel that computes a course for arrays (n,) and fills its last argument with it."""
+    """Return a kernel that computes a course for arrays (n,) and fills its last argument with it."""
     return elementwise(f"each_{course.__name__}", course, len(arguments(course, 0)))
 
 
 def filled(course: Any, n: int, *values: Any) -> np.ndarray:
-    """Returns a course, shape (n,); its arguments are arrays (n,) or numbers."""
+    """Return a course, shape (n,); its arguments are arrays (n,) or numbers."""
     arrays = [np.ascontiguousarray(np.broadcast_to(value, n), dtype=float) for value in values]
     out = np.empty(n)
     array_kernel(course)(*arrays, out)
@@ -33,14 +33,14 @@ def filled(course: Any, n: int, *values: Any) -> np.ndarray:
 
 
 def covariate(design: Design, name: str) -> np.ndarray:
-    """Returns a covariate of `mechanisms` at each sample, shape (n,)."""
+    """Return a covariate of `mechanisms` at each sample, shape (n,)."""
     if name == "axle":
         return np.repeat(design.axle, np.diff(design.start))
     return getattr(design, name)
 
 
 def courses(design: Design, name: str, shape: Shape) -> list[np.ndarray]:
-    """Returns the course of each coefficient of a cause, shape (n,).
+    """Return the course of each coefficient of a cause, shape (n,).
 
     A cause with a phase has two coefficients per run: cosine and sine.
     """
@@ -70,7 +70,7 @@ def courses(design: Design, name: str, shape: Shape) -> list[np.ndarray]:
 
 
 def _shape_value(design: Design, shape: Shape, name: str, default: float) -> float | np.ndarray:
-    """Returns the value of a shape parameter: a number, or (n,) where it differs between the runs.
+    """Return the value of a shape parameter: a number, or (n,) where it differs between the runs.
 
     The value of a single run has the key "NAME RUN".
     """
@@ -81,7 +81,7 @@ def _shape_value(design: Design, shape: Shape, name: str, default: float) -> flo
 
 
 def _empirical(design: Design, shape: Shape) -> list[np.ndarray]:
-    """Returns the two courses of an empirical term along the covariate that its shape names."""
+    """Return the two courses of an empirical term along the covariate that its shape names."""
     x = covariate(design, COVARIATES[int(shape["covariate"]) - 1].name)
     place = (shape.get("centre", 0.0), shape.get("scale", 1.0), shape.get("period", 0.0))
     return [
@@ -91,17 +91,17 @@ def _empirical(design: Design, shape: Shape) -> list[np.ndarray]:
 
 
 def of_axle(design: Design, axle: int) -> np.ndarray:
-    """Returns 1 on the samples of a wheelset and 0 elsewhere, shape (n,); 0 means all wheelsets."""
+    """Return 1 on the samples of a wheelset and 0 elsewhere, shape (n,); 0 means all wheelsets."""
     return np.repeat(((design.axle == axle - 1) | (axle == 0)).astype(float), np.diff(design.start))
 
 
 def of_run(design: Design, run: int) -> np.ndarray:
-    """Returns 1 on the samples of a run and 0 elsewhere, shape (n,)."""
+    """Return 1 on the samples of a run and 0 elsewhere, shape (n,)."""
     return np.repeat((design.run == run).astype(float), np.diff(design.start))
 
 
 def vehicle_samples(design: Design, values: np.ndarray) -> np.ndarray:
-    """Returns the values of the first wheelset of each run, shape (vehicle samples,).
+    """Return the values of the first wheelset of each run, shape (vehicle samples,).
 
     A vehicle has a sample where its first wheelset has one.
     """

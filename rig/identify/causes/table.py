@@ -71,7 +71,7 @@ class Search(NamedTuple):
 
 
 def _shapes(key: str, *values: float) -> tuple[Shape, ...]:
-    """Returns a shape for each value of a parameter; the value 0 stands for the default shape."""
+    """Return a shape for each value of a parameter; the value 0 stands for the default shape."""
     return tuple({key: value} if value else {} for value in values)
 
 

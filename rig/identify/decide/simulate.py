@@ -72,7 +72,7 @@ def wheel_step(
     model,
     h,
 ):
-    """Returns (omega, feedback, lambda, force on the vehicle) of one wheelset after a step h [Q1].
+    """Return (omega, feedback, lambda, force on the vehicle) of one wheelset after a step h [Q1].
 
     The force in N is the mean of the step: what wheel and brake leave for the vehicle. The step is that
     of `replay.predict`, with bounds for a substep that is shorter.
@@ -131,7 +131,7 @@ def _drive(
     out_wheel,
     out_torque,
 ):
-    """Does what `drive` does; returns False, with the work unfinished, where a force is NaN."""
+    """Do what `drive` does; return False, with the work unfinished, if a force is NaN."""
     n = len(torque)
     h = step_s / SUBSTEPS
     v = speed0
@@ -220,7 +220,7 @@ def drive(
     out_wheel,
     out_torque,
 ):
-    """Simulates one stop [Q1] and writes speed (n,), and wheel speed and torque (n, AXLES).
+    """Simulate one stop [Q1] and write speed (n,), and wheel speed and torque (n, AXLES).
 
     `torque`, `sliding`, `load` and `surface` (n, AXLES) and `friction` (2, n, AXLES) are inputs;
     with `on_rollers` the surface has the speeds of `surface`, otherwise that of the vehicle.
@@ -276,7 +276,7 @@ def drive(
 
 @kernel
 def add_share_of_previous(share, values):
-    """Adds to each row of values (n, columns) a share of the row before, in place and in order."""
+    """Add to each row of values (n, columns) a share of the row before, in place and in order."""
     for k in range(1, len(values)):
         for j in range(values.shape[1]):
             values[k, j] += share * values[k - 1, j]
