@@ -1,13 +1,10 @@
-"""tune and validate backwards: stops with a known recovery from a generator that shares no code."""
+"""`tune` and `validate` recover the known recovery of generated stops.
 
-import sys
-from pathlib import Path
+The generator shares no code with them.
+"""
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parents[3]))
-
 from generator import braking_stops
 
 from rollerrig.configs.errors import ConfigError
@@ -20,6 +17,9 @@ from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.paper import tuning, validation
 
 TRUE_TAU_M_J = 1.9e-4
+RADIUS_M = 0.445
+INERTIA_KGM2 = 160.0  # of a wheelset
+STEP_S = 0.01
 
 
 @pytest.fixture(scope="module")
@@ -44,10 +44,10 @@ def test_the_interval_of_tau_holds_the_true_value_and_is_narrow(tuned):
     assert (tau.high - tau.low) / tau.value < 0.12
 
 
-def test_each_run_has_its_own_contaminant(data, tuned):
+def test_the_level_of_the_contaminant_is_fitted_for_each_run(data, tuned):
     assert list(tuned.mu_cd) == [run.name for run in data.group("tune")]
-    for mu in tuned.mu_cd.values():
-        assert 0.02 < mu.low < mu.value < mu.high < 0.08
+    for mu_cd in tuned.mu_cd.values():
+        assert 0.02 < mu_cd.low < mu_cd.value < mu_cd.high < 0.08
 
 
 def test_recovery_explains_most_of_what_the_classic_model_leaves(tuned):
@@ -56,11 +56,11 @@ def test_recovery_explains_most_of_what_the_classic_model_leaves(tuned):
 
 
 def test_measured_transitions_follow_the_exponential(tuned):
-    W = tuned.samples.energy_J_m
-    middle = np.median(W)
-    for part in (middle > W, middle <= W):
-        expected = -np.expm1(-tuned.tau_m_J.value * W[part])
-        assert np.median(tuned.transition[part] - expected) == pytest.approx(0.0, abs=0.02)
+    energy_J_m = tuned.samples.energy_J_m
+    is_low = energy_J_m < np.median(energy_J_m)
+    for half in (is_low, ~is_low):
+        expected = -np.expm1(-tuned.tau_m_J.value * energy_J_m[half])
+        assert np.median(tuned.transition[half] - expected) == pytest.approx(0.0, abs=0.02)
 
 
 def test_the_same_seed_gives_the_same_interval(data, tuned):
@@ -68,7 +68,8 @@ def test_the_same_seed_gives_the_same_interval(data, tuned):
 
 
 def test_on_runs_never_fitted_the_new_model_beats_the_classic(verdicts):
-    new, classic = (report.mean_errors(verdicts, name) for name in ("new", "classic"))
+    new = report.mean_errors(verdicts, "new")
+    classic = report.mean_errors(verdicts, "classic")
     for key in ("mean_m_s", "std_m_s", "E1_m_s", "adhesion_rmse"):
         assert new[key] < 0.6 * classic[key], key
     assert new["mean_1_m_s"] < 0.1
@@ -82,60 +83,90 @@ def test_table_6_has_the_papers_rows_for_each_run(verdicts):
         "mean sliding of wheelset 1, with recovery",
         "mean sliding of wheelset 1, classic, no recovery",
     ]
-    measured = verdicts[0].sliding_m_s["measured"][:, 0]
-    assert float(rows[3][1]) == pytest.approx(measured.mean(), abs=0.006)
-    assert float(rows[6][1]) == pytest.approx(measured.std(), abs=0.006)
+
+    # the first run: mean and standard deviation of the measured sliding
+    measured_m_s = verdicts[0].sliding_m_s["measured"][:, 0]
+    mean_of_b1 = float(rows[3][1])
+    deviation_of_b1 = float(rows[6][1])
+    assert mean_of_b1 == pytest.approx(measured_m_s.mean(), abs=0.006)
+    assert deviation_of_b1 == pytest.approx(measured_m_s.std(), abs=0.006)
 
 
-def test_reports_hold_what_was_found_without_outside_parts(data, tuned, verdicts):
+def test_reports_hold_the_results_without_files_from_outside(data, tuned, verdicts):
     tau = tuned.tau_m_J
-    for page in (report.tune_page(data, tuned), report.validate_page(data, tau, verdicts)):
+    pages = [report.tune_page(data, tuned), report.validate_page(data, tau, verdicts)]
+    for page in pages:
         assert f"{tau.value * 1e4:.4g}" in page
         assert "<svg" in page
         assert "<script" not in page
         assert 'src="http' not in page
-    told = report.tune_json(data, tuned)
-    assert told["tau_m_J"]["ci95"] == [tau.low, tau.high]
+    written = report.tune_json(data, tuned)
+    assert written["tau_m_J"]["ci95"] == [tau.low, tau.high]
 
 
 def test_a_wheel_that_is_not_braked_rolls_on_at_the_speed_of_the_vehicle():
     n = 200
-    patch = patch_for(0.445, np.inf, 0.3, 2.1e11, 8e10, 0.3)
-    law = adhesion.Law(0.06, 0.28, 0.4, 0.4, 0.2, 0.6, 0.3, 0.1, 1.0, 0.4, 1.9e-4)
-    speed = 30.0 - 0.005 * np.arange(n)
-    sliding, force = np.empty(n), np.empty(n)
+    window = 100  # samples
+    deceleration_m_s2 = 0.5
+    mu_cd = 0.06
+    patch = patch_for(
+        wheel_radius_m=RADIUS_M,
+        roller_radius_m=np.inf,
+        lateral_radius_m=0.3,
+        young_Pa=2.1e11,
+        shear_Pa=8e10,
+        poisson=0.3,
+    )
+    law = adhesion.Law(
+        mu_cd=mu_cd,
+        mu_cr=0.28,
+        A_d=0.4,
+        A_r=0.4,
+        gamma_d_s_m=0.2,
+        gamma_r_s_m=0.6,
+        k_ad=0.3,
+        k_sd=0.1,
+        k_ar=1.0,
+        k_sr=0.4,
+        tau_m_J=TRUE_TAU_M_J,
+    )
+    speed_m_s = 30.0 - deceleration_m_s2 * STEP_S * np.arange(n)
+    wheel_rad_s = speed_m_s / RADIUS_M
+    load_N = np.full(n, 1.05e5)
+    torque_Nm = np.zeros(n)
+    sliding_m_s = np.empty(n)
+    force_N = np.empty(n)
     validation.free_run(
-        speed / 0.445,
-        speed,
-        np.full(n, 1.05e5),
-        np.zeros(n),
-        0.06,
-        0.01,
-        100,
-        0.445,
-        160.0,
+        wheel_rad_s,
+        speed_m_s,
+        load_N,
+        torque_Nm,
+        mu_cd,
+        STEP_S,
+        window,
+        RADIUS_M,
+        INERTIA_KGM2,
         patch,
         law,
-        sliding,
-        force,
+        sliding_m_s,
+        force_N,
     )
-    assert np.max(np.abs(sliding)) < 0.02
-    # the wheelset's inertia is slowed down by the contact: J a / r^2
-    assert np.mean(force[50:]) == pytest.approx(-160.0 * 0.5 / 0.445**2, rel=0.02)
+    assert np.max(np.abs(sliding_m_s)) < 0.02
+    # the contact slows down the inertia of the wheelset: J a / r^2
+    expected_N = -INERTIA_KGM2 * deceleration_m_s2 / RADIUS_M**2
+    assert np.mean(force_N[50:]) == pytest.approx(expected_N, rel=0.02)
 
 
 def test_runs_without_enough_sliding_are_refused(data):
-    calm = data._replace(
-        runs=[
-            run._replace(wheel_speed_rad_s=np.repeat(run.speed_m_s[:, None] / 0.445, 4, axis=1))
-            for run in data.runs
-        ]
-    )
+    rolling = []
+    for run in data.runs:
+        wheel_rad_s = np.repeat(run.speed_m_s[:, None] / RADIUS_M, 4, axis=1)
+        rolling.append(run._replace(wheel_speed_rad_s=wheel_rad_s))
     with pytest.raises(ConfigError, match="wheels slide by more than"):
-        tuning.tune(calm)
+        tuning.tune(data._replace(runs=rolling))
 
 
-def test_a_fit_that_cannot_be_solved_says_what_to_do():
+def test_a_fit_that_cannot_be_solved_names_the_remedy():
     with pytest.raises(ConfigError, match="end at a higher speed"):
         fitting.solve(np.array([[1.0, 2.0], [2.0, 1.0]]), np.zeros(2))
 
@@ -146,11 +177,15 @@ def test_a_dataset_without_runs_to_judge_is_refused(data):
 
 
 def test_samples_are_those_in_which_wheels_slide(data):
-    paper, s = (tuning.collect(prepare(data, data.group("tune")), bound) for bound in (np.inf, 0.1))
-    assert s.sliding_m_s.min() > tuning.LEAST_SLIDING_M_S
-    assert s.speed_m_s.min() > tuning.LEAST_SPEED_M_S
-    np.testing.assert_array_equal(paper.creepage, s.sliding_m_s / s.speed_m_s)
-    beyond = paper.creepage > 0.1
-    np.testing.assert_array_equal(s.creepage[~beyond], paper.creepage[~beyond])
-    assert beyond.any()
-    assert (s.creepage[beyond] < paper.creepage[beyond]).all()
+    design = prepare(data, data.group("tune"))
+    unbounded = tuning.collect(design, np.inf)
+    bounded = tuning.collect(design, 0.1)
+    assert bounded.sliding_m_s.min() > tuning.LEAST_SLIDING_M_S
+    assert bounded.speed_m_s.min() > tuning.LEAST_SPEED_M_S
+
+    # the paper's creepage is sliding over speed; with a bound it is smaller beyond the bound
+    np.testing.assert_array_equal(unbounded.creepage, bounded.sliding_m_s / bounded.speed_m_s)
+    is_beyond = unbounded.creepage > 0.1
+    assert is_beyond.any()
+    np.testing.assert_array_equal(bounded.creepage[~is_beyond], unbounded.creepage[~is_beyond])
+    assert (bounded.creepage[is_beyond] < unbounded.creepage[is_beyond]).all()

@@ -8,8 +8,13 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.reports import creep_curve
 from rollerrig.rig.contact import polach
 from rollerrig.rig.identify.data import dataset, parameters
-from rollerrig.rig.identify.data.runs import Curve
+from rollerrig.rig.identify.data.runs import Curve, Dataset
 from rollerrig.rig.identify.paper import polach_fit
+from rollerrig.rig.identify.paper.polach_fit import Parameters
+
+SPEED_M_S = 10.0
+LOAD_N = 1.0e5
+SEED = 3
 
 
 @pytest.fixture(scope="module")
@@ -22,20 +27,30 @@ def fitted(locomotive):
     return polach_fit.fit(locomotive)
 
 
-def curve_of(x, noise=0.0, points=150, speed=10.0, seed=3):
-    rng = np.random.default_rng(seed)
-    e = np.geomspace(1e-3, 0.25, points)
-    curve = Curve(
-        e, np.zeros(points), np.full(points, speed), np.full(points, 1.0e5), np.zeros(points)
+def empty_curve(points: int = 150) -> Curve:
+    """Return a curve at one speed and load, without adhesion."""
+    return Curve(
+        creepage=np.geomspace(1e-3, 0.25, points),
+        adhesion=np.zeros(points),
+        speed_m_s=np.full(points, SPEED_M_S),
+        load_N=np.full(points, LOAD_N),
+        series=np.zeros(points),
     )
-    return curve, noise * rng.standard_normal(points)
+
+
+def with_curve(data: Dataset, true: Parameters, noise: float) -> Dataset:
+    """Return a dataset whose curve has known parameters, and noise of this standard deviation."""
+    curve = empty_curve()
+    errors = noise * np.random.default_rng(SEED).standard_normal(curve.creepage.size)
+    adhesion = polach_fit.model(np.array(true), curve, parameters.patch_of(data))
+    return data._replace(curve=curve._replace(adhesion=adhesion + errors))
 
 
 def test_the_patch_is_that_of_the_guides_example(locomotive):
     patch = parameters.patch_of(locomotive)
-    a, b = (side * 106_700.0 ** (1.0 / 3.0) for side in (patch.a1, patch.b1))
-    assert a == pytest.approx(6.304e-3, rel=2e-3)
-    assert b == pytest.approx(12.61e-3, rel=2e-3)
+    cube_root = 106_700.0 ** (1.0 / 3.0)
+    assert patch.a1 * cube_root == pytest.approx(6.304e-3, rel=2e-3)
+    assert patch.b1 * cube_root == pytest.approx(12.61e-3, rel=2e-3)
     assert patch.c11 == pytest.approx(3.79, rel=0.02)
 
 
@@ -49,9 +64,9 @@ def test_five_parameters_and_four_reach_the_published_errors(fitted):
     assert polach_fit.falls(fitted, 148)
 
 
-@pytest.mark.parametrize(("left_out", "taken"), [("speed_m_s", "10"), ("wheel_load_N", "52700")])
-def test_a_curve_without_speed_or_load_says_what_is_taken_for_it(
-    left_out, taken, locomotive, tmp_path, capsys
+@pytest.mark.parametrize(("left_out", "assumed"), [("speed_m_s", "10"), ("wheel_load_N", "52700")])
+def test_a_curve_without_speed_or_load_warns_which_value_is_assumed(
+    left_out, assumed, locomotive, tmp_path, capsys
 ):
     columns = {
         "creepage": locomotive.curve.creepage,
@@ -69,52 +84,56 @@ def test_a_curve_without_speed_or_load_says_what_is_taken_for_it(
     )
     (tmp_path / "dataset.toml").write_text('kind = "creep_curve"\nfile = "curve.csv"\n')
     assert cli.main(["tune", str(tmp_path), "--out", str(tmp_path / "out")]) == 0
-    said = next(
-        line for line in capsys.readouterr().out.splitlines() if line.startswith("warning: ")
-    )
-    assert f"'{left_out}'" in said
-    assert taken in said
-    assert f"&#x27;{left_out}&#x27;" in (tmp_path / "out" / "tune.html").read_text()
+
+    lines = capsys.readouterr().out.splitlines()
+    warning = next(line for line in lines if line.startswith("warning: "))
+    assert f"'{left_out}'" in warning
+    assert assumed in warning
+    page = (tmp_path / "out" / "tune.html").read_text()
+    assert f"&#x27;{left_out}&#x27;" in page
+    # the whole curve needs no warning
     assert locomotive.warnings == []
 
 
 def test_intervals_hold_their_values(fitted):
-    for value in fitted.values.values():
-        assert value.low <= value.value <= value.high
-        assert value.low < value.high
+    for interval in fitted.values.values():
+        assert interval.low <= interval.value <= interval.high
+        assert interval.low < interval.high
 
 
 def test_known_parameters_are_found(locomotive):
-    true = np.array([0.4, 0.45, 0.5, 0.7, 0.3])
-    curve, noise = curve_of(true, 0.002)
-    curve = curve._replace(
-        adhesion=polach_fit.model(true, curve, parameters.patch_of(locomotive)) + noise
-    )
-    found = polach_fit.fit(locomotive._replace(curve=curve))
-    for value, at in zip(found.values.values(), true, strict=True):
-        assert value.value == pytest.approx(at, rel=0.15)
-    assert found.rms == pytest.approx(0.002, rel=0.25)
+    true = Parameters(mu_0=0.4, A=0.45, gamma_s_m=0.5, k_a=0.7, k_s=0.3)
+    fit = polach_fit.fit(with_curve(locomotive, true, noise=0.002))
+    for interval, value in zip(fit.values.values(), true, strict=True):
+        assert interval.value == pytest.approx(value, rel=0.15)
+    assert fit.rms == pytest.approx(0.002, rel=0.25)
 
 
-def test_friction_that_does_not_fall_is_not_told_to(locomotive):
-    true = np.array([0.3, 1.0, 0.0, 0.6, 0.3])
-    curve, noise = curve_of(true, 0.01)
-    curve = curve._replace(
-        adhesion=polach_fit.model(true, curve, parameters.patch_of(locomotive)) + noise
-    )
-    found = polach_fit.fit(locomotive._replace(curve=curve))
-    assert not polach_fit.falls(found, curve.creepage.size)
+def test_friction_that_does_not_fall_is_not_reported_to_fall(locomotive):
+    true = Parameters(mu_0=0.3, A=1.0, gamma_s_m=0.0, k_a=0.6, k_s=0.3)
+    data = with_curve(locomotive, true, noise=0.01)
+    fit = polach_fit.fit(data)
+    assert not polach_fit.falls(fit, data.curve.creepage.size)
 
 
 def test_the_model_is_the_kernels(locomotive):
-    x = np.array([0.4, 0.45, 0.5, 0.7, 0.3])
-    curve, _ = curve_of(x, points=20)
+    true = Parameters(mu_0=0.4, A=0.45, gamma_s_m=0.5, k_a=0.7, k_s=0.3)
+    curve = empty_curve(points=20)
     patch = parameters.patch_of(locomotive)
-    for e, f in zip(curve.creepage, polach_fit.model(x, curve, patch), strict=True):
-        unit = patch.eps1 * 1.0e5 ** (-1.0 / 3.0)
-        assert f == pytest.approx(
-            polach.curve(10.0 * e, e, unit, 0.4 * 0.45, 0.45, 0.5, 0.7, 0.3)[0], rel=1e-12
+    eps_of_creepage = patch.eps1 * LOAD_N ** (-1.0 / 3.0)
+    modelled = polach_fit.model(np.array(true), curve, patch)
+    for creepage, adhesion in zip(curve.creepage, modelled, strict=True):
+        expected, *_ = polach.curve(
+            SPEED_M_S * creepage,
+            creepage,
+            eps_of_creepage,
+            true.mu_0 * true.A,
+            true.A,
+            true.gamma_s_m,
+            true.k_a,
+            true.k_s,
         )
+        assert adhesion == pytest.approx(expected, rel=1e-12)
 
 
 def test_the_report_shows_points_and_parameters(locomotive, fitted):

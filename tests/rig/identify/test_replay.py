@@ -1,4 +1,7 @@
-"""The replay: white for its own kind, exact derivatives, mechanisms at zero invisible."""
+"""The replay follows the law of the plant, and its innovations are white for simulated stops.
+
+Wheelsets that are replayed together in lanes give the same results as wheelsets replayed alone.
+"""
 
 import math
 from typing import Any
@@ -16,6 +19,9 @@ from rollerrig.rig.identify.data.parameters import WheelModel
 from rollerrig.rig.identify.decide import evidence, fitting, simulate
 from rollerrig.rig.identify.replay import lanes, memory_replay, replay, sensitivity
 
+SPEED_M_S = 25.0
+WHEEL_LOAD_N = 52700.0
+
 
 @pytest.fixture(scope="module")
 def data() -> dataset.Dataset:
@@ -29,32 +35,47 @@ def design(data: dataset.Dataset) -> preparation.Design:
 
 @pytest.fixture(scope="module")
 def fitted(design: preparation.Design) -> Explanation:
-    level = {"ln_mu_cd_0": -0.397, "ln_mu_cd_1": -0.522, "ln_mu_cd_2": -0.455}
-    return Explanation(level, 0.0225, 6.9, ())
+    return Explanation(
+        base={"ln_mu_cd_0": -0.397, "ln_mu_cd_1": -0.522, "ln_mu_cd_2": -0.455},
+        sigma=0.0225,
+        length_m=6.9,
+        causes=(),
+    )
 
 
 def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) -> None:
-    patch = patch_for(0.445, math.inf, 0.3, 2.1e11, 8.0e10, 0.3)
+    patch = patch_for(
+        wheel_radius_m=0.445,
+        roller_radius_m=math.inf,
+        lateral_radius_m=0.3,
+        young_Pa=2.1e11,
+        shear_Pa=8.0e10,
+        poisson=0.3,
+    )
     for cleaning_creepage in (math.inf, 0.3):
         model = WheelModel(*design.base)._replace(cleaning_creepage=cleaning_creepage)
         law = adhesion.Law(*(getattr(model, name) for name in adhesion.Law._fields))
         for sliding in (0.01, 0.3, 2.0, 8.0, 15.0, 25.0, -1.0):
-            f, rise, _ = replay.wheel_adhesion(sliding, 25.0, 52700.0, 1.0, 1.0, model, 0.0, 1.0)
-            want = adhesion.wheel_adhesion(sliding, 25.0, 52700.0, patch, law)
-            assert f == pytest.approx(want[0], rel=1e-12)
-            assert rise == pytest.approx(want[5], rel=1e-9)
+            f, slope, _ = replay.wheel_adhesion(
+                sliding, SPEED_M_S, WHEEL_LOAD_N, 1.0, 1.0, model, 0.0, 1.0
+            )
+            expected_f, _, _, _, _, expected_slope = adhesion.wheel_adhesion(
+                sliding, SPEED_M_S, WHEEL_LOAD_N, patch, law
+            )
+            assert f == pytest.approx(expected_f, rel=1e-12)
+            assert slope == pytest.approx(expected_slope, rel=1e-9)
 
 
 MEMORIES = [{}, {"speed_power": 1.0}, {"of_work": 1.0}]
 
 
 def with_memory(base: Explanation, shape: dict[str, float], length_m: float) -> Explanation:
-    """The explanation with adhesion memory as its only cause."""
+    """Return the explanation with adhesion memory as its only cause."""
     return base._replace(causes=(Cause("adhesion_memory", 0, shape, (length_m,)),))
 
 
-def one_by_one(design: preparation.Design, i: sensitivity.Inputs) -> np.ndarray:
-    """The replay of all wheelsets without vector instructions, shape (3, n)."""
+def replayed_alone(design: preparation.Design, i: sensitivity.Inputs) -> np.ndarray:
+    """Return the replay of all wheelsets without vector instructions, shape (3, n)."""
     out = np.empty((3, design.measured_rad_s.size))
     memory_replay.replay_wheels(
         design.start,
@@ -78,16 +99,15 @@ def test_the_wheelsets_of_two_runs_are_replayed_together_as_one_by_one(
     if recovered < 1.0:
         # recovered friction is half of degraded friction
         degraded = i.parameters[:, parameters.MU_CD]
-        i.parameters[:, parameters.MU_CR] *= recovered * (
-            degraded / i.parameters[:, parameters.MU_CR]
-        )
+        share_of_degraded = degraded / i.parameters[:, parameters.MU_CR]
+        i.parameters[:, parameters.MU_CR] *= recovered * share_of_degraded
     np.testing.assert_allclose(
-        sensitivity.replay_wheels(design, i), one_by_one(design, i), rtol=1e-8, atol=1e-10
+        sensitivity.replay_wheels(design, i), replayed_alone(design, i), rtol=1e-8, atol=1e-10
     )
 
     at = design.span(1)
     n = at.stop - at.start
-    path = (
+    arguments = (
         design.sliding_m_s[at],
         i.speed_m_s[at],
         i.load_N[at],
@@ -97,9 +117,9 @@ def test_the_wheelsets_of_two_runs_are_replayed_together_as_one_by_one(
         np.zeros(n + 1),
         False,
     )
-    want = np.empty((2, n))
-    replay.adhesion_along(*path, want)
-    np.testing.assert_allclose(sensitivity.replay_law(*path), want, rtol=1e-9, atol=1e-13)
+    expected = np.empty((2, n))
+    replay.adhesion_along(*arguments, expected)
+    np.testing.assert_allclose(sensitivity.replay_law(*arguments), expected, rtol=1e-9, atol=1e-13)
 
 
 @pytest.mark.parametrize("shape", MEMORIES, ids=["over distance", "over time", "of the work done"])
@@ -108,7 +128,7 @@ def test_wheels_with_memory_are_replayed_together_as_one_by_one(
     design: preparation.Design, fitted: Explanation, shape: dict[str, float], length_m: float
 ) -> None:
     i = candidates.inputs(design, with_memory(fitted, shape, length_m))
-    alone = one_by_one(design, i)
+    alone = replayed_alone(design, i)
     assert np.all(np.isfinite(alone))
     np.testing.assert_allclose(sensitivity.replay_wheels(design, i), alone, rtol=1e-8, atol=1e-10)
 
@@ -149,45 +169,51 @@ def test_several_explanations_are_replayed_together_as_each_alone(
 def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(
     A: list[list[float]], step: Any
 ) -> None:
-    h = 0.005
-    top, below = np.array(A)
-    # of the exponential of [[A, 1], [0, 0]] h, the upper right is the integral of exp(A s) over the step
-    whole = expm(np.block([[np.array(A), np.eye(2)], [np.zeros((2, 4))]]) * h)
-    np.testing.assert_allclose(
-        step(*top, *below, h),
-        [*whole[:2, :2].ravel(), *whole[:2, 2:].ravel()],
-        rtol=1e-7,
-        atol=1e-9,
-    )
+    step_s = 0.005
+    # The exponential of [[A, 1], [0, 0]] h holds that of A h in its upper left block, and in its
+    # upper right block the integral of exp(A s) over the step.
+    augmented = np.block([[np.array(A), np.eye(2)], [np.zeros((2, 4))]])
+    exponential = expm(augmented * step_s)
+    expected = [*exponential[:2, :2].ravel(), *exponential[:2, 2:].ravel()]
+    upper_row, lower_row = A
+    np.testing.assert_allclose(step(*upper_row, *lower_row, step_s), expected, rtol=1e-7, atol=1e-9)
 
 
 def test_innovations_of_an_unchanged_recording_have_unit_variance(
     design: preparation.Design, fitted: Explanation
 ) -> None:
-    nu, S, _, vnu, vS = sensitivity.innovations(design, candidates.inputs(design, fitted))
-    assert np.mean(nu * nu / S) == pytest.approx(1.0, abs=0.05)
-    assert np.mean(vnu * vnu / vS) == pytest.approx(1.0, abs=0.08)
+    innovation, variance, _, of_vehicle, variance_of_vehicle = sensitivity.innovations(
+        design, candidates.inputs(design, fitted)
+    )
+    assert np.mean(innovation**2 / variance) == pytest.approx(1.0, abs=0.05)
+    assert np.mean(of_vehicle**2 / variance_of_vehicle) == pytest.approx(1.0, abs=0.08)
 
 
 def test_simulated_stops_look_like_the_recording(
     data: dataset.Dataset, design: preparation.Design, fitted: Explanation
 ) -> None:
-    made = simulate.runs(data, design, data.group("tune"), fitted, np.random.default_rng(5))
-    again = preparation.prepare(data, made, design)
-    nu, S, *_ = sensitivity.innovations(again, candidates.inputs(again, fitted))
-    assert np.mean(nu * nu / S) == pytest.approx(1.0, abs=0.06)
-    assert again.sliding_m_s.mean() == pytest.approx(design.sliding_m_s.mean(), rel=0.25)
+    rng = np.random.default_rng(5)
+    made = simulate.runs(data, design, data.group("tune"), fitted, rng)
+    simulated = preparation.prepare(data, made, design)
+    innovation, variance, *_ = sensitivity.innovations(
+        simulated, candidates.inputs(simulated, fitted)
+    )
+    assert np.mean(innovation**2 / variance) == pytest.approx(1.0, abs=0.06)
+    assert simulated.sliding_m_s.mean() == pytest.approx(design.sliding_m_s.mean(), rel=0.25)
 
 
 def test_wet_pads_hidden_in_simulated_stops_are_the_likeliest_cause(
     data: dataset.Dataset, design: preparation.Design, fitted: Explanation
 ) -> None:
-    wet = Cause("wet_pads", 0, {"turns": 12.0}, (0.25,))
-    made = simulate.runs(
-        data, design, data.group("tune"), fitted._replace(causes=(wet,)), np.random.default_rng(6)
-    )
-    seen = preparation.prepare(data, made, design)
-    found = evidence.most_promising(seen, fitting.normal_equations(seen, fitted)[0], 3)
-    assert found[0].name == "wet_pads"
-    fitted = fitting.fit(seen, fitted._replace(causes=(found[0],)), 4, False)[0]
-    assert fitted.causes[0].values[0] == pytest.approx(0.25, abs=0.08)
+    wet_pads = Cause("wet_pads", 0, {"turns": 12.0}, (0.25,))
+    true = fitted._replace(causes=(wet_pads,))
+    made = simulate.runs(data, design, data.group("tune"), true, np.random.default_rng(6))
+    simulated = preparation.prepare(data, made, design)
+
+    normal, _, _ = fitting.normal_equations(simulated, fitted)
+    likeliest = evidence.most_promising(simulated, normal, 3)[0]
+    assert likeliest.name == "wet_pads"
+
+    start = fitted._replace(causes=(likeliest,))
+    fit = fitting.fit(simulated, start, 4, noise=False)
+    assert fit.explanation.causes[0].values[0] == pytest.approx(0.25, abs=0.08)
