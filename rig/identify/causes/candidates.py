@@ -44,12 +44,15 @@ class Explanation(NamedTuple):
 
     @property
     def level(self) -> float:
-        """The logarithm of the contaminant's level over that of the base model, mean of the runs."""
+        """The logarithm of the contaminant's level over that of the base model.
+
+        It is the mean of the runs.
+        """
         levels = [value for label, value in self.base.items() if label.startswith("ln_mu_cd")]
         return float(np.mean(levels or [0.0]))
 
     def with_cause(self, at: int, cause: Cause) -> "Explanation":
-        """Return the explanation with another cause at this place."""
+        """Return the explanation with `cause` in place of cause number `at`."""
         return self._replace(causes=(*self.causes[:at], cause, *self.causes[at + 1 :]))
 
 
@@ -82,7 +85,7 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
     load_factors = [1.0 + base[f"load_gain_{axle}"] for axle in design.axle]
     mass_factors = [1.0 + base[f"mass_{run}"] for run in runs]
     sizes = np.diff(design.start)
-    found = Inputs(
+    replay_inputs = Inputs(
         torque_Nm=design.torque_Nm * np.repeat(torque_factors, sizes),
         load_N=design.load_N * np.repeat(load_factors, sizes),
         speed_m_s=design.speed_m_s,
@@ -92,8 +95,8 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
         force_N=np.zeros(design.vehicle_m_s.size),
     )
     for cause in explanation.causes:
-        found = _with_cause(design, found, cause)
-    return found
+        replay_inputs = _with_cause(design, replay_inputs, cause)
+    return replay_inputs
 
 
 def _with_cause(design: Design, i: Inputs, cause: Cause) -> Inputs:

@@ -1,10 +1,10 @@
-"""The sensitivity matrix: all that could change a replay, as columns of coefficients.
+"""The sensitivity matrix: how each coefficient would change a replay, one column per coefficient.
 
-A column belongs to one coefficient: a base parameter, a coefficient of a cause, or of a smooth
-function. It has a course in time: the change of a wheel's acceleration, and of the vehicle's, for one
-unit of the coefficient. It acts on the wheelsets of some segments, so many columns share a course.
-Base parameters always are in the fit, those with a declared tolerance under a prior. A cause has one
-or several columns, and some causes have variants of shape.
+A coefficient is a base parameter, or belongs to a cause or to a smooth function. Its column has a
+course in time: the change of a wheel's acceleration, and of the vehicle's, for one unit of the
+coefficient. It acts on the wheelsets of some segments, so many columns share a course. Base
+parameters are always in the fit. Those with a declared tolerance have a prior. A cause has one or
+several columns, and some causes have variants of shape.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -37,10 +37,16 @@ _TAU = 0
 _LEVEL = 1
 _FIRST_CAUSE = 2
 
-# What a coefficient changes: (acceleration of the wheels, flat; what the vehicles feel, flat). The
-# second one is either the acceleration of the vehicles, or for each wheel a brake torque in N m, which
-# the vehicles feel from those wheelsets on which the column acts.
-Part = tuple[np.ndarray | None, np.ndarray | None]
+
+class Part(NamedTuple):
+    """What one unit of a coefficient changes; None: nothing.
+
+    The vehicles feel either an acceleration (vehicle samples,), or a brake torque in N m for each
+    wheel (n,). Such a torque acts through the wheelsets on which the column acts.
+    """
+
+    wheel: np.ndarray | None  # (n,) acceleration of the wheels in rad/s2
+    felt: np.ndarray | None  # what the vehicles feel
 
 
 class Column(NamedTuple):
@@ -64,8 +70,8 @@ class SensitivityMatrix(NamedTuple):
     """Columns, their courses and the variants of causes.
 
     Courses are numbered: first those in `wheel`, then those of bins, then those of variants with a
-    finite step. A bin's course is `in_bins` where `bins` holds its number, and 0 elsewhere. The course
-    of a finite step is the difference of whole replays, which the fit computes.
+    finite step. The course of a bin is `in_bins` at the samples where `bins` holds its number, and 0
+    elsewhere. The course of a finite step is the difference of whole replays, which the fit computes.
     """
 
     columns: list[Column]
@@ -76,17 +82,14 @@ class SensitivityMatrix(NamedTuple):
     in_bins: np.ndarray  # (n,)
     stepped: dict[int, Variant]  # variants with a finite step, by the number of their course
     vehicle: np.ndarray  # (columns on the vehicles, vehicle samples)
-    on_vehicle: np.ndarray  # their numbers
+    on_vehicle: np.ndarray  # the numbers of these columns
     variants: list[Variant]
 
     def variant_of(self, cause: Cause) -> Variant | None:
-        """Return the variant with the shape of a cause; None where the search has none."""
+        """Return the variant with the shape of a cause; None if the matrix has none."""
         for variant in self.variants:
-            if (variant.cause, variant.axle, variant.shape) == (
-                cause.name,
-                cause.axle,
-                cause.shape,
-            ):
+            is_same_cause = variant.cause == cause.name and variant.axle == cause.axle
+            if is_same_cause and variant.shape == cause.shape:
                 return variant
         return None
 
@@ -140,16 +143,22 @@ class _Writer:
         self, cause: str, parts: Iterable[Part], shape: Shape, axles: Iterable[int] = (0,)
     ) -> None:
         """Add a cause in a shape on each of some axles, with a column for each part."""
-        numbered = [(self.add_course(wheel), felt) for wheel, felt in parts]
+        # all axles share the courses of the wheels
+        courses_of_parts = []
+        felt_of_parts = []
+        for part in parts:
+            courses_of_parts.append(self.add_course(part.wheel))
+            felt_of_parts.append(part.felt)
+
         for axle in axles:
             columns = []
-            for k, (course, felt) in enumerate(numbered):
-                vehicle = self.vehicle_acceleration(felt, axle)
+            for k, course in enumerate(courses_of_parts):
+                vehicle = self.vehicle_acceleration(felt_of_parts[k], axle)
                 columns.append(self.add(cause, str(k), course, vehicle, axle=axle))
             self.variants.append(Variant(cause, tuple(columns), shape, axle))
 
     def vehicle_acceleration(self, felt: np.ndarray | None, axle: int) -> np.ndarray | None:
-        """Return the acceleration of the vehicles, from the second entry of a `Part`."""
+        """Return the acceleration of the vehicles, from what they feel (`Part.felt`)."""
         design = self.design
         if felt is None or felt.size == design.vehicle_m_s.size:
             return felt
@@ -162,7 +171,8 @@ class _Writer:
 
     def of_torque(self, change_Nm: np.ndarray) -> Part:
         """Return what a change of the brake torque does to wheels and vehicles."""
-        return -change_Nm / self.inputs.parameters[0, parameters.INERTIA], change_Nm
+        wheel = -change_Nm / self.inputs.parameters[0, parameters.INERTIA]
+        return Part(wheel, change_Nm)
 
 
 def smooth_torque(design: Design, torque_Nm: np.ndarray) -> np.ndarray:
@@ -233,12 +243,11 @@ def _wanted(causes: Sequence[Cause], search: bool) -> list[tuple[Search, Shape]]
     wanted = []
     for row in table.TABLE:
         shapes = row.shapes if search else ()
-        wanted += [(row, shape) for shape in shapes]
-        wanted += [
-            (row, cause.shape)
-            for cause in causes
-            if cause.name == row.name and cause.shape not in shapes
-        ]
+        for shape in shapes:
+            wanted.append((row, shape))
+        for cause in causes:
+            if cause.name == row.name and cause.shape not in shapes:
+                wanted.append((row, cause.shape))
     return wanted
 
 
@@ -337,28 +346,29 @@ def _parts(
     mechanism = row.mechanism
     if row.finite_step:
         # the fit computes the response as a difference of whole replays
-        yield None, None
+        yield Part(None, None)
     elif row.name in _SPECIAL_PARTS:
         yield _SPECIAL_PARTS[row.name](writer)
     elif (row, shape) in constants:
-        yield linear.constants[_FIRST_CAUSE + constants.index((row, shape))], None
+        number = _FIRST_CAUSE + constants.index((row, shape))
+        yield Part(linear.constants[number], None)
     elif mechanism.acts_on == VEHICLE:
         force_N = candidates.resistance(design, design.mass_kg, row, shape, 1.0)
-        yield None, -force_N / vehicle_mass(design)
+        yield Part(None, -force_N / vehicle_mass(design))
 
     for course in courses.courses(design, row.name, shape):
         if "on_vehicle" in shape:
-            yield None, -vehicle_samples(design, course) / vehicle_mass(design)
+            yield Part(None, -vehicle_samples(design, course) / vehicle_mass(design))
         elif mechanism.acts_on == FRICTION:
             rate = writer.rate("friction")
             if shape.get("contaminant_alone"):
                 rate = linear.constants[_LEVEL]
-            yield rate * course, None
+            yield Part(rate * course, None)
         elif mechanism.acts_on == TORQUE:
             change_Nm = writer.torque_Nm * course if mechanism.share else course
             yield writer.of_torque(change_Nm)
         elif mechanism.acts_on == LOAD:
-            yield writer.rate("load") * course, None
+            yield Part(writer.rate("load") * course, None)
 
 
 def _torque_delay_part(writer: _Writer) -> Part:
@@ -367,26 +377,26 @@ def _torque_delay_part(writer: _Writer) -> Part:
 
 
 def _speed_delay_part(writer: _Writer) -> Part:
-    """Return the part of a wheel speed that is measured late: the wheel's inputs are earlier ones."""
+    """Return the part of a wheel speed that is measured late: it belongs to earlier inputs."""
     design = writer.design
     row = writer.inputs.parameters[0]
     error_rate_1_s = np.log(np.maximum(writer.linear.coefficients[:, F00], 1e-12)) / design.step_s
     of_torque = time_derivative(design, writer.torque_Nm) / row[parameters.INERTIA]
     of_speed = error_rate_1_s / row[parameters.RADIUS] * time_derivative(design, design.speed_m_s)
-    return of_torque + of_speed, None
+    return Part(of_torque + of_speed, None)
 
 
 def _inertia_part(writer: _Writer) -> Part:
-    """Return the part of another inertia of the wheelsets."""
+    """Return the part of a different inertia of the wheelsets."""
     design = writer.design
     inertia_kgm2 = writer.inputs.parameters[0, parameters.INERTIA]
     wheel = writer.torque_Nm / inertia_kgm2 - writer.rate("irregularity")
-    return wheel, inertia_kgm2 * time_derivative(design, design.measured_rad_s)
+    return Part(wheel, inertia_kgm2 * time_derivative(design, design.measured_rad_s))
 
 
 def _radius_part(writer: _Writer) -> Part:
-    """Return the part of another wheel radius."""
-    return writer.rate("radius"), None
+    """Return the part of a different wheel radius."""
+    return Part(writer.rate("radius"), None)
 
 
 # causes whose part does not follow from a course or from constants
@@ -436,7 +446,8 @@ def _add_time_bins(writer: _Writer) -> _Bins:
             label = f"{run} {i * TIME_BIN_S:.6g}"
             on_all.append(writer.add("time_bin", label, -1, run=run))
             behind_first.append(writer.add("time_bin behind", label, -1, run=run))
-            writer.acts[-1][design.axle == 0] = False
+            acts_of_last_column = writer.acts[-1]
+            acts_of_last_column[design.axle == 0] = False
         number_in_run = np.floor(design.time_s / TIME_BIN_S).astype(int)
         inside = (of_run(design, run) > 0.0) & (number_in_run < count)
         number[inside] = first + number_in_run[inside]
@@ -461,15 +472,17 @@ def _add_size_changes(writer: _Writer, cause: Cause, constants: list[tuple[Searc
         changes["time"] = [design.time_s / design.time_s.mean() - 1.0]
 
     for along, courses_of_size in changes.items():
-        for wheel, felt in _parts(writer, row, cause.shape, constants):
+        for part in _parts(writer, row, cause.shape, constants):
+            resized = []
+            for size in courses_of_size:
+                wheel = _times(design, part.wheel, size)
+                felt = _times(design, part.felt, size)
+                resized.append(Part(wheel, felt))
             writer.add_variants(
                 f"along {along} in the size of {cause.name}",
-                [
-                    (_times(design, wheel, size), _times(design, felt, size))
-                    for size in courses_of_size
-                ],
-                {},
-                (cause.axle,),
+                resized,
+                shape={},
+                axles=(cause.axle,),
             )
 
 
@@ -511,30 +524,36 @@ def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
     """
     design = writer.design
     friction = writer.rate("friction")
+    each_axle = range(1, AXLES + 1)
 
     def add_along(name: str, changes: Iterable[np.ndarray], axles: Iterable[int] = (0,)) -> None:
         """Add changes of friction."""
-        parts = [(friction * change, None) for change in changes]
+        parts = [Part(friction * change, None) for change in changes]
         writer.add_variants(f"along {name}", parts, {}, axles)
 
     for name, covariate in ALONG.items():
         add_along(name, bumps(covariate(design, writer.linear)))
 
-    # a different friction on each wheelset
+    # a different friction on each wheelset; the last one has the level of the run
     course = writer.add_course(friction)
     columns = [writer.add("along axle", str(j), course, axle=j + 1) for j in range(AXLES - 1)]
     writer.variants.append(Variant("along axle", tuple(columns), {}, 0))
 
-    # a change on one wheelset at some time; its mean is removed, so that it is not one of all the time
+    # A change on one wheelset at some time. Its mean is removed, so that a change that lasts all the
+    # time does not count here.
     of_time = bumps(design.time_s)
-    add_along("time of one axle", of_time - of_time.mean(axis=1)[:, None], range(1, AXLES + 1))
+    add_along("time of one axle", of_time - of_time.mean(axis=1)[:, None], each_axle)
 
-    add_along(
-        "wheel_angle",
-        [shape(k * design.angle_rad) for k in (1, 2) for shape in (np.cos, np.sin)],
-    )
+    # once and twice a turn
+    swings_of_turn = []
+    for times_a_turn in (1, 2):
+        angle_rad = times_a_turn * design.angle_rad
+        swings_of_turn += [np.cos(angle_rad), np.sin(angle_rad)]
+    add_along("wheel_angle", swings_of_turn)
+
+    # a force on the vehicle
     for name, values in (("time", design.time_s), ("speed", design.speed_m_s)):
-        parts = [(None, bump) for bump in bumps(vehicle_samples(design, values))]
+        parts = [Part(None, bump) for bump in bumps(vehicle_samples(design, values))]
         writer.add_variants(f"along vehicle {name}", parts, {})
 
     if swings:
@@ -543,6 +562,6 @@ def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
         faster = design.speed_m_s / design.speed_m_s.mean() - 1.0
         changes = []
         for run in range(design.mass_kg.size):
-            for shape in (np.cos, np.sin):
-                changes.append(faster * shape(design.angle_rad) * of_run(design, run))
-        add_along("wheel_angle and speed", changes, range(1, AXLES + 1))
+            for wave in (np.cos, np.sin):
+                changes.append(faster * wave(design.angle_rad) * of_run(design, run))
+        add_along("wheel_angle and speed", changes, each_axle)

@@ -52,21 +52,20 @@ def courses(design: Design, name: str, shape: Shape) -> list[np.ndarray]:
         course = row.mechanism.courses[0]
         cosine = filled(course, n, design.angle_rad, 0.0)
         sine = filled(course, n, design.angle_rad, -0.5 * np.pi)
-        return [
-            swing * of_run(design, run)
-            for run in range(design.mass_kg.size)
-            for swing in (cosine, sine)
-        ]
+        swings = []
+        for run in range(design.mass_kg.size):
+            swings += [cosine * of_run(design, run), sine * of_run(design, run)]
+        return swings
 
     shape_values = []
     for parameter in row.mechanism.formula_parameters[row.mechanism.free :]:
         shape_values.append(_shape_value(design, shape, parameter.name, parameter.default))
-    found = []
+    of_coefficients = []
     for course in row.mechanism.courses:
         names = arguments(course, len(shape_values))
         covariates = [covariate(design, covariate_name) for covariate_name in names]
-        found.append(filled(course, n, *covariates, *shape_values))
-    return found
+        of_coefficients.append(filled(course, n, *covariates, *shape_values))
+    return of_coefficients
 
 
 def _shape_value(design: Design, shape: Shape, name: str, default: float) -> float | np.ndarray:
@@ -103,6 +102,6 @@ def of_run(design: Design, run: int) -> np.ndarray:
 def vehicle_samples(design: Design, values: np.ndarray) -> np.ndarray:
     """Return the values of the first wheelset of each run, shape (vehicle samples,).
 
-    A vehicle has a sample where its first wheelset has one.
+    A vehicle has as many samples as its first wheelset, at the same times.
     """
     return np.concatenate([values[design.span(AXLES * run)] for run in range(design.mass_kg.size)])

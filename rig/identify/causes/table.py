@@ -52,7 +52,7 @@ class Search(NamedTuple):
 
     alpha: float = ALPHA_CAUSE
 
-    # what of the cause is unknown for runs that were not fitted, with its verb
+    # subject and verb of the sentence "... unknown": what other runs than the fitted ones do not show
     unknown_in_other_runs: str = ""
 
     @property
@@ -71,7 +71,7 @@ class Search(NamedTuple):
 
 
 def _shapes(key: str, *values: float) -> tuple[Shape, ...]:
-    """Return a shape for each value of a parameter; the value 0 stands for the default shape."""
+    """Return a shape for each value of a parameter; the value 0 means the default shape."""
     return tuple({key: value} if value else {} for value in values)
 
 

@@ -1,4 +1,4 @@
-"""Fits causes and chooses the most likely one, its confusable rivals, and a second one.
+"""Fits causes, chooses the most likely one, lists its confusable rivals, and adds a second cause.
 
 "Wins" means: the cause reduces the deviance (-2 ln L) of the model by a ratio.
 
@@ -375,7 +375,6 @@ def add_second_cause(
     The first turn of the loop looks for a second cause. If there is one, the second turn only tests
     the remainder that both causes leave.
     """
-    design = workspace.design
     remainder: list[ScoreTest] = []
     for turn in range(thresholds.MOST_CAUSES):
         is_last_turn = turn + 1 == thresholds.MOST_CAUSES
@@ -389,47 +388,69 @@ def add_second_cause(
             )
         except ConfigError:
             return explanation, causes, None
-
-        deviance = fitting.deviance(design, explanation)
         remainder = [test for test in tests if evidence.is_smooth_function(test.name)]
         if len(causes) >= thresholds.MOST_CAUSES:
             break
 
-        first = causes[0]
-        tests = [test for test in tests if _may_be_second(first, test)]
-        second_candidates = fit_significant(
-            workspace, explanation, tests, thresholds.MOST_FITTED_SECOND
+        explanation, causes = _try_second_cause(
+            workspace, explanation, causes[0], candidates, tests
         )
-        if second_candidates:
-            # Fit the first cause once more without the second, as the candidates were fitted too.
-            # Else the second would get the credit for a better fit of the first.
-            explanation, deviance, _ = fitting.fit(design, explanation, steps=9)
-            first = first._replace(cause=explanation.causes[0])
-            causes = [first]
-
-        better, more = choose(design, explanation, deviance, second_candidates)
-        if not more:
+        if len(causes) == 1:
             break
-        second = more[0]
-        net_ratio = _net_likelihood(
-            first, second.score_test, second.likelihood_ratio, np.array(second.ratio_by_filter)
-        )
-        if net_ratio < thresholds.LEAST_RATIO_OF_SECOND:
-            break
-        if not _are_both_needed(workspace, better, deviance):
-            break
-        first_with_second = first._replace(cause=better.causes[0])
-        better, both = _choose_first_again(workspace, better, first_with_second, second, candidates)
-
-        # a cause that could be confused with the first one must win more
-        ratio = deviance - fitting.deviance(design, better)
-        is_confusable = second.score_test.name in first.confusable
-        least = thresholds.CONFUSABLE_SECOND_SHARE * first.likelihood_ratio
-        if is_confusable and ratio < least:
-            break
-        explanation, both = refine_scales(design, better, both)
-        causes = _without_each_other(both)
     return explanation, causes, remainder
+
+
+def _try_second_cause(
+    workspace: Workspace,
+    explanation: Explanation,
+    first: IdentifiedCause,
+    candidates: list[Candidate],
+    tests: list[ScoreTest],
+) -> tuple[Explanation, list[IdentifiedCause]]:
+    """Return the explanation with a second cause, and both causes.
+
+    If there is no second cause, return the explanation with the first cause alone, and that cause.
+    `tests` are the score tests with the first cause in the model, `candidates` those among which the
+    first cause was chosen.
+    """
+    design = workspace.design
+    deviance = fitting.deviance(design, explanation)
+    possible = [test for test in tests if _may_be_second(first, test)]
+    second_candidates = fit_significant(
+        workspace, explanation, possible, thresholds.MOST_FITTED_SECOND
+    )
+    if second_candidates:
+        # what the first cause wins by being fitted once more does not belong to the second
+        explanation, deviance, _ = fitting.fit(design, explanation, 9)
+        first = first._replace(cause=explanation.causes[0])
+    first_alone = (explanation, [first])
+
+    # the second cause must win more than the first can lend to it
+    better, more = choose(design, explanation, deviance, second_candidates)
+    if not more:
+        return first_alone
+    second = more[0]
+    net_ratio = _net_likelihood(
+        first, second.score_test, second.likelihood_ratio, np.array(second.ratio_by_filter)
+    )
+    if net_ratio < thresholds.LEAST_RATIO_OF_SECOND:
+        return first_alone
+
+    # the first cause must still be needed, and may be replaced
+    if not _are_both_needed(workspace, better, deviance):
+        return first_alone
+    first_of_both = first._replace(cause=better.causes[0])
+    better, both = _choose_first_again(workspace, better, first_of_both, second, candidates)
+
+    # a confusable second cause must win more
+    ratio = deviance - fitting.deviance(design, better)
+    is_confusable = second.score_test.name in first.confusable
+    least = thresholds.CONFUSABLE_SECOND_SHARE * first.likelihood_ratio
+    if is_confusable and ratio < least:
+        return first_alone
+
+    explanation, both = refine_scales(design, better, both)
+    return explanation, _without_each_other(both)
 
 
 def _test_with_causes(

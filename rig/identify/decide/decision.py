@@ -38,7 +38,7 @@ _MEDIAN_OF_CHI_SQUARED = 0.455  # of one degree of freedom
 
 
 class Verdict(StrEnum):
-    """What the data say about the base model."""
+    """What the data show about the base model."""
 
     CONSISTENT = "consistent"  # nothing is statistically significant
     EXPLAINED = "explained"  # by one cause or two; a small remainder is a note
@@ -180,7 +180,7 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
     explanation, causes = choice.choose(design, base, base_deviance, fitted)
     explanation, causes = choice.refine_scales(design, explanation, causes)
 
-    # a second one, and the remainder
+    # a second cause, and the remainder
     remainder: list[ScoreTest] | None = _smooth_functions(tests)
     if causes:
         explanation, causes, remainder = choice.add_second_cause(
@@ -249,20 +249,18 @@ def decide_verdict(
 
 def _own_covariates(names: tuple[str, ...]) -> set[str]:
     """Return the smooth functions along which the shapes of some causes may differ."""
-    return {
-        f"along {covariate}" for name in names for covariate in table.BY_NAME[name].remainder_along
-    }
+    covariates = set()
+    for name in names:
+        for covariate in table.BY_NAME[name].remainder_along:
+            covariates.add(f"along {covariate}")
+    return covariates
 
 
 def remainder_share(causes: list[IdentifiedCause], remainder: list[ScoreTest]) -> float:
     """Return the evidence of the largest remainder over that of the causes and itself."""
-    most = max(
-        (
-            test.statistic
-            for test in remainder
-            if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)
-        ),
-        default=0.0,
-    )
+    clear = [
+        test for test in remainder if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)
+    ]
+    most = max((test.statistic for test in clear), default=0.0)
     ratio = sum(identified.likelihood_ratio for identified in causes)
     return most / max(most + ratio, 1e-9)

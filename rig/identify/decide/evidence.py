@@ -51,7 +51,7 @@ class ScoreTest(NamedTuple):
     p_value: float
     expected: float  # mean of the statistic on null simulations before its correction
     spread: float  # standard deviation of a coefficient over its nominal one
-    trials: int = 1  # shapes and axles among which this one is the best
+    trials: int = 1  # number of shapes and axles of which this is the best
 
     def cause(self) -> Cause:
         """Return the cause from which a fit starts."""
@@ -92,7 +92,7 @@ def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]
     S = s.S[..., np.array(at)[:, None], at]
     g = s.g[..., at]
 
-    # a data set in which the columns leave the range of the filter says nothing
+    # a data set in which the columns leave the range of the filter has no information: all are 0
     known = np.isfinite(S).all(axis=(-2, -1)) & np.isfinite(g).all(axis=-1)
     S = np.where(known[..., None, None], S, np.zeros_like(S))
     g = np.where(known[..., None], g, 0.0)
@@ -115,8 +115,7 @@ def score_tests(
 ) -> list[ScoreTest]:
     """Return the tests of all causes and smooth functions, the most significant one first.
 
-    Each is in its best shape.
-    `known` causes are in the model already and are left out.
+    Each is in its best shape. `known` causes are in the model already and are left out.
     """
     measured = scores(normal, known)
     stacked = _stacked(nulls)
@@ -273,7 +272,7 @@ def _gumbel_tail(value: float, null: np.ndarray) -> float:
 def _test_patch(
     normal: fitting.NormalEquations, measured: Scores, nulls: list[Scores]
 ) -> ScoreTest | None:
-    """Return the test of a contaminated patch, None where the runs are too short for one."""
+    """Return the test of a contaminated patch, None if the runs are too short for a patch."""
     at = _bins(normal, PLACE_BINS)
     if len(at) < 4:
         return None
@@ -288,8 +287,11 @@ def _test_patch(
     window = search(measured)
     if window is None:
         return None
-    null_windows = [search(s) for s in nulls]
-    null = np.array([0.0 if found is None else found.statistic for found in null_windows])
+    null_statistics = []
+    for null_scores in nulls:
+        null_window = search(null_scores)
+        null_statistics.append(0.0 if null_window is None else null_window.statistic)
+    null = np.array(null_statistics)
 
     spread = max(float(np.sqrt(null.mean() / thresholds.ORDINARY_PATCH_STATISTIC)), 1.0)
     deviation = spread * abs(window.coefficient) / np.sqrt(max(window.statistic, 1e-9))
@@ -331,7 +333,7 @@ def _test_sand_on(
     owner: str,
     shape: dict[str, float],
 ) -> ScoreTest | None:
-    """Return the test of sand at one time in each run, None where friction is higher nowhere."""
+    """Return the test of sand at one time in each run, None if friction is higher nowhere."""
     at = _bins(normal, owner)
     if not at:
         return None
@@ -415,8 +417,8 @@ def _alpha(test: ScoreTest) -> float:
 def is_settled(tests: Sequence[ScoreTest]) -> bool:
     """Return whether more null simulations would hardly change what counts.
 
-    Either one test is clearly significant, or none is near its limit. The clear one may not be a
-    window: the p-value of a window does not take into account how few null simulations there are.
+    Either one test is clearly significant, or none is near its limit. A clear test of a window
+    does not suffice: its p-value does not take into account how few null simulations there are.
     """
     near = [test for test in tests if _is_near_limit(test)]
     if not near:

@@ -151,7 +151,10 @@ def _responses(
     linear: LinearisedReplay,
     exact: dict[int, np.ndarray],
 ) -> list[Response]:
-    """Return the responses of each wheel, then of each vehicle; `exact` ones replace linearised."""
+    """Return the responses of each wheel, then of each vehicle.
+
+    Exact responses (`exact`, by course) replace linearised ones.
+    """
     responses = [_wheel_response(design, matrix, linear, exact, s) for s in range(design.segments)]
     for run in range(design.mass_kg.size):
         at = design.vehicle_span(run)
@@ -201,7 +204,7 @@ def _wheel_response(
 
     Z = np.empty((len(changes), courses.size), changes.dtype)
     sensitivity.response(changes, linear.variance[at], linear.coefficients[at], Z)
-    # a finite step that was not replayed is of another shape than the one in the explanation
+    # courses of finite steps that were not replayed: the explanation has the cause in another shape
     Z[:, linearised:] = 0.0
 
     # place of each course in Z, -1: not there; the last element is for columns without a course

@@ -1,11 +1,11 @@
 """Measures what an explanation is worth on stops that were never fitted.
 
-Base and extended model each keep what they learned on the fitted runs. Only the level of the
-contaminant of each new stop is found again, for both alike. The measure is the adhesion that a
-model lacks: what the filter of the wheel has to add to it [G2], which takes the noise of the
-sensors into account. For causes in the vehicle it is the error of the speed that is predicted five
-seconds ahead. A block bootstrap gives the interval. A gain whose interval contains 0 is not
-claimed.
+The base and the extended model keep their parameters from the fitted runs. Only three things are
+fitted again to the new stops, for both models: the level of the contaminant, the mass within its
+tolerance, and causes with a finite step. The measure is the adhesion that a model lacks: what the
+filter of the wheel has to add to it [G2]. This takes the noise of the sensors into account. For
+causes in the vehicle the measure is the error of the speed that is predicted five seconds ahead. A
+block bootstrap gives the interval. A gain whose interval contains 0 is not claimed.
 
     [G1] f = (J domega/dt + C) / (r N), with the model's J, C, r and N; for the pictures
     [G2] f (e^m - 1), f and the irregularity m along the filtered wheel speed
@@ -122,7 +122,7 @@ def missing_adhesion(design: Design, explanation: Explanation) -> np.ndarray:
 def free_running(design: Design, explanation: Explanation) -> np.ndarray:
     """Return the error in m/s of the speed that the force balance predicts FREE_RUN_S ahead.
 
-    There is one value for each sample of the vehicles, 0 where a run is too young for it.
+    The result has a value for each sample of the vehicles. It is 0 in the first FREE_RUN_S of a run.
     """
     i = inputs(design, explanation)
     out = np.zeros(design.vehicle_m_s.size)

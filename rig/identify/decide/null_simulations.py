@@ -1,7 +1,7 @@
 """Runs the search on simulated stops with no further cause in them, on all cores of the machine.
 
-Each null simulation is simulated from the fitted model with a seed of its own. It is prepared and
-scored like the measured runs. The seeds are fixed, and thus the decision is repeatable.
+Each null simulation is simulated from the fitted model with a separate seed. It is prepared and
+scored like the measured runs. The seeds are fixed, so the decision is repeatable.
 """
 
 import os

@@ -411,7 +411,7 @@ def _simulate_run(
     smooth_load_N = gaussian_filter1d(run.load_N, _LOAD_SMOOTHING_SAMPLES, axis=0)
     load_noise_N = float(np.std(run.load_N - smooth_load_N))
 
-    # the recording ends at the speed at which the measured one ended
+    # the recording ends at about the last speed of the measured run
     slow = np.flatnonzero(speed_m_s < _END_SHARE * float(surface_m_s[-1, 0]))
     n = int(slow[0]) if slow.size else samples
 

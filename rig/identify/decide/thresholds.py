@@ -7,7 +7,7 @@ them.
 
 A likelihood ratio is a drop of -2 ln L in this file. What differs from cause to cause is in the
 rows of `causes/table`: the numerical floor, the price of the shape, and a limit of the p-value
-where a cause needs another one than `ALPHA_CAUSE`.
+where a cause needs a limit other than `ALPHA_CAUSE`.
 """
 
 from rollerrig.rig.identify.causes import table
@@ -19,8 +19,8 @@ from rollerrig.rig.identify.causes import table
 LEAST_INNOVATION_VARIANCE = 0.3
 MOST_INNOVATION_VARIANCE = 2.5
 
-# Longest irregularity of the rail in m. What lasts longer is to be explained, not to be called
-# noise: a free length absorbed cleaning, sand and patches.
+# Longest irregularity of the rail in m. A longer change of friction is not noise and must be
+# explained: a free length absorbed cleaning, sand and patches.
 LONGEST_IRREGULARITY_M = 16.0
 
 # Standard deviation in N m of the torque of a released brake. An offset beyond it shows before the
@@ -52,10 +52,10 @@ RUNAWAY_VARIANCE = 1.2
 # 20 of them give the spread to 16 %.
 CLEAR_FACTOR = 4.0
 
-# No more null simulations are needed if every p-value is above this multiple of its limit, ...
+# A score test is near its limit if its p-value is below this multiple of its limit and its
+# statistic is above this share of SCORE_FLOOR. No more null simulations are needed if no test is
+# near its limit. Chosen.
 NEAR_FACTOR = 10.0
-
-# ... or every statistic is below this share of SCORE_FLOOR. Chosen.
 NEAR_SHARE = 0.5
 
 # A clear cause must exceed the windows near their limits by this factor. Chosen.
@@ -105,8 +105,8 @@ SAND_SHARE_OF_RUN = 0.5
 # Causes that are fitted together with the base, to find the irregularity of the rail without them.
 MOST_PROMISING = 4
 
-# Least statistic of a promising cause, its cost of each coefficient, and the same for a window,
-# which is the best one of many. Chosen.
+# Least statistic of a promising cause, and its cost per coefficient. For a window both are larger,
+# because it is the best of many windows. Chosen.
 PROMISING_FLOOR = 10.0
 PROMISING_COST = 3.0
 PROMISING_WINDOW_FLOOR = 50.0
@@ -133,20 +133,19 @@ SHARE_OUTSIDE_BEST_BLOCK = 0.2
 BLOCK_S = 3.0
 
 # Likelihood ratio that no null simulation can win: a cause whose fit wins it needs no score,
-# because scores say little far from the base. Chosen.
+# because scores are not reliable far from the base. Chosen.
 CERTAIN_RATIO = 300.0
 
-# A fit that began elsewhere replaces another one of the same cause only if it is better by this
-# ratio.
+# A fit from another start replaces a fit of the same cause only if it is better by this ratio.
 BETTER_FIT_RATIO = 4.0
 
-# Vuong's test: a rival is distinguishable without a test if it wins less than this share of the
-# best one's ratio, and the difference is above this value, ...
+# A rival is distinguishable without a test if it wins less than this share of the best ratio, and
+# the difference is above this value.
 CLEARLY_LESS_SHARE = 0.75
 CLEARLY_LESS_RATIO = 10.0
 
-# ... else if the difference is above this number of its standard deviations (one-sided 5 %), and
-# above this value. Chosen.
+# Other rivals are distinguishable by Vuong's test: if the difference is at least this number of its
+# standard deviations (one-sided 5 %), and at least this value. Chosen.
 VUONG_DEVIATIONS = 1.64
 VUONG_LEAST_RATIO = 4.0
 

@@ -1,10 +1,13 @@
-"""How often a recording is explained rightly, on twins.
+"""Measures how often `explain` is right about simulated recordings ("twins").
 
     python tests/rig/identify/recorder_rates.py CLEAN EACH [SEED]
 
-CLEAN twins without a defect, of seven kinds (channels that a recorder has or lacks). Then EACH twins
-with each defect: how many were named on the right channel and run, how many were named and nothing
-else, and how many 95 % intervals hold the truth.
+CLEAN is the number of twins without a defect. They are of seven kinds, with different channels. The
+program counts those that are not consistent.
+
+EACH is the number of twins with each defect. The program counts the twins whose defect is named on
+the right channel and run, the twins where nothing else is named, and the 95 % intervals that hold
+the truth.
 """
 
 import sys
@@ -26,12 +29,12 @@ KINDS = (
     {"axles": 1, "reference": False},
 )
 
-# seeds of twins with a defect begin so far behind those of clean twins
+# distance of the seeds of twins with a defect from those of clean twins
 DEFECT_SEEDS = 10_000
 
 
 def explained(folder, seed, defects=(), **channels):
-    """Return what is true of a twin, and its explanation."""
+    """Return the truths of a twin, and its explanation."""
     truths = twin.dataset(folder, twin.stops("clean"), seed, defects, **channels)
     return truths, verdict.explain(recording.load(folder))
 
@@ -58,21 +61,32 @@ def show_defect(folder, defect, count, seed):
     covered = 0
     for k in range(count):
         truths, account = explained(folder, seed + DEFECT_SEEDS + k, (defect,))
-        found = [*account.findings, *account.unknown]
-        matches = [[finding for finding in found if is_right(finding, true)] for true in truths]
-        named += all(matches)
-        alone += {finding.name for finding in found} == {true.name for true in truths}
-        for true, of_truth in zip(truths, matches, strict=True):
-            if of_truth and true.size is not None:
+        findings = [*account.findings, *account.unknown]
+        first_matches = [first_match(findings, true) for true in truths]
+        if None not in first_matches:
+            named += 1
+        if {finding.name for finding in findings} == {true.name for true in truths}:
+            alone += 1
+        for true, finding in zip(truths, first_matches, strict=True):
+            if finding is not None and true.size is not None:
                 intervals += 1
-                covered += of_truth[0].low <= true.size <= of_truth[0].high
+                if finding.low <= true.size <= finding.high:
+                    covered += 1
     coverage = f"{covered} of {intervals}" if intervals else "-"
     name = defect.__name__
     print(f"| {name} | {named} of {count} | {alone} of {count} | {coverage} |", flush=True)
 
 
+def first_match(findings, true):
+    """Return the first finding that is right about a hidden defect; None if there is none."""
+    for finding in findings:
+        if is_right(finding, true):
+            return finding
+    return None
+
+
 def is_right(finding, true):
-    """Whether a finding has the name, the channel and the run of what was hidden."""
+    """Return whether a finding has the name, the channel and the run of a hidden defect."""
     return (
         finding.name == true.name
         and true.channel in finding.channels

@@ -1,8 +1,8 @@
 """Simulated recordings of runs of the bench, with the defects that recordings of trams had.
 
 The runs are free stops of the bench, sampled at 10 Hz and rounded to 0.1 km/h. The reference is a
-receiver with its own noise, 0.3 s late. A defect is a function that changes the columns of the runs
-and returns what is true of it. This file shares no code with `explain`.
+receiver with separate noise, 0.3 s late. A defect is a function that changes the columns of the runs
+and returns the truths about it. This file shares no code with `explain`.
 """
 
 import functools
@@ -48,7 +48,7 @@ SPEEDS = (39, 36, 33, 30, 27, 24)
 
 
 class Truth(NamedTuple):
-    """What is true of a hidden defect; None where it has no such value."""
+    """The truth about a hidden defect; None where it has no such value."""
 
     name: str  # of the finding that is right
     channel: str
@@ -60,16 +60,19 @@ class Truth(NamedTuple):
 
 @functools.cache
 def stops(kind, speeds=SPEEDS):
-    """Return simulated stops by name, "clean" ones or ones over a slippery "patch": columns by name."""
+    """Return the columns of simulated stops, by the names of the stops.
+
+    `kind` is "clean" or "patch": without or with a slippery place.
+    """
     demand_and_friction = {"clean": CLEAN, "patch": PATCH}[kind]
     first_Pa = {"clean": 1.5e5, "patch": 2.4e5}[kind]
-    found = {}
+    columns_by_stop = {}
     for speed in speeds:
         text = SCENARIO.format(title=kind, speed=speed, first=first_Pa) + demand_and_friction
         name = f"{kind}_{speed}"
         rows = free.simulate(scenario.read(tomllib.loads(text), Path(f"{name}.toml")))
-        found[name] = dict(zip(signals.COLUMNS, rows.T, strict=True))
-    return found
+        columns_by_stop[name] = dict(zip(signals.COLUMNS, rows.T, strict=True))
+    return columns_by_stop
 
 
 def record(true, rng, axles=4, reference=True, position=True):
@@ -114,6 +117,11 @@ def rounded(columns):
     return written
 
 
+def cell(value):
+    """Return a value as a recorder writes it: nothing for NaN."""
+    return "" if math.isnan(value) else f"{value:.9g}"
+
+
 def write(folder, runs, dates=None):
     """Write a dataset of recordings, which are rounded and in km/h, and return its folder."""
     folder = Path(folder)
@@ -135,9 +143,10 @@ def write(folder, runs, dates=None):
         lines += ["[[run]]", f'file = "{name}.csv"']
         if dates:
             lines.append(f'date = "{dates[k]}"')
-        rows = [",".join(["t", *names])]
-        for row in zip(columns["t"], *(columns[name] for name in names), strict=True):
-            rows.append(",".join("" if math.isnan(value) else f"{value:.9g}" for value in row))
+        written = ["t", *names]
+        rows = [",".join(written)]
+        for row in zip(*(columns[name] for name in written), strict=True):
+            rows.append(",".join(cell(value) for value in row))
         (folder / f"{name}.csv").write_text("\n".join(rows) + "\n")
     (folder / "dataset.toml").write_text("\n".join(lines) + "\n")
     return folder
@@ -169,7 +178,7 @@ def unit(runs, rng):
 
 
 def drift(runs, rng):
-    """Not in the list of causes: an axle whose speed drifts away and comes back."""
+    """Let the speed of an axle drift away and come back, which is not in the list of causes."""
     run, columns, _ = _somewhere(runs, rng)
     bump = 1.0 * np.exp(-0.5 * ((columns["t"] - 16.0) / 4.0) ** 2)
     columns["axle_3"] = columns["axle_3"] + bump
@@ -177,7 +186,7 @@ def drift(runs, rng):
 
 
 def noise(runs, rng):
-    """Not in the list of causes: a sensor that is noisy for some seconds."""
+    """Make a sensor noisy for some seconds, which is not in the list of causes."""
     run, columns, k = _somewhere(runs, rng)
     columns["axle_3"][k : k + 100] += rng.normal(0.0, 0.6, 100)
     return [Truth("unknown", "axle_3", run, columns["t"][k], columns["t"][k + 99], None)]
@@ -282,7 +291,7 @@ def _somewhere(runs, rng):
 
 
 def dataset(folder, stops_by_name, seed, defects=(), **channels):
-    """Write a dataset with some defects hidden, and return what is true of them.
+    """Write a dataset with some hidden defects, and return the truths about them.
 
     `channels` are the arguments of `record`. The second half of the runs has a later date.
     """

@@ -5,6 +5,7 @@ The twin (`recorder_twin`) shares no code with `explain`.
 
 import json
 import re
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from rollerrig.rig.identify.train_recorder import recording, verdict
 SOME = (36, 30, 27, 24)
 SEED = 11
 
-# s. Start and end of a finding may differ by so much from the truth.
+# start and end of a finding may differ by less than this from the truth
 TIME_BOUND_S = 0.35
 
 UNLISTED = (twin.drift, twin.noise)
@@ -30,7 +31,7 @@ def name_of(defect):
 
 
 def explained(folder, kind, seed, defects=(), speeds=SOME, **channels):
-    """Return what is true of a twin, and its explanation."""
+    """Return the truths of a twin, and its explanation."""
     truths = twin.dataset(folder, twin.stops(kind, speeds), seed, defects, **channels)
     return truths, verdict.explain(recording.load(folder))
 
@@ -40,7 +41,7 @@ def is_near(found_s, true_s):
 
 
 def matches(finding, true):
-    """Whether a finding has the channel, the run and, within a bound, the time of what was hidden."""
+    """Return whether a finding has the channel, the run and nearly the time of a hidden defect."""
     return (
         finding.name == true.name
         and true.channel in finding.channels
@@ -126,27 +127,34 @@ def test_slides_give_a_lower_bound_of_the_adhesion_and_show_the_place_that_runs_
 
 def adhesion_used(true, start_m, end_m):
     """Return the true adhesion used between two positions, the mean over all wheelsets, (n,)."""
-    within = (true["position_m"] >= start_m) & (true["position_m"] <= end_m)
-    load_N = sum(true[f"wheel_load_{axle}_N"] for axle in range(1, 5))[within]
-    force_N = sum(true[f"adhesion_{axle}"] * true[f"wheel_load_{axle}_N"] for axle in range(1, 5))[
-        within
-    ]
-    return force_N / load_N
+    load_N = np.zeros(true["time_s"].size)
+    force_N = np.zeros(true["time_s"].size)
+    for axle in range(1, 5):
+        load_of_axle_N = true[f"wheel_load_{axle}_N"]
+        load_N += load_of_axle_N
+        force_N += true[f"adhesion_{axle}"] * load_of_axle_N
+    is_within = (true["position_m"] >= start_m) & (true["position_m"] <= end_m)
+    return force_N[is_within] / load_N[is_within]
+
+
+def accelerated_first(columns):
+    """Return the columns of a run that accelerates as it brakes later."""
+    changed = {}
+    for name, values in columns.items():
+        backwards = values[::-1]
+        if name == "time_s":
+            step_s = float(values[1] - values[0])
+            changed[name] = np.arange(2 * values.size) * step_s
+        elif name == "position_m":
+            changed[name] = np.concatenate([values[-1] - backwards, values[-1] + values])
+        else:
+            changed[name] = np.concatenate([backwards, values])
+    return changed
 
 
 def test_driving_is_no_defect(tmp_path):
-    def there_and_back(name, values):
-        """Return a column of a run that accelerates as it brakes later."""
-        if name == "time_s":
-            return np.arange(2 * values.size) * float(values[1] - values[0])
-        if name == "position_m":
-            return np.concatenate([values[-1] - values[::-1], values[-1] + values])
-        return np.concatenate([values[::-1], values])
-
-    runs = {
-        run: {name: there_and_back(name, values) for name, values in columns.items()}
-        for run, columns in twin.stops("clean", SOME).items()
-    }
+    stops = twin.stops("clean", SOME)
+    runs = {name: accelerated_first(columns) for name, columns in stops.items()}
     for channels in ({}, {"reference": False}, {"axles": 2, "reference": False}):
         twin.dataset(tmp_path, runs, 61, **channels)
         account = verdict.explain(recording.load(tmp_path))
@@ -173,99 +181,153 @@ def test_page_recording_and_standard_output_have_the_content_of_the_report(tmp_p
 # --- files ---
 
 
-def test_other_separators_a_row_of_units_and_dates_with_times_read_the_same(tmp_path):
+def as_european_csv(text):
+    """Return a CSV with semicolons, decimal commas, a row of units, and stamps in milliseconds."""
+    head, *lines = text.splitlines()
+    names = head.split(",")
+    units = ["ms"]
+    for name in names[1:]:
+        is_speed = name.startswith(("axle", "gnss"))
+        units.append("km/h" if is_speed else "")
+
+    written = [";".join(names), ";".join(units)]
+    for line in lines:
+        time_s, *values = line.split(",")
+        cells = [str(1000 * float(time_s)), *values]
+        written.append(";".join(cells).replace(".", ","))
+    return "\n".join(written) + "\n"
+
+
+def test_other_separators_a_row_of_units_and_stamps_in_milliseconds_read_the_same(tmp_path):
     twin.dataset(tmp_path, twin.stops("clean", SOME[:1]), 81)
     plain = recording.load(tmp_path).runs[0]
+
     path = tmp_path / "clean_36.csv"
-    lines = path.read_text().replace(",", ";").replace(".", ",").splitlines()
-    head = lines[0].split(";")
-    units = ["ms", *("km/h" if name[0] in "ag" else "" for name in head[1:])]
-    rows = [line.split(";") for line in lines[1:]]
-    rows = [
-        [str(1000 * float(row[0].replace(",", "."))).replace(".", ","), *row[1:]] for row in rows
-    ]
-    path.write_text("\n".join([";".join(head), ";".join(units), *map(";".join, rows)]) + "\n")
+    path.write_text(as_european_csv(path.read_text()))
     toml = tmp_path / "dataset.toml"
     toml.write_text('decimal = ","\n' + toml.read_text())
+
     other = recording.load(tmp_path).runs[0]
     for name, channel in plain.channels.items():
         np.testing.assert_allclose(other.channels[name].values, channel.values)
         np.testing.assert_allclose(other.channels[name].time_s, channel.time_s, atol=1e-6)
 
 
+ROSBAG_DATASET = """kind = "recorder"
+[channels]
+bogie_speed_1_m_s = { column = "/axle:data", name = "axle" }
+reference_speed_m_s = { column = "/gnss:twist.linear.x", name = "gnss" }
+[[run]]
+file = "run"
+"""
+
+
 def test_a_rosbag_reads_as_the_csv(tmp_path):
     rosbag2 = pytest.importorskip("rosbags.rosbag2")
     typesys = pytest.importorskip("rosbags.typesys")
-    types = typesys.get_typestore(typesys.Stores.LATEST)
-    float64, twist = (
-        types.types["std_msgs/msg/Float64"],
-        types.types["geometry_msgs/msg/TwistStamped"],
-    )
-    vector, header = types.types["geometry_msgs/msg/Vector3"], types.types["std_msgs/msg/Header"]
-    stamp, one_twist = (
-        types.types["builtin_interfaces/msg/Time"],
-        types.types["geometry_msgs/msg/Twist"],
-    )
-    t = 1000.0 + 0.1 * np.arange(300)
-    v = 20.0 - 0.05 * np.arange(300)
+    store = typesys.get_typestore(typesys.Stores.LATEST)
+    Float64 = store.types["std_msgs/msg/Float64"]
+    Header = store.types["std_msgs/msg/Header"]
+    Time = store.types["builtin_interfaces/msg/Time"]
+    Twist = store.types["geometry_msgs/msg/Twist"]
+    TwistStamped = store.types["geometry_msgs/msg/TwistStamped"]
+    Vector3 = store.types["geometry_msgs/msg/Vector3"]
+
+    time_s = 1000.0 + 0.1 * np.arange(300)
+    speed_m_s = 20.0 - 0.05 * np.arange(300)
     with rosbag2.Writer(tmp_path / "run", version=9) as bag:
-        axle = bag.add_connection("/axle", float64.__msgtype__, typestore=types)
-        gnss = bag.add_connection("/gnss", twist.__msgtype__, typestore=types)
-        for at, speed in zip(t, v, strict=True):
-            bag.write(
-                axle, round(at * 1e9), types.serialize_cdr(float64(speed), float64.__msgtype__)
-            )
-            zero = vector(0.0, 0.0, 0.0)
-            message = twist(
-                header(stamp(int(at) + 1, 0), ""), one_twist(vector(speed, 0.0, 0.0), zero)
-            )
-            bag.write(gnss, round(at * 1e9), types.serialize_cdr(message, twist.__msgtype__))
-    (tmp_path / "dataset.toml").write_text(
-        'kind = "recorder"\n[channels]\nbogie_speed_1_m_s = { column = "/axle:data", name = "axle" }\n'
-        'reference_speed_m_s = { column = "/gnss:twist.linear.x", name = "gnss" }\n[[run]]\nfile = "run"\n'
-    )
+        axle = bag.add_connection("/axle", Float64.__msgtype__, typestore=store)
+        gnss = bag.add_connection("/gnss", TwistStamped.__msgtype__, typestore=store)
+        for at_s, speed in zip(time_s, speed_m_s, strict=True):
+            at_ns = round(at_s * 1e9)
+            plain = Float64(speed)
+            bag.write(axle, at_ns, store.serialize_cdr(plain, Float64.__msgtype__))
+
+            # the stamp of the header differs from the time at which the bag received the message
+            header = Header(Time(int(at_s) + 1, 0), "")
+            twist = Twist(Vector3(speed, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))
+            stamped = TwistStamped(header, twist)
+            bag.write(gnss, at_ns, store.serialize_cdr(stamped, TwistStamped.__msgtype__))
+    (tmp_path / "dataset.toml").write_text(ROSBAG_DATASET)
+
     run = recording.load(tmp_path).runs[0]
-    np.testing.assert_allclose(run.channels["axle"].values, v)
-    np.testing.assert_allclose(run.channels["axle"].time_s, t - t[0], atol=1e-6)
-    np.testing.assert_allclose(
-        run.channels["gnss"].time_s, np.floor(t) + 1.0 - t[0], atol=1e-6
-    )  # the header's stamp
+    np.testing.assert_allclose(run.channels["axle"].values, speed_m_s)
+    np.testing.assert_allclose(run.channels["axle"].time_s, time_s - time_s[0], atol=1e-6)
+    # a channel with a header has the stamps of the header
+    stamps_s = np.floor(time_s) + 1.0
+    np.testing.assert_allclose(run.channels["gnss"].time_s, stamps_s - time_s[0], atol=1e-6)
 
 
-BAD = {
-    "no such column": (
-        'column = "axle_1"',
-        'column = "axel_1"',
-        "column 'axel_1' is missing.*axle_1",
+class Edit(NamedTuple):
+    """A pattern in dataset.toml, the text that replaces it, and the pattern of the message."""
+
+    old: str
+    new: str
+    message: str
+
+
+WRONG = {
+    "no such column": Edit(
+        old='column = "axle_1"',
+        new='column = "axel_1"',
+        message="column 'axel_1' is missing.*axle_1",
     ),
-    "no such file": ('file = "clean_36.csv"', 'file = "clean.csv"', "clean.csv: no such file"),
-    "no such unit": ('unit = "km/h"', 'unit = "kmh"', "kmh.*allowed: .*km/h"),
-    "no such channel": (
-        "reference_speed_m_s",
-        "gps_speed_m_s",
-        "gps_speed_m_s is no channel.*reference_speed_m_s",
+    "no such file": Edit(
+        old=r'file = "clean_36\.csv"',
+        new='file = "clean.csv"',
+        message="clean.csv: no such file",
     ),
-    "two of a name": ('name = "axle_2"', 'name = "axle_1"', "two channels are called 'axle_1'"),
-    "no speed": (None, '[channels]\ntime_s = { column = "t" }\n', "no speed of an axle or a bogie"),
-    "no time": ('column = "t"', 'column = "zeit"', "column 'zeit' is missing"),
-    "unknown key": ("[channels]", "sample_time_s = 0.1\n[channels]", "unknown key 'sample_time_s'"),
-    "no rosbag": ('file = "clean_36.csv"', 'file = "."', "names no field of a topic"),
+    "no such unit": Edit(
+        old='unit = "km/h"',
+        new='unit = "kmh"',
+        message="kmh.*allowed: .*km/h",
+    ),
+    "no such channel": Edit(
+        old="reference_speed_m_s",
+        new="gps_speed_m_s",
+        message="gps_speed_m_s is no channel.*reference_speed_m_s",
+    ),
+    "two of a name": Edit(
+        old='name = "axle_2"',
+        new='name = "axle_1"',
+        message="two channels are called 'axle_1'",
+    ),
+    "no speed": Edit(
+        old=r"(?s)\[channels\].*?(?=\[\[run)",
+        new='[channels]\ntime_s = { column = "t" }\n',
+        message="no speed of an axle or a bogie",
+    ),
+    "no time": Edit(
+        old='column = "t"',
+        new='column = "zeit"',
+        message="column 'zeit' is missing",
+    ),
+    "unknown key": Edit(
+        old=r"\[channels\]",
+        new="sample_time_s = 0.1\n[channels]",
+        message="unknown key 'sample_time_s'",
+    ),
+    "no rosbag": Edit(
+        old=r'file = "clean_36\.csv"',
+        new='file = "."',
+        message="names no field of a topic",
+    ),
 }
 
 
-@pytest.mark.parametrize("case", BAD)
-def test_what_cannot_be_read_is_refused_with_file_and_remedy(tmp_path, case):
+@pytest.mark.parametrize("case", WRONG)
+def test_a_dataset_that_cannot_be_read_is_refused_with_file_and_remedy(tmp_path, case):
     twin.dataset(tmp_path, twin.stops("clean", SOME[:1]), 91)
-    old, new, message = BAD[case]
+    edit = WRONG[case]
     toml = tmp_path / "dataset.toml"
     text = toml.read_text()
-    toml.write_text(
-        text.replace(old, new) if old else re.sub(r"(?s)\[channels\].*?(?=\[\[run)", new, text)
-    )
-    assert toml.read_text() != text
+    changed = re.sub(edit.old, edit.new, text)
+    assert changed != text
+    toml.write_text(changed)
+
     with pytest.raises(ConfigError) as error:
         recording.load(tmp_path)
-    assert re.search(message, str(error.value)), error.value
+    assert re.search(edit.message, str(error.value)), error.value
 
 
 @pytest.mark.parametrize("verb", ["tune", "validate"])
@@ -276,9 +338,11 @@ def test_a_recorder_is_not_fitted(tmp_path, capsys, verb):
 
 
 def test_columns_of_standard_names_need_no_table_and_turns_become_speeds(tmp_path):
-    t = np.arange(0.0, 20.0, 0.1)
-    rows = "\n".join(f"{a:.1f},{(20.0 - 0.5 * a) / 0.5:.4f},{20.0 - 0.5 * a:.4f}" for a in t)
-    (tmp_path / "one.csv").write_text(f"time_s,wheel_speed_3_rad_s,reference_speed_m_s\n{rows}\n")
+    lines = ["time_s,wheel_speed_3_rad_s,reference_speed_m_s"]
+    for time_s in np.arange(0.0, 20.0, 0.1):
+        speed_m_s = 20.0 - 0.5 * time_s
+        lines.append(f"{time_s:.1f},{speed_m_s / 0.5:.4f},{speed_m_s:.4f}")
+    (tmp_path / "one.csv").write_text("\n".join(lines) + "\n")
     (tmp_path / "dataset.toml").write_text(
         'kind = "recorder"\nwheel_radius_m = 0.5\n[[run]]\nfile = "one.csv"\nvehicle_id = "12"\n'
     )

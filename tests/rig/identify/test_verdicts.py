@@ -114,6 +114,7 @@ def test_a_cause_whose_simulated_stops_do_not_brake_like_the_recording_is_not_re
 def test_the_model_that_is_judged_and_written_has_a_cause_less_the_bias_of_null_simulations() -> (
     None
 ):
+    # the fitted size is 0.02 s
     biased = score_test("speed_sensor_delay", 100.0)._replace(bias=(0.003,))
     cause = identified(100.0)._replace(score_test=biased)
     assert cause.unbiased.values == pytest.approx((0.017,))
@@ -184,7 +185,7 @@ def test_a_wrong_shape_of_a_cause_of_one_wheelset_lends_nothing_in_the_filters_o
     assert ratio - net == pytest.approx(lent)
 
 
-def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_one_of_a_single_wheelset() -> None:
+def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_a_cause_of_a_single_one() -> None:
     first = identified(4000.0)._replace(ratio_by_filter=(1000.0, 1000.0, 1000.0, 1000.0, 0.0))
     on_axle_2 = score_test("brake_gain", 300.0)._replace(axle=2)
     net = choice._net_likelihood(first, on_axle_2, 300.0, np.array([0.0, 300.0, 0.0, 0.0, 0.0]))
@@ -241,8 +242,8 @@ def test_null_simulations_are_enough_where_one_test_is_clear_or_none_is_near_its
 def test_causes_are_distinguished_only_where_one_wins_more_than_a_wrong_form_may_cost(
     other_ratio: float, form: float, is_confusable: bool
 ) -> None:
-    # in every block of 3 s the second cause wins the same share of what the first wins: they differ
-    # for certain, as far as chance is concerned
+    # In every block of 3 s the second cause wins the same share of what the first wins. So their
+    # difference is not due to chance.
     def fit(ratio: float) -> choice.BlockwiseFit:
         return choice.BlockwiseFit(
             explanation=None,
