@@ -1,8 +1,8 @@
 """The state of an explanation, and the inputs of the replay under it.
 
 An explanation consists of base parameters within their tolerances, the strength and length of the
-rail's irregularity, and any number of causes with their coefficients. `inputs` turns it exactly into
-torque, load, friction and wheel parameters of the replay. The columns of `columns` are its
+rail's irregularity, and any number of causes with their coefficients. `inputs` turns it exactly
+into torque, load, friction and wheel parameters of the replay. The columns of `columns` are its
 derivatives.
 """
 
@@ -137,8 +137,9 @@ def _with_memory(i: Inputs, shape: Shape, length_m: float) -> Inputs:
 
 
 def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inputs:
-    """Return inputs for a wheel speed that is measured late: the wheel's inputs are shifted as much.
+    """Return inputs for a wheel speed that is measured late.
 
+    The inputs of the wheel are shifted by the same time.
     The vehicle is measured in time, so its force balance keeps the torque that is not shifted.
     """
     by_s = np.where(_segments_of_axle(design, axle), -late_s, 0.0)
@@ -155,7 +156,7 @@ def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inp
 
 
 def _with_courses(design: Design, i: Inputs, cause: Cause) -> Inputs:
-    """Return inputs that a cause changes by its courses, of friction, load, torque or resistance."""
+    """Return inputs that a cause changes by courses of friction, load, torque or resistance."""
     mechanism = table.BY_NAME[cause.name].mechanism
     of_units = courses.courses(design, cause.name, cause.shape)
     change = courses.of_axle(design, cause.axle) * sum(

@@ -31,8 +31,8 @@ TORQUE_SMOOTHING_S = 0.03
 LARGEST_ACCELERATION_RAD_S2 = 30.0  # of the covariate "acceleration"; larger ones are outliers
 _FREE = 0.0  # prior of a coefficient without a tolerance
 
-# `LinearisedReplay.constants` begins with the changes of the recovery and of the contaminant's level;
-# those of causes follow.
+# `LinearisedReplay.constants` begins with the changes of the recovery and of the contaminant's
+# level; those of causes follow.
 _TAU = 0
 _LEVEL = 1
 _FIRST_CAUSE = 2
@@ -70,8 +70,9 @@ class SensitivityMatrix(NamedTuple):
     """Columns, their courses and the variants of causes.
 
     Courses are numbered: first those in `wheel`, then those of bins, then those of variants with a
-    finite step. The course of a bin is `in_bins` at the samples where `bins` holds its number, and 0
-    elsewhere. The course of a finite step is the difference of whole replays, which the fit computes.
+    finite step. The course of a bin is `in_bins` at the samples where `bins` holds its number, and
+    0 elsewhere. The course of a finite step is the difference of whole replays, which the fit
+    computes.
     """
 
     columns: list[Column]
@@ -126,7 +127,10 @@ class _Writer:
         axle: int = 0,
         run: int | None = None,
     ) -> int:
-        """Add a column of a course, on an axle (0: all) of a run (None: all); returns its number."""
+        """Add a column of a course and return its number.
+
+        It acts on one axle (0: all) of one run (None: all).
+        """
         design = self.design
         number = len(self.columns)
         if vehicle is not None:
@@ -166,7 +170,7 @@ class _Writer:
         return -sum_of_wheelsets(design, felt, axle) / (design.base[parameters.RADIUS] * mass_kg)
 
     def rate(self, name: str) -> np.ndarray:
-        """Return the change of a wheel's acceleration for one of `sensitivity.RATES`, shape (n,)."""
+        """Return the change of a wheel's acceleration for a name of `sensitivity.RATES`, (n,)."""
         return self.linear.rates[sensitivity.RATES.index(name)]
 
     def of_torque(self, change_Nm: np.ndarray) -> Part:
@@ -287,9 +291,10 @@ def _matrix(writer: _Writer, bins: Sequence["_Bins"]) -> SensitivityMatrix:
 
 
 def _changed(inputs: Inputs, constants: list[tuple[Search, Shape]]) -> np.ndarray:
-    """Return parameters (segments, changes, PARAMETERS), each change with another one larger by STEP.
+    """Return the parameters after each of some changes, shape (segments, changes, PARAMETERS).
 
-    The changes are those of the recovery, of the contaminant's level, and of each of some causes.
+    Each change enlarges one thing by STEP: the recovery, the contaminant's level, then each of
+    `constants` (causes that change constants of the model).
     """
     p = inputs.parameters
     rows = [p, p]
@@ -539,8 +544,8 @@ def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
     columns = [writer.add("along axle", str(j), course, axle=j + 1) for j in range(AXLES - 1)]
     writer.variants.append(Variant("along axle", tuple(columns), {}, 0))
 
-    # A change on one wheelset at some time. Its mean is removed, so that a change that lasts all the
-    # time does not count here.
+    # A change on one wheelset at some time. Its mean is removed, so that a change that lasts all
+    # the time does not count here.
     of_time = bumps(design.time_s)
     add_along("time of one axle", of_time - of_time.mean(axis=1)[:, None], each_axle)
 

@@ -1,8 +1,8 @@
 """Courses of causes along prepared runs, by the same formulas that the plant calls.
 
-A course is what one unit of a coefficient adds at each sample. The columns of the search, the inputs
-of a replay and the extended model all take the course of a cause from here, so that they cannot drift
-apart.
+A course is what one unit of a coefficient adds at each sample. The columns of the search, the
+inputs of a replay and the extended model all take the course of a cause from here, so that they
+cannot drift apart.
 """
 
 from functools import cache
@@ -20,7 +20,7 @@ from rollerrig.rig.mechanisms.mechanism import COVARIATES, arguments
 
 @cache
 def array_kernel(course: Any) -> Any:
-    """Return a kernel that computes a course for arrays (n,) and fills its last argument with it."""
+    """Return a kernel that computes a course from arrays (n,) and writes it to its last argument."""
     return elementwise(f"each_{course.__name__}", course, len(arguments(course, 0)))
 
 

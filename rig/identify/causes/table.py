@@ -1,9 +1,9 @@
 """The table of causes: how the identification searches for each mechanism, one row per cause.
 
 A row states which shapes the search tries, within which limits it refines them, what a cause costs,
-and along which covariates it may leave a remainder. How a cause changes a replay follows from its row
-in `mechanisms`: a course of friction, torque or load, or constants of the model. The few other causes
-have their columns in `columns`.
+and along which covariates it may leave a remainder. How a cause changes a replay follows from its
+row in `mechanisms`: a course of friction, torque or load, or constants of the model. The few other
+causes have their columns in `columns`.
 """
 
 from collections.abc import Mapping
@@ -33,7 +33,7 @@ class Search(NamedTuple):
     # the choice of a shape counts as so many coefficients, in addition to the fitted ones
     price: int = 0
 
-    # covariates along which the cause may leave a remainder, because its true shape may be different
+    # covariates along which the cause may leave a remainder, because its true shape may differ
     remainder_along: tuple[str, ...] = ()
 
     # the cause is searched for on single wheelsets only
@@ -42,17 +42,18 @@ class Search(NamedTuple):
     # a shape parameter that is fitted as cosine and sine, separately for each run
     phase: str = ""
 
-    # above 0: the cause acts in a window, which is searched for in bins; this is the first step, in m
-    # or s, by which its edges are then moved
+    # above 0: the cause acts in a window, which is searched for in bins; this is the first step, in
+    # m or s, by which its edges are then moved
     edge_step: float = 0.0
 
-    # above 0: the cause has no derivative at size 0 that the noise of a filter would not spoil, so the
-    # replay is repeated with a coefficient of this size, in its unit; else the linearised filter serves
+    # above 0: the cause has no derivative at size 0 that the noise of a filter would not spoil, so
+    # the replay is repeated with a coefficient of this size, in its unit; else the linearised
+    # filter serves
     finite_step: float = 0.0
 
     alpha: float = ALPHA_CAUSE
 
-    # subject and verb of the sentence "... unknown": what other runs than the fitted ones do not show
+    # what runs that were not fitted do not show: subject and verb of a sentence "... unknown"
     unknown_in_other_runs: str = ""
 
     @property

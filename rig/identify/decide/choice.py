@@ -410,8 +410,8 @@ def _try_second_cause(
     """Return the explanation with a second cause, and both causes.
 
     If there is no second cause, return the explanation with the first cause alone, and that cause.
-    `tests` are the score tests with the first cause in the model, `candidates` those among which the
-    first cause was chosen.
+    `tests` are the score tests with the first cause in the model, `candidates` those among which
+    the first cause was chosen.
     """
     design = workspace.design
     deviance = fitting.deviance(design, explanation)

@@ -501,7 +501,10 @@ def bounds(cause: Cause) -> list[tuple[float, float]]:
 
 
 def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
-    """Return the explanation with the most likely irregularity, all else fixed, and its deviance."""
+    """Return the explanation with the most likely irregularity, and its deviance.
+
+    All else remains fixed.
+    """
 
     def with_irregularity(x: np.ndarray) -> Explanation:
         """Return the explanation with the logarithms of strength and length in `x`."""

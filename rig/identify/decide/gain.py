@@ -122,7 +122,8 @@ def missing_adhesion(design: Design, explanation: Explanation) -> np.ndarray:
 def free_running(design: Design, explanation: Explanation) -> np.ndarray:
     """Return the error in m/s of the speed that the force balance predicts FREE_RUN_S ahead.
 
-    The result has a value for each sample of the vehicles. It is 0 in the first FREE_RUN_S of a run.
+    The result has a value for each sample of the vehicles. It is 0 in the first FREE_RUN_S of a
+    run.
     """
     i = inputs(design, explanation)
     out = np.zeros(design.vehicle_m_s.size)

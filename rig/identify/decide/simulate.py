@@ -74,8 +74,8 @@ def wheel_step(
 ):
     """Return (omega, feedback, lambda, force on the vehicle) of one wheelset after a step h [Q1].
 
-    The force in N is the mean of the step: what wheel and brake leave for the vehicle. The step is that
-    of `replay.predict`, with bounds for a substep that is shorter.
+    The force in N is the mean of the step: what wheel and brake leave for the vehicle. The step is
+    that of `replay.predict`, with bounds for a substep that is shorter.
     """
     r = model.wheel_radius_m
     inertia = model.wheelset_inertia_kgm2

@@ -7,7 +7,8 @@ stop is the least separation that it leaves between any two candidates [L2]. Sto
 after another, each together with the data and the stops chosen before it.
 
     [L1] S = sum A_cc - A_cb A_bb^-1 A_bc over candidates c and base b, of columns times their size
-    [L2] max over stops of min over pairs of min(S_aa, S_bb) (1 - rho^2), rho^2 = S_ab^2 / (S_aa S_bb)
+    [L2] max over stops of min over pairs of min(S_aa, S_bb) (1 - rho^2),
+         rho^2 = S_ab^2 / (S_aa S_bb)
 
 Source: Atkinson and Donev, Optimum Experimental Designs (1992), chapter 20.
 A stop with the brake on only one wheelset keeps its speed for long: it shows sliding at a steady
@@ -40,8 +41,8 @@ PRESSURES_PA = (1.2e5, 3.8e5)
 LADEN = 1.25
 # initial speeds of stops with the brake on one wheelset
 STEADY_M_S = (14.0, 38.0)
-# Speeds that the drives of the rollers hold, and for how long. Only rollers can hold a speed. A held
-# speed distinguishes friction that depends on speed from friction that depends on time.
+# Speeds that the drives of the rollers hold, and for how long. Only rollers can hold a speed. A
+# held speed distinguishes friction that depends on speed from friction that depends on time.
 HELD_M_S = (12.0, 35.0)
 HELD_S = 30.0
 
@@ -69,8 +70,8 @@ Progress = Callable[[str, float], None]
 class Information(NamedTuple):
     """The information of some runs about base parameters and candidates.
 
-    The key of a candidate is "cause NAME", that of a base parameter begins with `BASE`. Runs share a
-    parameter if they share its key.
+    The key of a candidate is "cause NAME", that of a base parameter begins with `BASE`. Runs share
+    a parameter if they share its key.
     """
 
     keys: tuple[str, ...]
@@ -249,14 +250,14 @@ def _information(
 ) -> Information:
     """Return the information of normal equations, with a key for each base parameter and candidate.
 
-    The normal equations are those of the data, or of a possible stop with this number. The column of
-    a candidate is in units of its size.
+    The normal equations are those of the data, or of a possible stop with this number. The column
+    of a candidate is in units of its size.
     """
     columns = normal.matrix.columns
     base = fitting.base_columns(normal.matrix)
     is_of_data = number_of_stop is None
-    # The parameter of a single run has the name of its runs in the key, so that it is never added to
-    # that of other runs.
+    # The parameter of a single run has the name of its runs in the key, so that it is never added
+    # to that of other runs.
     runs = "known" if is_of_data else f"stop {number_of_stop}"
 
     A = normal.A.copy()
@@ -297,8 +298,8 @@ def _coefficients(normal: fitting.NormalEquations, test: ScoreTest) -> list[_Coe
             for column, size in zip(variant.columns, test.estimate, strict=True)
         ]
 
-    # A cause with a phase has a cosine and a sine in each run. The phase of a new run is unknown, so
-    # the mean amplitude is assigned to the cosines.
+    # A cause with a phase has a cosine and a sine in each run. The phase of a new run is unknown,
+    # so the mean amplitude is assigned to the cosines.
     amplitude = float(np.sqrt(2.0 * np.mean(np.square(test.estimate))))
     coefficients = []
     for k, column in enumerate(variant.columns):

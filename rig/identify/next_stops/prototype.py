@@ -142,8 +142,8 @@ def _course(
 ) -> _Course:
     """Return the course of a stop until its last speed or its longest time.
 
-    `row` (PARAMETERS,) holds the parameters of the wheelsets, `is_braked` (AXLES,) is true for those
-    that brake. `mass_kg` is infinite if the rig holds the speed.
+    `row` (PARAMETERS,) holds the parameters of the wheelsets, `is_braked` (AXLES,) is true for
+    those that brake. `mass_kg` is infinite if the rig holds the speed.
     """
     step_s = data.sample_time_s
     vehicle = data.sections["vehicle"]
@@ -188,9 +188,10 @@ def _course(
 
 @kernel
 def braked_wheel(speed, wanted_N, load_N, row, time_s):
-    """Return (sliding in m/s, force in N) of a braked wheelset: as the WSP lets it, or as it creeps.
+    """Return (sliding in m/s, force in N) of a braked wheelset.
 
-    `wanted_N` is the force that the brake torque needs, `row` (PARAMETERS,) the wheelset's parameters.
+    It slides as the WSP lets it, or creeps if the brake is too weak for that. `wanted_N` is the
+    force that the brake torque needs, `row` (PARAMETERS,) holds the wheelset's parameters.
     """
     model = wheel_model(row)
     swing = SWING * math.sin(2.0 * math.pi * time_s / PERIOD_S)

@@ -1,8 +1,8 @@
 """Simulated recordings of runs of the bench, with the defects that recordings of trams had.
 
 The runs are free stops of the bench, sampled at 10 Hz and rounded to 0.1 km/h. The reference is a
-receiver with separate noise, 0.3 s late. A defect is a function that changes the columns of the runs
-and returns the truths about it. This file shares no code with `explain`.
+receiver with separate noise, 0.3 s late. A defect is a function that changes the columns of the
+runs and returns the truths about it. This file shares no code with `explain`.
 """
 
 import functools
@@ -284,7 +284,7 @@ def _lasting(name, channel, run, time_s, k, n):
 
 
 def _somewhere(runs, rng):
-    """Return the name and the columns of a random run, and a random sample in its second quarter."""
+    """Return a random run (name, columns), and a random sample in its second quarter."""
     run = list(runs)[int(rng.integers(len(runs)))]
     n = runs[run]["t"].size
     return run, runs[run], int(rng.integers(n // 4, n // 2))

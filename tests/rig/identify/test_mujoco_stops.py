@@ -90,9 +90,11 @@ def test_loads_sum_to_the_weight_and_move_forward_by_the_moment_of_braking(clean
     deceleration_m_s2 = (speed_m_s[0] - speed_m_s[-1]) / (STEP_S * (speed_m_s.size - 1))
     # About the rail: the body, the bogies and the wheelsets slow down at their heights, and the
     # wheels turn more slowly.
-    moment_Nm = deceleration_m_s2 * (
-        29720.0 * 1.8 + 2 * 3000.0 * 0.6 + 4 * 1820.0 * 0.445 + 4 * 160.0 / 0.445
-    )
+    of_body = 29720.0 * 1.8
+    of_bogies = 2 * 3000.0 * 0.6
+    of_wheelsets = 4 * 1820.0 * RADIUS_M
+    of_rotation = 4 * INERTIA_KGM2 / RADIUS_M
+    moment_Nm = deceleration_m_s2 * (of_body + of_bogies + of_wheelsets + of_rotation)
     arms_m = 21.56 / 2.0 - np.array([0.0, 2.56, 19.0, 21.56])
     mean_N = loads_N[braked].mean(axis=0)
     assert (mean_N - WEIGHT_N / 4.0) @ arms_m == pytest.approx(moment_Nm, rel=0.05)
@@ -136,7 +138,10 @@ def test_brakes_rail_and_air_take_the_energy_that_the_coach_loses(trace):
 
 
 def test_the_wheels_obey_the_papers_adhesion_in_its_closed_form(clean):
-    """Lambert's function solves the implicit equation; half axes and c11 are tabulated for 52.7 kN."""
+    """Lambert's function solves the implicit equation.
+
+    Half axes and c11 are those of a table for 52.7 kN.
+    """
     record = record_of(clean, LONG_RUN)
     half_N = record.loads_N.mean(axis=0) / 2.0
     inside = slice(150, -20)
@@ -174,7 +179,8 @@ def test_speed_rotation_and_torque_have_one_clock(trace):
     torques_Nm = coach.four(trace, coach.TORQUES)
     rate_rad_s2 = np.diff(spins_rad_s, axis=0) / coach.STEP_S
     mean_Nm = (torques_Nm[1:] + torques_Nm[:-1]) / 2.0
-    np.testing.assert_allclose(160.0 * rate_rad_s2, 0.445 * forces_N[:-1] - mean_Nm, atol=1e-5)
+    balance_Nm = RADIUS_M * forces_N[:-1] - mean_Nm
+    np.testing.assert_allclose(INERTIA_KGM2 * rate_rad_s2, balance_Nm, atol=1e-5)
 
 
 # --- numerics ---
@@ -227,9 +233,8 @@ def test_a_gain_or_an_inertia_changes_by_the_share_that_is_its_size():
     torques_Nm = coach.four(trace, coach.TORQUES)
     mean_Nm = (torques_Nm[1:] + torques_Nm[:-1]) / 2.0
     rate_rad_s2 = np.diff(spins_rad_s, axis=0) / coach.STEP_S
-    np.testing.assert_allclose(
-        160.0 * 1.05 * rate_rad_s2, 0.445 * forces_N[:-1] - 1.04 * mean_Nm, atol=1e-5
-    )
+    balance_Nm = RADIUS_M * forces_N[:-1] - 1.04 * mean_Nm
+    np.testing.assert_allclose(1.05 * INERTIA_KGM2 * rate_rad_s2, balance_Nm, atol=1e-5)
 
 
 def test_a_delay_is_as_long_as_its_size(trace):

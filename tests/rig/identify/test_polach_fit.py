@@ -1,4 +1,7 @@
-"""Polach's parameters from creep curves: the measured locomotive, and curves of known parameters."""
+"""Polach's parameters are found from creep curves.
+
+The curves are those of a measured locomotive, and curves with known parameters.
+"""
 
 import numpy as np
 import pytest

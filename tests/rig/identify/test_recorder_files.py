@@ -1,4 +1,7 @@
-"""Recordings from other writers are read: Parquet, MDF4, stamps as date and time, numbers of any kind."""
+"""Recordings from other writers are read.
+
+The files are Parquet or MDF4, with stamps as date and time, and numbers of any kind.
+"""
 
 import datetime
 import zoneinfo
