@@ -20,7 +20,7 @@ from rollerrig.rig.mechanisms.mechanism import COVARIATES, arguments
 
 @cache
 def array_kernel(course: Any) -> Any:
-    """Return a kernel that computes a course from arrays (n,) and writes it to its last argument."""
+    """Return a kernel that computes a course from arrays (n,) into its last argument."""
     return elementwise(f"each_{course.__name__}", course, len(arguments(course, 0)))
 
 
