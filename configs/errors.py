@@ -1,7 +1,7 @@
 """The family of errors that a user can correct.
 
-A message says where, what (with value and unit), what is allowed and how to correct it. Only the command
-line catches these errors; it prints the message and exits with status 2.
+A message says where, what (with value and unit), what is allowed and how to correct it. Only the
+command line catches these errors; it prints the message and exits with status 2.
 """
 
 

@@ -1,7 +1,8 @@
-"""Parameters are rows: name with its unit, bounds, default, source. Here a TOML table is read by rows.
+"""Parameters are rows: name with its unit, bounds, default, source. Here a TOML table is read by
+rows.
 
-The loader, the documentation and the bounds of identification use the same rows. So a value from a program
-is checked like a value from a person.
+The loader, the documentation and the bounds of identification use the same rows. So a value from a
+program is checked like a value from a person.
 """
 
 import difflib
@@ -15,9 +16,9 @@ from rollerrig.configs.errors import ConfigError
 class Row(NamedTuple):
     """One parameter.
 
-    `default` None: the parameter has no default and must be in the table. `choices`: the values of a text
-    parameter. The type of a value is that of the default: float, int, bool, str, or a tuple of floats (then
-    the bounds apply to each item). `low` and `high` are inclusive.
+    `default` None: the parameter has no default and must be in the table. `choices`: the values of
+    a text parameter. The type of a value is that of the default: float, int, bool, str, or a tuple
+    of floats (then the bounds apply to each item). `low` and `high` are inclusive.
     """
 
     name: str
@@ -51,8 +52,8 @@ def flag(name: str, default: bool, source: str) -> Row:
 def read(rows: Iterable[Row], given: Mapping[str, Any], where: str) -> dict[str, Any]:
     """Returns the checked value of every row, from `given` or its default.
 
-    `where` is the beginning of messages: file and table. Raises ConfigError for an unknown or missing key,
-    a wrong type or a value out of bounds.
+    `where` is the beginning of messages: file and table. Raises ConfigError for an unknown or
+    missing key, a wrong type or a value out of bounds.
     """
     table = {row.name: row for row in rows}
     known(given, table, lambda key: where)
@@ -60,7 +61,9 @@ def read(rows: Iterable[Row], given: Mapping[str, Any], where: str) -> dict[str,
 
 
 def known(given: Any, allowed: Collection[str], where: Callable[[str], str]) -> None:
-    """Raises ConfigError if `given` is no table or has a key that is not allowed; `where(key)`: its place."""
+    """Raises ConfigError if `given` is no table or has a key that is not allowed; `where(key)`: its
+    place.
+    """
     if not isinstance(given, Mapping):
         raise ConfigError(f"{where('')} = {given!r}: must be a table with keys and values")
     for key in given:
@@ -69,7 +72,9 @@ def known(given: Any, allowed: Collection[str], where: Callable[[str], str]) -> 
 
 
 def nearest(key: str, allowed: Iterable[str]) -> str:
-    """Returns the end of a message about an unknown name: the most similar name, and the allowed names."""
+    """Returns the end of a message about an unknown name: the most similar name, and the allowed
+    names.
+    """
     names = sorted(allowed)
     similar = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
     hint = f"; did you mean '{similar[0]}'?" if similar else "."

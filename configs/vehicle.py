@@ -10,7 +10,8 @@ from typing import Any
 from rollerrig.configs.errors import ConfigError
 
 AXLES = 4
-# the two magnets of the dump valve of an axle, as bits; without energised magnets the cylinder fills
+# the two magnets of the dump valve of an axle, as bits; without energised magnets the cylinder
+# fills
 HOLD_MAGNET = 1
 VENT_MAGNET = 2
 GRAVITY_M_S2 = 9.80665  # standard gravity, ISO 80000-3
@@ -34,7 +35,9 @@ def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
 
 
 def weighed_share(air: Mapping[str, float], vehicle: Mapping[str, Any]) -> float:
-    """Returns the share of the demanded pressure that the weighing valve passes at this vehicle mass."""
+    """Returns the share of the demanded pressure that the weighing valve passes at this vehicle
+    mass.
+    """
     if air["weighed_mass_kg"] == 0.0:
         return 1.0
     loaded = vehicle["mass_kg"] / air["weighed_mass_kg"]
@@ -44,7 +47,10 @@ def weighed_share(air: Mapping[str, float], vehicle: Mapping[str, Any]) -> float
 def running_resistance(
     vehicle: Mapping[str, Any], force_N: float, speed_power: float
 ) -> dict[str, Any]:
-    """R = R_0 + force (v / 20 m/s)^speed_power. Raises ConfigError for a power that is not 0, 1 or 2."""
+    """R = R_0 + force (v / 20 m/s)^speed_power.
+
+    Raises ConfigError for a power that is not 0, 1 or 2.
+    """
     if speed_power not in RESISTANCE:
         raise ConfigError(
             f"[mechanisms] running_resistance_speed_power = {speed_power:g}; allowed are 0 "

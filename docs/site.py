@@ -1,8 +1,8 @@
 """The pages of the site that stand at the root of the repository, and the links between all pages.
 
 Links are written as the repository has them, so they work on a code hosting page. Here a link to a
-page is turned to where the site has that page; one to a file that is no page becomes plain text. A link
-to nothing stays as it is, and `mkdocs build --strict` refuses it. Loaded by mkdocs.yml.
+page is turned to where the site has that page; one to a file that is no page becomes plain text. A
+link to nothing stays as it is, and `mkdocs build --strict` refuses it. Loaded by mkdocs.yml.
 """
 
 import os

@@ -2,7 +2,8 @@
 
 With `-n`, all tests of one file run in one worker, so that its kernels are compiled once and its
 fixtures are made once. Tests that use the same recorded run also share a worker. Whole explanations
-and tutorials are the longest tests: they start first, and each of them goes to the next free worker.
+and tutorials are the longest tests: they start first, and each of them goes to the next free
+worker.
 """
 
 import os
@@ -66,8 +67,8 @@ def pytest_configure(config):
     # under nohup the processes that tests start would inherit that the signal is ignored
     signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
-    # With its default order, xdist starts the groups with the fewest tests last. Those are the whole
-    # explanations: one worker would compute the last of them while the others wait.
+    # With its default order, xdist starts the groups with the fewest tests last. Those are the
+    # whole explanations: one worker would compute the last of them while the others wait.
     config.option.loadscopereorder = False
 
     for mark in (
@@ -113,7 +114,8 @@ def start_rank(item):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_runtest_logreport(report):
-    # xdist appends the group to the name of a worker's test; without it --last-failed finds the test
+    # xdist appends the group to the name of a worker's test; without it --last-failed finds the
+    # test
     if hasattr(report, "node"):
         report.nodeid = report.nodeid.rpartition("@")[0]
 
@@ -129,7 +131,10 @@ def pytest_collection_finish(session):
 
 @pytest.fixture(autouse=True)
 def on_one_core(request):
-    """Keeps an explanation on one core if there are several workers. It then starts no processes."""
+    """Keeps an explanation on one core if there are several workers.
+
+    It then starts no processes.
+    """
     worker = os.environ.get("PYTEST_XDIST_WORKER", "")
     if not worker or not request.node.get_closest_marker("explanation"):
         yield

@@ -1,13 +1,14 @@
-"""Compares the results of two checkouts: stops in lockstep to the bit, explanations to their last figure.
+"""Compares the results of two checkouts: stops in lockstep to the bit, explanations to their last
+figure.
 
     .venv/bin/python tests/unchanged.py record before      # in the first checkout
     .venv/bin/python tests/unchanged.py record after       # in the second one, with the same file
     .venv/bin/python tests/unchanged.py compare before after
 
-`record` brakes the six stops on the three rigs in lockstep, and explains the shipped datasets and twenty
-generated ones. An interrupted recording continues where it stopped. `compare` prints one line for each
-result and exits with status 1 if something differs: channels by their largest relative difference, the bus
-log byte by byte, reports by verdict, causes and values.
+`record` brakes the six stops on the three rigs in lockstep, and explains the shipped datasets and
+twenty generated ones. An interrupted recording continues where it stopped. `compare` prints one
+line for each result and exits with status 1 if something differs: channels by their largest
+relative difference, the bus log byte by byte, reports by verdict, causes and values.
 """
 
 import argparse
@@ -142,7 +143,9 @@ class Findings(NamedTuple):
 
 
 def reports_apart(a, b):
-    """Returns (whether verdict and causes are equal, largest relative difference of the numbers)."""
+    """Returns (whether verdict and causes are equal, largest relative difference of the
+    numbers).
+    """
     first = Findings.of(a)
     second = Findings.of(b)
     equal = (first.verdict, first.causes) == (second.verdict, second.causes)

@@ -62,7 +62,9 @@ class Rig:
         pacing: str = "lockstep",
         seed: int = 0,
     ) -> None:
-        """Starts a bench at a speed on an adhesion of configs/adhesion; ``wsp``: reference, none or fmu:FILE."""
+        """Starts a bench at a speed on an adhesion of configs/adhesion; ``wsp``: reference, none or
+        fmu:FILE.
+        """
         self.end_bench()
         self._folder = _new_folder()
         speed_m_s = conditions.quantity(speed, "m_s", "speed") if speed else None
@@ -79,7 +81,10 @@ class Rig:
 
     @keyword
     def end_bench(self) -> None:
-        """Ends the bench, and shows in the log how it stood, its plot and where its record is. Fails if not valid."""
+        """Ends the bench, and shows in the log how it stood, its plot and where its record is.
+
+        Fails if not valid.
+        """
         if self._bench is None:
             return
         state = repr(self._bench)
@@ -103,7 +108,9 @@ class Rig:
 
     @keyword
     def adhesion(self, surface: str, axle: int = 0) -> None:
-        """Sets what is under the wheels from now on: a name of configs/adhesion, or a kinematic friction, or 0."""
+        """Sets what is under the wheels from now on: a name of configs/adhesion, or a kinematic
+        friction, or 0.
+        """
         mu: float | None
         try:
             mu = float(surface)
@@ -118,7 +125,10 @@ class Rig:
 
     @keyword
     def inject(self, fault: str, *parameters: str) -> None:
-        """Lets a fault of the catalogue begin: ``Inject    speed_sensor_stuck    axle=2    for=3``."""
+        """Lets a fault of the catalogue begin:
+
+        ``Inject    speed_sensor_stuck    axle=2    for=3``
+        """
         self._rig.inject(" ".join((fault, *parameters)))
 
     @keyword
@@ -138,7 +148,10 @@ class Rig:
 
     @keyword
     def wait_until(self, condition: str, timeout: str = "300 s") -> None:
-        """Waits until a condition holds: ``Wait Until    every cylinder_pressure > 3 bar    timeout=5 s``."""
+        """Waits until a condition holds:
+
+        ``Wait Until    every cylinder_pressure > 3 bar    timeout=5 s``
+        """
         wanted = conditions.condition(condition, "condition")
         self._until(lambda: wanted.holds(self._rig.values), timeout)
 
@@ -155,7 +168,10 @@ class Rig:
 
     @keyword
     def longest_lock_should_be_below(self, limit: str) -> None:
-        """Fails where a wheelset was locked for longer: ``Longest Lock Should Be Below    0.4 s``."""
+        """Fails where a wheelset was locked for longer:
+
+        ``Longest Lock Should Be Below    0.4 s``
+        """
         self._below("longest lock", self._rig.longest_lock_s, limit, "s")
 
     @keyword
@@ -172,7 +188,9 @@ class Rig:
 
     @keyword
     def limits_should_be_kept(self, criteria: str = "stop") -> None:
-        """Fails where a limit of a profile of configs/criteria is not kept, with each figure against its limit."""
+        """Fails where a limit of a profile of configs/criteria is not kept, with each figure
+        against its limit.
+        """
         missed = play.missed(self._rig, self._folder, criteria)
         if missed:
             raise AssertionError(missed)

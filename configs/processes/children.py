@@ -1,11 +1,11 @@
 """Processes that we start: they stop with us, even if we are killed.
 
-Linux sends a signal to a process when the thread that has started it is gone (prctl, PR_SET_PDEATHSIG). On
-other systems the processes remain. Processes that shall outlive us are started without this: the recorder,
-which finishes its files, and a viewer.
+Linux sends a signal to a process when the thread that has started it is gone (prctl,
+PR_SET_PDEATHSIG). On other systems the processes remain. Processes that shall outlive us are
+started without this: the recorder, which finishes its files, and a viewer.
 
-A program that has loaded the packages of its children forks them (`Forked`). Otherwise each child would
-load the packages again, which takes half a second.
+A program that has loaded the packages of its children forks them (`Forked`). Otherwise each child
+would load the packages again, which takes half a second.
 """
 
 import ctypes
@@ -25,7 +25,8 @@ from typing import Any, NamedTuple
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes import parent_death
 
-# fields of /proc/self/stat behind the name: the addresses of the beginning and the end of the command line
+# fields of /proc/self/stat behind the name: the addresses of the beginning and the end of the
+# command line
 _COMMAND_LINE = slice(45, 47)
 # a library with threads, which do not exist in a forked process
 _THREADED = "rerun"
@@ -40,13 +41,17 @@ _STDERR = 2
 
 
 def command(*words: str, by: int = signal.SIGTERM) -> list[str]:
-    """Returns a command as a child of this process: it gets the signal `by` when this process is gone."""
+    """Returns a command as a child of this process: it gets the signal `by` when this process is
+    gone.
+    """
     program = [sys.executable, "-IS", parent_death.__file__]
     return [*program, str(os.getpid()), str(int(by)), *words]
 
 
 def pool(count: int, first: Callable[..., Any] = int, *arguments: Any) -> ProcessPoolExecutor:
-    """Returns worker processes that stop with this one; each calls first(*arguments) at its start."""
+    """Returns worker processes that stop with this one; each calls first(*arguments) at its
+    start.
+    """
     return ProcessPoolExecutor(
         max_workers=count,
         mp_context=multiprocessing.get_context("spawn"),
@@ -74,7 +79,9 @@ def last_words(log: Path) -> str:
 
 
 def can_fork() -> bool:
-    """Returns whether this process may fork: on Linux, with one thread and no library with threads."""
+    """Returns whether this process may fork: on Linux, with one thread and no library with
+    threads.
+    """
     return (
         sys.platform == "linux" and threading.active_count() == 1 and _THREADED not in sys.modules
     )
@@ -95,9 +102,10 @@ class _Child(NamedTuple):
 class Forked(subprocess.Popen[bytes]):
     """A copy of this process, which calls `then` and exits with its result as the status.
 
-    `words` become the command line of the copy, so that a list of processes shows its purpose. Its standard
-    input is a pipe, its output is discarded, with `quiet` its errors too. It is the leader of a new session.
-    With `by` it gets this signal when this process is gone. It closes the inputs of `others`.
+    `words` become the command line of the copy, so that a list of processes shows its purpose. Its
+    standard input is a pipe, its output is discarded, with `quiet` its errors too. It is the leader
+    of a new session. With `by` it gets this signal when this process is gone. It closes the inputs
+    of `others`.
     """
 
     def __init__(

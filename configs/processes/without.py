@@ -8,10 +8,10 @@ from typing import NamedTuple
 class without(NamedTuple):  # noqa: N801
     """Lets imports of a package fail inside the block, as if it were not installed.
 
-    It has no effect if the package is imported already. It saves processor time at the start of a program:
-    python-can looks for asammdf to read MF4 files, which imports pandas (0.8 s; rollerrig imports asammdf
-    itself where it needs it). Arrow looks for pandas (0.4 s). Numba looks for scipy.linalg to multiply
-    matrices in kernels, and no kernel does (docs/compiled_kernels.md).
+    It has no effect if the package is imported already. It saves processor time at the start of a
+    program: python-can looks for asammdf to read MF4 files, which imports pandas (0.8 s; rollerrig
+    imports asammdf itself where it needs it). Arrow looks for pandas (0.4 s). Numba looks for
+    scipy.linalg to multiply matrices in kernels, and no kernel does (docs/compiled_kernels.md).
     """
 
     package: str

@@ -34,7 +34,8 @@ _EFFECTS = {
 class Rule:
     """The effect on frames of one identifier.
 
-    `every`: 1 for each frame, 2 for every second one. `count`: frames so far; `hit`: those affected.
+    `every`: 1 for each frame, 2 for every second one. `count`: frames so far; `hit`: those
+    affected.
     """
 
     effect: str

@@ -1,9 +1,9 @@
 """The fault catalogue: the faults that can be injected into the rig, one row each.
 
-A [[fault]] table of a scenario, `--fault` on the command line, or a call of the bench injects a fault.
-It begins at a time, lasts for a while, and is lifted again. A row gives the target of the fault, its
-parameters with their bounds, its effect, and the place where it acts: in the compiled tick
-(`effects`), on the bus (`bus`), or in a device (`panel`).
+A [[fault]] table of a scenario, `--fault` on the command line, or a call of the bench injects a
+fault. It begins at a time, lasts for a while, and is lifted again. A row gives the target of the
+fault, its parameters with their bounds, its effect, and the place where it acts: in the compiled
+tick (`effects`), on the bus (`bus`), or in a device (`panel`).
 """
 
 import math
@@ -39,8 +39,8 @@ WHEN = (
 class Kind:
     """One row of the catalogue. `parameters` have their unit in the name, and bounds.
 
-    `number` identifies it over Modbus (register 20 of unit 1). Programs of plants use it, so it never
-    changes.
+    `number` identifies it over Modbus (register 20 of unit 1). Programs of plants use it, so it
+    never changes.
     """
 
     number: int
@@ -52,7 +52,9 @@ class Kind:
 
 @dataclass(frozen=True)
 class Fault:
-    """One planned fault: its kind, its time, the values of its parameters, and whether events report it."""
+    """One planned fault: its kind, its time, the values of its parameters, and whether events
+    report it.
+    """
 
     kind: Kind
     at_s: float = 0.0

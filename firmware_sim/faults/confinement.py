@@ -1,18 +1,18 @@
 """Fault confinement: the effect of destroyed frames on the CAN controllers of the rig's nodes.
 
-Each controller has two counters. An error frame adds 8 to the counter of the sender of the destroyed
-frame [C1]. It adds 1 to that of every receiver, and 8 more to that of the receiver that has found the
-error [C2]. A frame that gets through subtracts 1 from each of them [C3]. A node with a counter above
-127 is error passive: its error flags destroy nothing, so if it still finds errors, it alone misses
-the frames. A node with a transmit counter above 255 is off the bus until 128 times 11 recessive bits
-have passed.
+Each controller has two counters. An error frame adds 8 to the counter of the sender of the
+destroyed frame [C1]. It adds 1 to that of every receiver, and 8 more to that of the receiver that
+has found the error [C2]. A frame that gets through subtracts 1 from each of them [C3]. A node with
+a counter above 127 is error passive: its error flags destroy nothing, so if it still finds errors,
+it alone misses the frames. A node with a transmit counter above 255 is off the bus until 128 times
+11 recessive bits have passed.
 
     [C1] TEC += 8    [C2] REC += 1, the finder's += 9, at most 255
     [C3] TEC -= 1, REC -= 1, not below 0; a REC above 127 becomes 127
 
 Source: ISO 11898-1, fault confinement; CiA 301, EMCY 8120h (error passive), 8140h (recovered from
-bus-off). Limits: counters are followed only while a fault is active or a counter is above 0; a faulty
-receiver transmits without errors; programs outside have counters of their own.
+bus-off). Limits: counters are followed only while a fault is active or a counter is above 0; a
+faulty receiver transmits without errors; programs outside have counters of their own.
 """
 
 from collections.abc import Callable
@@ -36,8 +36,8 @@ _SENDER = 8
 _RECEIVER = 1
 _FINDER = 9
 
-# called with the destroyed frame, the counters (transmit, receive) of the node that found the error,
-# and whether that node sent the frame
+# called with the destroyed frame, the counters (transmit, receive) of the node that found the
+# error, and whether that node sent the frame
 Destroyed = Callable[[Frame, int, int, bool], None]
 
 
@@ -76,7 +76,9 @@ class Controllers:
     nodes: dict[int, Controller] = field(default_factory=dict)
 
     def passes(self, frame: Frame, node: int) -> bool:
-        """Whether a frame of a node (0: of a program outside) gets through, after any number of errors."""
+        """Whether a frame of a node (0: of a program outside) gets through, after any number of
+        errors.
+        """
         sender = self.nodes.get(node)
         if sender is not None and sender.transmit > OFF_ABOVE:
             return False
@@ -123,8 +125,8 @@ class Controllers:
 class Confinement:
     """The effects of the counters on the nodes: EMCY, bus-off and recovery, missed frames.
 
-    `members` are the nodes by number. `mute(node, on)` takes a node off the wire, `deafen(node, on)`
-    keeps frames from it.
+    `members` are the nodes by number. `mute(node, on)` takes a node off the wire, `deafen(node,
+    on)` keeps frames from it.
     """
 
     def __init__(

@@ -1,9 +1,9 @@
 """The panel from which faults are injected and lifted, by their schedule or by hand.
 
 Each change is an event of the run. After each change the effects in the tick and on the bus are
-computed again from all active faults. So faults may overlap, and when the last one is lifted, the rig
-is free of faults. A drive that has tripped is reset and enabled again when its fault is lifted, if the
-rig control moves it. A master on the bus must reset its drives itself.
+computed again from all active faults. So faults may overlap, and when the last one is lifted, the
+rig is free of faults. A drive that has tripped is reset and enabled again when its fault is lifted,
+if the rig control moves it. A master on the bus must reset its drives itself.
 """
 
 from collections.abc import Callable, Iterable
@@ -63,8 +63,8 @@ class Site:
     """The parts of a rig on which faults act.
 
     `array`, shape (effects.SIZE,), is part of the commands; `post()` passes it to the tick. A rig
-    without a bus has nothing else. `disturb()` is called when the gate may have changed. `freeze(on)`
-    stops the process of a unit, and returns whether there is one.
+    without a bus has nothing else. `disturb()` is called when the gate may have changed.
+    `freeze(on)` stops the process of a unit, and returns whether there is one.
     """
 
     array: np.ndarray
@@ -143,7 +143,9 @@ class Panel:
         return len(targets)
 
     def poll(self, now_s: float) -> None:
-        """Begin and lift the faults that are due at `now_s` of simulated time, and continue the others."""
+        """Begin and lift the faults that are due at `now_s` of simulated time, and continue the
+        others.
+        """
         self.now_s = now_s
         begins = bool(self.waiting) and self.waiting[0].at_s <= now_s
         if not (self.active or self._confinement.busy or begins):

@@ -1,19 +1,20 @@
-"""WSP units that are CAN nodes in FMUs, and the bridge that exchanges their frames with the bus of the rig.
+"""WSP units that are CAN nodes in FMUs, and the bridge that exchanges their frames with the bus of
+the rig.
 
 A cycle begins after a SYNC and the pressures of node 17. The FMUs receive what the bus has carried
 since the last cycle. Then their time advances by the SYNC period, in their internal steps, by the
 interval of their Tx_Clock, or by 1 ms.
 
 A frame that an FMU sends meanwhile is confirmed to the sender and received by the other FMUs. If
-several FMUs send at one time, the identifiers decide the order, as in arbitration. At the end of the
-cycle all frames go to the bus. Heartbeat and magnets are the last ones, because the bench continues
-when it has received them. So a run in lockstep is repeatable.
+several FMUs send at one time, the identifiers decide the order, as in arbitration. At the end of
+the cycle all frames go to the bus. Heartbeat and magnets are the last ones, because the bench
+continues when it has received them. So a run in lockstep is repeatable.
 
 Before the first SYNC, time advances until the heartbeat of the unit (720h). After an NMT command
 to the unit, time advances until the unit is OPERATIONAL, but by a second at most.
 
-Source: FMI 3.0.2, co-simulation with event mode and clocks; FMI-LS-BUS 1.0, importer with integrated
-bus simulation.
+Source: FMI 3.0.2, co-simulation with event mode and clocks; FMI-LS-BUS 1.0, importer with
+integrated bus simulation.
 
 Limits: a frame is confirmed when it has been handed over to the bus. The bus is classical CAN: any
 other frame is answered with a bus error (format). Error frames of the bus of the rig are reported
@@ -95,8 +96,8 @@ class Offer(NamedTuple):
 class Node:
     """An FMU with a CAN port.
 
-    `received` is what the FMU will receive at its next event. `sent` is what it has sent: the bytes of
-    each operation, and the operation (None if it is corrupt).
+    `received` is what the FMU will receive at its next event. `sent` is what it has sent: the bytes
+    of each operation, and the operation (None if it is corrupt).
     """
 
     def __init__(self, checked: CheckedFmu, folder: Path, watch: Watch) -> None:
@@ -402,7 +403,10 @@ class Bridge:
     def _report_bus_error(
         self, sender: Node | None, can_id: int, error: int, found_outside: bool
     ) -> None:
-        """Report a bus error to all nodes. `found_outside`: another device than the sender found it."""
+        """Report a bus error to all nodes.
+
+        `found_outside`: another device than the sender found it.
+        """
         for node in self._nodes:
             is_sender = node is sender
             is_first = is_sender and not found_outside
@@ -423,7 +427,9 @@ class Bridge:
         raise UnitError(f"the FMUs answer each other without end at {self._now_ns / S_NS:.3f} s")
 
     def _deliver(self) -> None:
-        """Deliver what the nodes have sent: frames in the order of arbitration, other operations first."""
+        """Deliver what the nodes have sent: frames in the order of arbitration, other operations
+        first.
+        """
         offers: list[Offer] = []
         for node in self._nodes:
             sent = node.sent

@@ -1,10 +1,10 @@
 """A WSP as an FMU: what the file contains and whether it fits the rig, before any of it is run.
 
-Inputs are `wheel_speed_1` to `_4` (rad/s) and optionally `cylinder_pressure_1` to `_4` (Pa). Outputs
-are `hold_1` to `_4` and `vent_1` to `_4`, and optionally `reference_speed` (m/s). A unit that the FMU
-defines (bar, rpm) is converted. Other names and scales come from a mapping
-(`wsp_interface.unit_map`). An FMU that has a terminal with the media type of CAN is a node of the bus
-instead, and sends and receives the frames of `wsp_interface.rig_objects`.
+Inputs are `wheel_speed_1` to `_4` (rad/s) and optionally `cylinder_pressure_1` to `_4` (Pa).
+Outputs are `hold_1` to `_4` and `vent_1` to `_4`, and optionally `reference_speed` (m/s). A unit
+that the FMU defines (bar, rpm) is converted. Other names and scales come from a mapping
+(`wsp_interface.unit_map`). An FMU that has a terminal with the media type of CAN is a node of the
+bus instead, and sends and receives the frames of `wsp_interface.rig_objects`.
 Source: FMI 2.0.4 and 3.0.2, co-simulation; FMI-LS-BUS 1.0, bus terminal.
 """
 
@@ -63,8 +63,8 @@ _SI_UNITS = {
 class Finding(NamedTuple):
     """One result of a check.
 
-    `name`: the checked part; `fits`: whether it fits; `found`: what the FMU has; `mend`: the remedy if
-    it does not fit.
+    `name`: the checked part; `fits`: whether it fits; `found`: what the FMU has; `mend`: the remedy
+    if it does not fit.
     """
 
     name: str
@@ -581,7 +581,9 @@ def _wrong_declaration(variable: Any, causality: str) -> _Problem | None:
 
 
 def _unit_factor(description: Any, variable: Any, quantity: str) -> float | _Problem:
-    """Return the value of one SI unit in the unit of a variable, or what is wrong with that unit."""
+    """Return the value of one SI unit in the unit of a variable, or what is wrong with that
+    unit.
+    """
     unit = variable.unit
     if not unit:
         unit = variable.declaredType.unit if variable.declaredType else None

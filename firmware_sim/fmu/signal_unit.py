@@ -1,8 +1,9 @@
-"""A WSP unit that is an FMU with signals: extracted, compiled if it has sources only, and stepped once a SYNC.
+"""A WSP unit that is an FMU with signals: extracted, compiled if it has sources only, and stepped
+once a SYNC.
 
 A failure of the FMU stops the process of the unit, and the bench notices that as with any unit. A
-watching thread stops the process if a step does not return. What the FMU prints goes to the standard
-output of this process.
+watching thread stops the process if a step does not return. What the FMU prints goes to the
+standard output of this process.
 Source: FMI 2.0.4 and 3.0.2, co-simulation; FMPy 0.3.
 """
 
@@ -301,7 +302,9 @@ def main(
 
 
 def flush_every_line() -> None:
-    """Flush every line that this process or the FMU prints, so that none is lost with the process."""
+    """Flush every line that this process or the FMU prints, so that none is lost with the
+    process.
+    """
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     libc = ctypes.CDLL(None)
     line_buffered = 1  # _IOLBF of stdio.h on Linux

@@ -1,10 +1,11 @@
 """The Modbus map: every bit and register of the supervisory PLC and of the drives, one row each.
 
-Unit 1 is the rig as the control room of a plant sees it. Units 11 to 14 are the roller drives, whose
-registers are objects of their dictionaries. A unit has one space of bits and one of registers: coils
-and discrete inputs read the same bits, holding and input registers the same registers, and the row
-gives whether a client can write it. A row that carries a signal or an object takes its name, unit,
-scale and meaning from there. A value of two registers has the higher one first.
+Unit 1 is the rig as the control room of a plant sees it. Units 11 to 14 are the roller drives,
+whose registers are objects of their dictionaries. A unit has one space of bits and one of
+registers: coils and discrete inputs read the same bits, holding and input registers the same
+registers, and the row gives whether a client can write it. A row that carries a signal or an object
+takes its name, unit, scale and meaning from there. A value of two registers has the higher one
+first.
 """
 
 import csv
@@ -46,8 +47,8 @@ class State(IntEnum):
 class Register(NamedTuple):
     """One row of the map: a bit, or a value of one or two registers.
 
-    A row has either a signal (a column of the live row), or an object of the drive, or neither: then
-    it is a value of the bench.
+    A row has either a signal (a column of the live row), or an object of the drive, or neither:
+    then it is a value of the bench.
     """
 
     address: int  # counts from 0, as on the wire

@@ -26,7 +26,8 @@ BROADCAST = 0
 LARGEST_FRAME = 256
 PSEUDO = "pty"
 
-# silence that ends a frame: 3.5 characters, but at least as long as serial adapters pause in a frame
+# silence that ends a frame: 3.5 characters, but at least as long as serial adapters pause in a
+# frame
 CHARACTERS = 3.5
 SILENCE_MIN_S = 0.02
 _BITS_PER_CHARACTER = 11
@@ -59,7 +60,9 @@ class Frame(FramerRTU):
         return self.decode_whole(data[:size])
 
     def decode_whole(self, frame: bytes) -> tuple[int, int, int, bytes]:
-        """As `decode`, if all bytes must be one frame: a silence has ended it, or its length is known."""
+        """As `decode`, if all bytes must be one frame: a silence has ended it, or its length is
+        known.
+        """
         if not self.MIN_SIZE <= len(frame) <= LARGEST_FRAME:
             return _NO_FRAME
         content = frame[:-_CRC_BYTES]
@@ -72,8 +75,8 @@ class Frame(FramerRTU):
 class SerialLine(asyncio.Protocol):
     """The units of a server on a serial line; everything runs in the running loop.
 
-    `port` is a device, or "pty" for a new pseudo-terminal. `on_event(code, **fields)` is called when
-    the line is lost and when it is back.
+    `port` is a device, or "pty" for a new pseudo-terminal. `on_event(code, **fields)` is called
+    when the line is lost and when it is back.
     """
 
     def __init__(
@@ -171,7 +174,8 @@ class SerialLine(asyncio.Protocol):
         self._received = b""
 
     def _execute(self, used: int, unit: int, number: int, request: bytes) -> bool:
-        """Take a frame from the received bytes, execute and answer it; returns False if there is none.
+        """Take a frame from the received bytes, execute and answer it; returns False if there is
+        none.
 
         The arguments are what `Frame.decode` returns.
         """

@@ -1,7 +1,8 @@
 """Modbus TCP, and Modbus over TLS with client certificates: connections, limits, counters.
 
 The header is that of pymodbus. The connections are separate code, because the server of pymodbus
-answers only one of several requests in a segment, forgets long data, and hides why it cannot listen.
+answers only one of several requests in a segment, forgets long data, and hides why it cannot
+listen.
 
 - A header that cannot be Modbus closes the connection.
 - A client that sends many requests takes turns with the others.

@@ -1,4 +1,5 @@
-"""The registers of one Modbus unit: reads come from live sources, writes go to the owner of the value.
+"""The registers of one Modbus unit: reads come from live sources, writes go to the owner of the
+value.
 
 Nothing is stored here. A request is checked as a whole, with all its registers, before the first
 value changes. Two registers that hold one value are read from one sample and written together.
@@ -46,7 +47,10 @@ class Step(NamedTuple):
 
 
 class Unit:
-    """Bits and registers of a unit. `readers` and `writers` are for raw values, by name of the row."""
+    """Bits and registers of a unit.
+
+    `readers` and `writers` are for raw values, by name of the row.
+    """
 
     def __init__(
         self, rows: Iterable[Register], readers: Mapping[str, Reader], writers: Mapping[str, Writer]
@@ -102,7 +106,10 @@ class Unit:
                 write(raw, check_only)
 
     def _requested(self, is_bit: bool, address: int, values: list[int]) -> list[tuple[Writer, int]]:
-        """Return the writers that a request concerns, with their raw values. Raises RefusedError."""
+        """Return the writers that a request concerns, with their raw values.
+
+        Raises RefusedError.
+        """
         requested = []
         at = 0
         while at < len(values):

@@ -1,24 +1,25 @@
 """The reference wheel slide protection: four axle speeds in, dump-valve magnets out, once a cycle.
 
 The reference speed follows the fastest axle, but its fall is limited [W1]. The sliding of each axle
-against it [W2] and its filtered acceleration [W3] drive the phase machine of the valve. The unit keeps
-the wheels sliding within a band on purpose, because sliding cleans the rail [W4]. Every few seconds one
-axle runs up unbraked to the speed of the vehicle. This speed is an anchor of the reference, and the
-unit learns the deceleration from it [W5].
+against it [W2] and its filtered acceleration [W3] drive the phase machine of the valve. The unit
+keeps the wheels sliding within a band on purpose, because sliding cleans the rail [W4]. Every few
+seconds one axle runs up unbraked to the speed of the vehicle. This speed is an anchor of the
+reference, and the unit learns the deceleration from it [W5].
 
     [W1] v_ref' = min(max(v_ref - b T, max v_j), v_ref + b_rise T)
     [W2] s_j = v_ref - v_j
     [W3] a_j = (v_j - l_j) / T_a,  l_j' = l_j + a_j T
     [W4] s_low = min(S_low, c_low v_ref), s_high likewise
     [W5] b = b_max while no axle slides, else b_learned + margin, at most b_max
-    [W6] if a speed does not change by one count while others do, the sensor is stuck: the axle is no
+    [W6] if a speed does not change by one count while others do, the sensor is stuck: the axle is
+      no
          anchor and no fastest axle, and its valve vents as long as the timers allow
 
-The cycle has no clock and takes the integers of the bus, so the unit on the bus and the compiled loop
-get the same bits. Source: common practice of such units, from memory; every threshold is marked so in
-`configs/wsp/`. Limits: braking only; wheel diameters as configured; a wheel that does not reach the
-speed of the vehicle in a run-up is no anchor; a vehicle that can brake harder than b_max needs a
-larger b_max.
+The cycle has no clock and takes the integers of the bus, so the unit on the bus and the compiled
+loop get the same bits. Source: common practice of such units, from memory; every threshold is
+marked so in `configs/wsp/`. Limits: braking only; wheel diameters as configured; a wheel that does
+not reach the speed of the vehicle in a run-up is no anchor; a vehicle that can brake harder than
+b_max needs a larger b_max.
 """
 
 import itertools
@@ -131,7 +132,9 @@ PLACES = tuple(
 
 
 class Unit(NamedTuple):
-    """The memory and the parameters of a unit, for the compiled loop and for the unit on the bus."""
+    """The memory and the parameters of a unit, for the compiled loop and for the unit on the
+    bus.
+    """
 
     state: State
     params: Any
@@ -167,8 +170,8 @@ def load(name: str = "reference") -> Params:
 def cycle(unit, inputs):
     """Run one cycle of a `Unit` and change its state in place.
 
-    Parameters: `inputs`, int64 of shape (4,) or more: axle speeds in counts of 0.01 rad/s, as in TPDO1
-    of node 16. Further values (pressures) are not used.
+    Parameters: `inputs`, int64 of shape (4,) or more: axle speeds in counts of 0.01 rad/s, as in
+    TPDO1 of node 16. Further values (pressures) are not used.
 
     Returns: the byte of the magnets, and the reference speed in counts of 0.01 m/s as an I16.
     """

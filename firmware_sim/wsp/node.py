@@ -1,17 +1,19 @@
-"""A WSP (the reference, or an FMU) as a unit on the bus: node 32, which answers each SYNC with the magnets.
+"""A WSP (the reference, or an FMU) as a unit on the bus: node 32, which answers each SYNC with the
+magnets.
 
-After a SYNC the unit waits for the input frames of its WSP (axle speeds: TPDO1 of node 16) and runs one
-cycle. It sends its reference speed (TPDO1 of node 32) and then the magnets (RPDO1 of node 17). It sends
-a heartbeat before every fifth answer, or earlier if 0.1 s have passed without one. If the speeds after
-a SYNC are missing, the unit answers when the next SYNC comes, or after 0.1 s without one.
+After a SYNC the unit waits for the input frames of its WSP (axle speeds: TPDO1 of node 16) and runs
+one cycle. It sends its reference speed (TPDO1 of node 32) and then the magnets (RPDO1 of node 17).
+It sends a heartbeat before every fifth answer, or earlier if 0.1 s have passed without one. If the
+speeds after a SYNC are missing, the unit answers when the next SYNC comes, or after 0.1 s without
+one.
 
 In lockstep the unit has no clock. It sends only in reaction to frames, and an answer is always the
 last frame, so that the bus log repeats. 0.1 s are counted in SYNCs there.
 
-Missing speeds: the unit repeats the last magnets for `MISSED_MAX` SYNCs. Then all magnets are off (the
-brakes apply) until speeds are back. An EMCY reports a stuck speed sensor (code FF01h, axles as bits in
-the first manufacturer byte). The unit starts itself after boot-up, as CiA 302-2 allows (1F80h).
-Source: CiA 301 (NMT, heartbeat, PDO).
+Missing speeds: the unit repeats the last magnets for `MISSED_MAX` SYNCs. Then all magnets are off
+(the brakes apply) until speeds are back. An EMCY reports a stuck speed sensor (code FF01h, axles as
+bits in the first manufacturer byte). The unit starts itself after boot-up, as CiA 302-2 allows
+(1F80h). Source: CiA 301 (NMT, heartbeat, PDO).
 """
 
 import logging
@@ -253,7 +255,9 @@ class Unit:
         self._answer()
 
     def _report_stuck(self, axles: int) -> None:
-        """Send an EMCY when the stuck sensors change; one without error when none is stuck any more."""
+        """Send an EMCY when the stuck sensors change; one without error when none is stuck any
+        more.
+        """
         if axles == self._stuck:
             return
         self._stuck = axles
@@ -323,7 +327,8 @@ def serve(
     lockstep_s: float,
     errors: bool = False,
 ) -> int:
-    """Run the unit that `built` makes on a bus, as `main` runs the reference; `errors` as in `open_client`.
+    """Run the unit that `built` makes on a bus, as `main` runs the reference; `errors` as in
+    `open_client`.
 
     Raises BusError.
     """

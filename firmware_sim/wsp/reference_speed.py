@@ -1,9 +1,10 @@
 """The reference speed of the WSP: an estimate of the vehicle speed from wheels that may all slide.
 
-The reference follows the fastest axle, but its fall is limited [W1, W5 of `logic`]. While axles slide,
-one of the trailing axles runs up unbraked every few seconds. When its speed no longer rises, the wheel
-turns with the vehicle and is an anchor: the reference takes its speed, and the unit learns the
-deceleration from the loss of speed since the last anchor. Source and limits: see `logic`.
+The reference follows the fastest axle, but its fall is limited [W1, W5 of `logic`]. While axles
+slide, one of the trailing axles runs up unbraked every few seconds. When its speed no longer rises,
+the wheel turns with the vehicle and is an anchor: the reference takes its speed, and the unit
+learns the deceleration from the loss of speed since the last anchor. Source and limits: see
+`logic`.
 """
 
 from rollerrig.firmware_sim.wsp.phases import Phase
@@ -136,7 +137,9 @@ def finish_run_up(state, params):
 
 @kernel
 def anchor(state, speed_m_s, params):
-    """Set the reference to the speed of a wheel that turns with the vehicle; learn the deceleration."""
+    """Set the reference to the speed of a wheel that turns with the vehicle; learn the
+    deceleration.
+    """
     elapsed_s = state.anchor_age[0] * params.cycle_s
     mean = (state.anchor_m_s[0] - speed_m_s) / elapsed_s
     trust = elapsed_s / (elapsed_s + params.learning_s)

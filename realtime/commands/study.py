@@ -1,4 +1,6 @@
-"""What the study commands share: `tune`, `validate`, `explain` and `discover` open a dataset and write a report."""
+"""What the study commands share: `tune`, `validate`, `explain` and `discover` open a dataset and
+write a report.
+"""
 
 import argparse
 import json

@@ -52,8 +52,8 @@ class Alarm:
 class Desk:
     """`folder` holds runs, reports and campaigns; programs are started there.
 
-    `own`: the desk follows only benches that it has started. Otherwise it follows the newest bench of
-    this machine, and prefers those that it has started.
+    `own`: the desk follows only benches that it has started. Otherwise it follows the newest bench
+    of this machine, and prefers those that it has started.
     """
 
     def __init__(self, folder: Path, own: bool = False) -> None:
@@ -155,8 +155,8 @@ class Desk:
     ) -> None:
         """Start a bench that is held. Raises ConfigError if a bench runs already.
 
-        `settings` are keys and values of the scenario; empty values are left out. `more` has further
-        ones, as in "adhesion.mu_cd=0.05".
+        `settings` are keys and values of the scenario; empty values are left out. `more` has
+        further ones, as in "adhesion.mu_cd=0.05".
         """
         if self.running() or self._running_benches():
             raise ConfigError(

@@ -15,7 +15,8 @@ from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
 
-# a wheel is drawn as locked if it is slower than LOCKED_M_S while the vehicle is faster than MOVING_M_S
+# a wheel is drawn as locked if it is slower than LOCKED_M_S while the vehicle is faster than
+# MOVING_M_S
 LOCKED_M_S = 0.1
 MOVING_M_S = 0.5
 _RADIUS_M = 0.445  # radius of the drawn wheels (the coach UIC-Z1: Table 1 of the paper)
@@ -87,7 +88,8 @@ _FIGURES = (
 def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any]:
     """The reply to `desk.js`: the rows after a point, or the whole run, thinned.
 
-    `bench_key` is the bench that the page knows; if another one runs now, the reply has all its rows.
+    `bench_key` is the bench that the page knows; if another one runs now, the reply has all its
+    rows.
     """
     bench = desk.bench
     doors = desk.doors

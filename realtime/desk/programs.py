@@ -1,7 +1,7 @@
 """Programs that the desk has started: each is a `rollerrig` command line that a user could type.
 
-A program has a separate session, so it continues when the desk exits. Its messages go to a temporary
-file, whose lines the page shows. Its result is the JSON object that `--json` prints.
+A program has a separate session, so it continues when the desk exits. Its messages go to a
+temporary file, whose lines the page shows. Its result is the JSON object that `--json` prints.
 """
 
 import json

@@ -1,4 +1,5 @@
-"""Follows the bench that runs on this machine: reads its rings in shared memory, once for all pages.
+"""Follows the bench that runs on this machine: reads its rings in shared memory, once for all
+pages.
 
 The bench is not affected, because the writer of a ring never waits. Rows are thinned to ten pairs a
 second of simulated time. Each pair has the least and the largest value of every signal, so that no
@@ -53,8 +54,8 @@ class Bench:
     """One bench: its rings, the samples read from them, and its state as its events report it.
 
     `bus` is the address of its CAN bus and `modbus` host and port of its server, empty before they
-    are open. `faults` are the titles of active faults. `points` counts the points read so far, two a
-    pair.
+    are open. `faults` are the titles of active faults. `points` counts the points read so far, two
+    a pair.
     """
 
     def __init__(self, pid: int, rows: Ring, events: Ring) -> None:

@@ -53,9 +53,9 @@ SLOTS_OF_CONTROL = 11
 class TickData(NamedTuple):
     """Everything that a tick reads or writes.
 
-    With a virtual track there are two plants: `state` is that of the virtual vehicle, and the fields
-    `roller_...` are those of the real wheelsets and rollers. Without it, the roller fields are those
-    of the only plant.
+    With a virtual track there are two plants: `state` is that of the virtual vehicle, and the
+    fields `roller_...` are those of the real wheelsets and rollers. Without it, the roller fields
+    are those of the only plant.
     """
 
     params: Params

@@ -1,4 +1,5 @@
-"""The report of a campaign: quantiles, the worst runs with the command that replays each, and a page.
+"""The report of a campaign: quantiles, the worst runs with the command that replays each, and a
+page.
 
 The page has a map over the two inputs that matter most, distributions, figures against what was
 varied, and the stopping distance with its bounds.
@@ -201,7 +202,9 @@ def _pair(table: pa.Table, varied: Sequence[str], figure: str) -> tuple[str, str
 
 
 def _draw_map(drawn: Figure, table: pa.Table, pair: tuple[str, str], figure: str) -> None:
-    """Draw every run at its two inputs, with its figure as colour; crosses are runs without a figure."""
+    """Draw every run at its two inputs, with its figure as colour; crosses are runs without a
+    figure.
+    """
     across_key, up_key = pair
     across = _values(table, across_key)
     up = _values(table, up_key)

@@ -37,8 +37,8 @@ def unit(name: str) -> str:
 def covariate_of(test: ScoreTest) -> str:
     """Return the covariate of a smooth function, as the report names it.
 
-    For example, "along speed" gives "speed". A covariate of a single wheelset contains the number of
-    the wheelset: "along time of one axle" gives "time of axle 2".
+    For example, "along speed" gives "speed". A covariate of a single wheelset contains the number
+    of the wheelset: "along time of one axle" gives "time of axle 2".
     """
     covariate = test.name.removeprefix("along ")
     return covariate.replace("one axle", f"axle {test.axle}")

@@ -1,8 +1,8 @@
 """The page that every report is: one HTML file that needs nothing else, in light and dark.
 
 A report is made of elements. Plain text in them is escaped. matplotlib draws the pictures, and they
-are in the page as SVG, in the colours of the Rerun views. What is drawn in INK has the colour of the
-text around it.
+are in the page as SVG, in the colours of the Rerun views. What is drawn in INK has the colour of
+the text around it.
 """
 
 import base64

@@ -1,4 +1,5 @@
-"""A report on paper: the page that `page.page` has made, as PDF. It needs fpdf2 (`pip install 'rollerrig[pdf]'`).
+"""A report on paper: the page that `page.page` has made, as PDF. It needs fpdf2 (`pip install
+'rollerrig[pdf]'`).
 
 Headings, paragraphs, tables and pictures are laid out anew. Folded parts of the page and links to
 files are left out.

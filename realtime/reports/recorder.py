@@ -84,7 +84,9 @@ def report(account: Account) -> StudyReport:
 
 
 def as_json(account: Account) -> dict[str, Any]:
-    """Return the content of report.json: causes, episodes of sliding, and findings without a cause."""
+    """Return the content of report.json: causes, episodes of sliding, and findings without a
+    cause.
+    """
     axles = {
         channel.name: channel.axle
         for run in account.recording.runs
@@ -261,7 +263,9 @@ def channels(account: Account, finding: Finding) -> str:
 
 
 def story(account: Account) -> list[str]:
-    """Return the verdict and the findings in sentences: of each kind the largest, and how many more."""
+    """Return the verdict and the findings in sentences: of each kind the largest, and how many
+    more.
+    """
     lines = [VERDICTS[account.verdict]]
     for name in NAMES:
         of_kind = [f for f in (*account.findings, *account.unknown) if f.name == name]
@@ -326,7 +330,9 @@ def page(account: Account) -> str:
 
 
 def _picture(account: Account, of_kind: Sequence[Finding]) -> list[html.Markup]:
-    """Return the largest finding of one kind as a picture with its heading; none of radii and units."""
+    """Return the largest finding of one kind as a picture with its heading; none of radii and
+    units.
+    """
     if not of_kind:
         return []
     largest = max(of_kind, key=lambda finding: abs(finding.size))

@@ -1,4 +1,6 @@
-"""The picture and the table of one stop: what each axle did, with steps of the test and faults marked."""
+"""The picture and the table of one stop: what each axle did, with steps of the test and faults
+marked.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path

@@ -1,4 +1,6 @@
-"""The reports of `rollerrig tune` and `rollerrig validate` on braking runs: JSON, tables and pages."""
+"""The reports of `rollerrig tune` and `rollerrig validate` on braking runs: JSON, tables and
+pages.
+"""
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -192,7 +194,9 @@ def _draw_quartiles(
     colour: str,
     label: str,
 ) -> None:
-    """Draw median and quartiles of the transition in bins of energy; bins with few points are left out."""
+    """Draw median and quartiles of the transition in bins of energy; bins with few points are left
+    out.
+    """
     middles = []
     quartiles = []
     for start, end in itertools.pairwise(np.linspace(0.0, highest, _BIN_EDGES)):
@@ -280,7 +284,9 @@ def _run_json(verdict: Verdict) -> dict[str, Any]:
 
 
 def mean_errors(verdicts: Sequence[Verdict], name: str) -> dict[str, float]:
-    """Return the mean absolute errors of a model over runs: wheelset 1, as in the paper, and all."""
+    """Return the mean absolute errors of a model over runs: wheelset 1, as in the paper, and
+    all.
+    """
     modelled = [verdict.statistics[name] for verdict in verdicts]
     measured = [verdict.statistics["measured"] for verdict in verdicts]
     pairs = list(zip(modelled, measured, strict=True))

@@ -63,7 +63,9 @@ def _send_views(recording: rr.RecordingStream, view: rrb.Container) -> None:
 
 
 def tuned(path: Path, data: Dataset, result: Tuned) -> None:
-    """Write transition and adhesion of wheelset 1 in each tuning run, and transition against energy."""
+    """Write transition and adhesion of wheelset 1 in each tuning run, and transition against
+    energy.
+    """
     s = result.samples
     spread = np.maximum(result.recovered - result.degraded, _LEAST_SPREAD)
     model_transition = (result.model - result.degraded) / spread
@@ -129,7 +131,8 @@ def explained(
     causes: Sequence[Panel],
     courses: Mapping[str, tuple[np.ndarray, np.ndarray]],
 ) -> None:
-    """Write an explanation: its words (Markdown), where it shows, the causes, the adhesion of every wheelset.
+    """Write an explanation: its words (Markdown), where it shows, the causes, the adhesion of every
+    wheelset.
 
     `courses`: /run/adhesion_axle -> (time s, measured, base and extended values (n, 3)).
     """

@@ -232,8 +232,8 @@ def valve(axle: int, prefix: str = "") -> str:
 def valve_states(rows: np.ndarray, axle: int) -> np.ndarray:
     """Return the states of the dump valve of an axle, int64 (n,).
 
-    A state is its place in `colours.VALVE_STATES`. NaN becomes state 0, and other values are limited
-    to the table. `rows` are rows of all signals, shape (n, columns).
+    A state is its place in `colours.VALVE_STATES`. NaN becomes state 0, and other values are
+    limited to the table. `rows` are rows of all signals, shape (n, columns).
     """
     states = np.nan_to_num(rows[:, signals.column("valve", axle)])
     return np.clip(states, 0, len(colours.VALVE_STATES) - 1).astype(np.int64)
@@ -339,8 +339,8 @@ _ENDS_OF_UNKNOWN_RUN = AxisEnds(adhesion=0.4, transition=1.0)
 def axis_ends(channels: Mapping[str, Any]) -> AxisEnds:
     """Return the upper ends of axes for channels by name, (n,) each; missing channels count as 0.
 
-    The plots of adhesion contain the utilised adhesion. While a wheel slides, they also contain both
-    limits (f_d degraded, f_r recovered). Where no wheel slides, f_r is far above the utilised
+    The plots of adhesion contain the utilised adhesion. While a wheel slides, they also contain
+    both limits (f_d degraded, f_r recovered). Where no wheel slides, f_r is far above the utilised
     adhesion and may be outside the plot.
     """
     used = _largest(channels, "adhesion")

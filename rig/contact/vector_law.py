@@ -1,17 +1,19 @@
-"""The creep forces of `adhesion` and `creep_force`, for several wheels in the vector lanes of a core.
+"""The creep forces of `adhesion` and `creep_force`, for several wheels in the vector lanes of a
+core.
 
-A compiler turns a loop over wheels into vector instructions only where the same operations are done for
-every wheel. Therefore there is no call of a library here and no branch except a choice between two values:
-the elementary functions come from `vector_math`, and the root of [A5] is Lambert's function to 3e-4 (the
-same Pade approximant as in `adhesion`), followed by one Householder step of third order on the equation.
-For a wheel outside the domain `inside` is 0; the caller then uses `adhesion` or `creep_force`.
+A compiler turns a loop over wheels into vector instructions only where the same operations are done
+for every wheel. Therefore there is no call of a library here and no branch except a choice between
+two values: the elementary functions come from `vector_math`, and the root of [A5] is Lambert's
+function to 3e-4 (the same Pade approximant as in `adhesion`), followed by one Householder step of
+third order on the equation. For a wheel outside the domain `inside` is 0; the caller then uses
+`adhesion` or `creep_force`.
 
     [V1] y = k f_d + k D (1 - exp(-y)),  y = k f = tau W_sp      adhesion [A5]
     [V2] f = f_d + D (1 - exp(-y))                               adhesion [A1], [A2]
 
-Within the domain f agrees with `adhesion.wheel_adhesion` to 2e-12, forces with `creep_force` to 1e-11
-(tests). Domain: loads of 12.5 to 200 kN on a wheel, contaminants that clean (f_r >= f_d), roots that are
-not double.
+Within the domain f agrees with `adhesion.wheel_adhesion` to 2e-12, forces with `creep_force` to
+1e-11 (tests). Domain: loads of 12.5 to 200 kN on a wheel, contaminants that clean (f_r >= f_d),
+roots that are not double.
 """
 
 import math
@@ -34,7 +36,9 @@ _LARGEST_STEP = 1e-3
 
 @kernel_inlined
 def curve(sliding_m_s, eps_mu, mu_c, A, gamma_s_m, k_a, k_s):
-    """Returns Polach's adhesion coefficient; `eps_mu` is the gradient of the stress times the friction."""
+    """Returns Polach's adhesion coefficient; `eps_mu` is the gradient of the stress times the
+    friction.
+    """
     mu = friction(sliding_m_s, mu_c, A, gamma_s_m)
     return mu * shape(eps_mu / mu, k_a, k_s)
 
@@ -54,7 +58,10 @@ def shape(eps, k_a, k_s):
 
 @kernel_inlined
 def eps_mu(sliding_m_s, speed_m_s, load_N, eps1):
-    """Returns the argument `eps_mu` of `curve`; load_N on one wheel. Meaningless outside the domain."""
+    """Returns the argument `eps_mu` of `curve`; load_N on one wheel.
+
+    Meaningless outside the domain.
+    """
     creepage = sliding_m_s / max(abs(speed_m_s), SPEED_FLOOR_M_S)
     return eps1 * _PER_ROOT * vector_math.inverse_cube_root(load_N / LOAD_N) * creepage
 
@@ -152,7 +159,9 @@ def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
 
 @kernel_inlined
 def semi_axes(load_N, patch):
-    """Returns the semi-axes in m along and across, and 1 if the load is within the domain, else 0."""
+    """Returns the semi-axes in m along and across, and 1 if the load is within the domain, else
+    0.
+    """
     u = load_N * (1.0 / LOAD_N)
     root = vector_math.inverse_cube_root(u)
     growth = u * root * root * (1.0 / _PER_ROOT)
@@ -171,7 +180,9 @@ def limited(approached, xi, eta, sliding_m_s, load_N, mu_c, A, gamma_s_m, k_a, k
 
 @kernel_inlined
 def moment(linear_N, eta, phi_1_m, limit_N, a_m, b_m, patch):
-    """Returns `johnson_vermeulen.moment`, where linear_N is the size of Kalker's force without spin."""
+    """Returns `johnson_vermeulen.moment`, where linear_N is the size of Kalker's force without
+    spin.
+    """
     linear = linear_N / limit_N
     rest = max(1.0 - linear * (1.0 / 3.0), 1e-300)
     # rest^(3 FADE)

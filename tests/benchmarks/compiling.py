@@ -2,12 +2,12 @@
 
     .venv/bin/python tests/benchmarks/compiling.py                # all tricks, about half an hour
     .venv/bin/python tests/benchmarks/compiling.py --only "lazy cache" --repeats 9
-    .venv/bin/python tests/benchmarks/compiling.py --markdown     # the table of docs/compiled_kernels.md
+    .venv/bin/python tests/benchmarks/compiling.py --markdown   # docs/compiled_kernels.md
 
 Each measurement runs a command in a new process. For the case without a trick a few lines of Python
-switch the trick off before the command begins. Cold starts have an empty cache of kernels. The figure is
-user plus system time of the process and its children, because other programs take wall time away. The
-two cases alternate, and the smallest time of each counts.
+switch the trick off before the command begins. Cold starts have an empty cache of kernels. The
+figure is user plus system time of the process and its children, because other programs take wall
+time away. The two cases alternate, and the smallest time of each counts.
 """
 
 import argparse
@@ -25,7 +25,9 @@ COLD_REPEATS = 4
 
 
 class Task(NamedTuple):
-    """What a process does: Python source after the switch, and whether the cache of kernels is empty."""
+    """What a process does: Python source after the switch, and whether the cache of kernels is
+    empty.
+    """
 
     text: str
     source: str
@@ -195,7 +197,9 @@ def measure(trick: Trick, task: Task, repeats: int, caches: Path) -> Figure:
 
 
 def run(switch_off: str, task: Task, cache: Path) -> float:
-    """Returns the processor time in s of a new process: as it prints it, or of the whole process."""
+    """Returns the processor time in s of a new process: as it prints it, or of the whole
+    process.
+    """
     with tempfile.TemporaryDirectory() as out:
         source = "import sys, time\n" + switch_off + task.source.replace("OUT", f"{out}/out")
         before_s = children_s()

@@ -1,6 +1,7 @@
 """One lockstep run with every fault of the catalogue in turn, and a scripted WSP unit on its bus.
 
-The unit answers each SYNC with magnets by its script, so that dead magnets have something to refuse.
+The unit answers each SYNC with magnets by its script, so that dead magnets have something to
+refuse.
 """
 
 import asyncio

@@ -1,4 +1,6 @@
-"""A Modbus server in a thread of its own, with a rig's units behind it, and a client of raw bytes."""
+"""A Modbus server in a thread of its own, with a rig's units behind it, and a client of raw
+bytes.
+"""
 
 import asyncio
 import socket

@@ -1,4 +1,5 @@
-"""Braking stops of a coach in MuJoCo, with a known hidden effect: a third generator to judge `explain`.
+"""Braking stops of a coach in MuJoCo, with a known hidden effect: a third generator to judge
+`explain`.
 
 It has another physics engine (`mujoco_coach`), solves the paper's adhesion by iteration
 (`mujoco_contact`), and has its own brake, slide protection, sensors and noise. Each effect has its

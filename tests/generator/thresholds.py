@@ -5,19 +5,19 @@
 
 `make docs` writes the same tables; --judge keeps the verdicts of changed limits. The kept answers
 (`keep.py`) are judged again by the rule of `explain` itself, from what they contain: no stop is
-replayed. Two kinds of limits are set by the answers to each generator, and by those to the first and
-the second together:
+replayed. Two kinds of limits are set by the answers to each generator, and by those to the first
+and the second together:
 
 - ALPHA_CAUSE, by sets with nothing hidden: the largest p-value that lets at most 2 % of them have a
-  finding, with the present SCORE_FLOOR. A finding is not yet a cause, which must also win its fit, so
-  this is on the safe side.
+  finding, with the present SCORE_FLOOR. A finding is not yet a cause, which must also win its fit,
+  so this is on the safe side.
 - REMAINDER_SHARE, OWN_REMAINDER_SHARE and PARTLY_SHARE, by sets with something hidden: among the
-  limits that give at most 5 % of the effects outside the library a name, those that name most causes
-  right.
+  limits that give at most 5 % of the effects outside the library a name, those that name most
+  causes right.
 
-A second table is on form_fraction of a dataset's accuracy: among those values whose sets have at most
-1.4 causes in the mean, on the first and on the second generator, the one that names most single causes
-first or in a set of two.
+A second table is on form_fraction of a dataset's accuracy: among those values whose sets have at
+most 1.4 causes in the mean, on the first and on the second generator, the one that names most
+single causes first or in a set of two.
 """
 
 import itertools
@@ -292,7 +292,9 @@ def judged_again(
 
 
 def kept_answers() -> dict[str, list[KeptAnswer]]:
-    """Return the kept answers by generator; exit if verdicts are not those of the present limits."""
+    """Return the kept answers by generator; exit if verdicts are not those of the present
+    limits.
+    """
     result = {}
     for folder in folders():
         generator, key, answers = read(folder)

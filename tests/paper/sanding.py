@@ -1,7 +1,8 @@
-"""Compares the law of sand with stops that were measured: two stops are fitted, the others predicted.
+"""Compares the law of sand with stops that were measured: two stops are fitted, the others
+predicted.
 
-A four-car multiple unit brakes from 55 mph, with a demand of 0.9 m/s2, on a rail of 0.02. Sanders of
-one or of two axles blow at a fixed rate, or at a rate that depends on speed. Each axle has the
+A four-car multiple unit brakes from 55 mph, with a demand of 0.9 m/s2, on a rail of 0.02. Sanders
+of one or of two axles blow at a fixed rate, or at a rate that depends on speed. Each axle has the
 adhesion of [1], as in the plant, of the sand that the axles in front of it have left, and uses as
 much of it as its brake demands. The stop is the mean over the speed: no dynamics and no wheel slide
 protection.
@@ -10,8 +11,8 @@ protection.
 
 Source of the distances: Rail Engineer, 12 February 2018, on the trials of RSSB project T1107 with a
 Class 387; RAIB quotes them in its report on Talerddig. Assumptions: the position of the second
-sander, the rates, and the largest rate of a variable one. Shares that are lost and used: the defaults
-of [sanders].
+sander, the rates, and the largest rate of a variable one. Shares that are lost and used: the
+defaults of [sanders].
 """
 
 import math

@@ -1,4 +1,5 @@
-"""Table 8 of the paper today: the time of four contact models on the same motion of the coach in 3D.
+"""Table 8 of the paper today: the time of four contact models on the same motion of the coach in
+3D.
 
 The coach brakes on a track from 42.3 m/s at 1e-4 s with degraded adhesion. Each wheelset is held in
 sliding by a brake that is released and applied between two limits of sliding. Pieces of this stop
@@ -95,7 +96,9 @@ class Recorded(NamedTuple):
 
 @kernel
 def _modulate(state, speed_m_s, brake_Nm, target_Nm):
-    """Release the brake of a wheelset that slides much, and apply that of one that slides little."""
+    """Release the brake of a wheelset that slides much, and apply that of one that slides
+    little.
+    """
     for j in range(AXLES):
         left_wheel = 2 * j * wheel_rail_forces.MOST
         height = state.contacts[left_wheel, geometry.Z]  # of the contact below the axle: negative
@@ -109,7 +112,9 @@ def _modulate(state, speed_m_s, brake_Nm, target_Nm):
 
 @kernel
 def _brake(state, steps, coach, law, brake_Nm, target_Nm, acts_Nm, rest, mu, q, v):
-    """Brake for some steps, and write the state at the start of each of the first ones to q and v."""
+    """Brake for some steps, and write the state at the start of each of the first ones to q and
+    v.
+    """
     for i in range(steps):
         if i < q.shape[0]:
             for c in range(COORDINATES):

@@ -1,4 +1,6 @@
-"""FMUs for the tests, written and compiled here: the reference WSP's rules in C, for FMI 2 and 3."""
+"""FMUs for the tests, written and compiled here: the reference WSP's rules in C, for FMI 2 and
+3.
+"""
 
 import subprocess
 import zipfile
@@ -38,7 +40,8 @@ def build(
     inputs=None,
     files=None,
 ):
-    """An FMU. `edit` changes its description; `inputs`: other names and units of its inputs, in their order.
+    """An FMU. `edit` changes its description; `inputs`: other names and units of its inputs, in
+    their order.
 
     `files`: what the archive holds besides, its description perhaps among it.
     """
@@ -98,7 +101,10 @@ def build(
 def build_can(
     folder, name="wsp", clock="triggered", defines=(), notifications=True, edit=lambda xml: xml
 ):
-    """An FMU that is a CAN node. `clock`: the variability of its Tx_Clock; `edit` changes both of its descriptions."""
+    """An FMU that is a CAN node.
+
+    `clock`: the variability of its Tx_Clock; `edit` changes both of its descriptions.
+    """
     defines = ["LS_BUS", *(["COUNTDOWN"] if clock == "countdown" else []), *defines]
     files = {
         "modelDescription.xml": edit(
@@ -217,7 +223,9 @@ def _parameters(path):
 
 
 def _stubs(path, version):
-    """The functions of the standard that wsp.c has no use for, which a library has to export all the same."""
+    """The functions of the standard that wsp.c has no use for, which a library has to export all
+    the same.
+    """
     kind = fmi2.FMU2Slave if version == 2 else fmi3.FMU3Slave
     path.write_text(
         "".join(

@@ -1,4 +1,6 @@
-"""A WSP unit that is an FMU: the reference's rules in C, compiled for FMI 2 and 3, brake the coach over the bus."""
+"""A WSP unit that is an FMU: the reference's rules in C, compiled for FMI 2 and 3, brake the coach
+over the bus.
+"""
 
 import json
 import sys

@@ -1,4 +1,6 @@
-"""WSP units that are CAN nodes in FMUs (FMI-LS-BUS): a node in C, compiled here, speaks with the rig by frames."""
+"""WSP units that are CAN nodes in FMUs (FMI-LS-BUS): a node in C, compiled here, speaks with the
+rig by frames.
+"""
 
 import functools
 import json

@@ -48,7 +48,9 @@ class Record:
         return np.column_stack(columns)
 
     def integral(self, values):
-        """The integral over the run of (samples,), or of the sum over the axles of (samples, axles)."""
+        """The integral over the run of (samples,), or of the sum over the axles of (samples,
+        axles).
+        """
         total = values.sum(axis=1) if values.ndim == 2 else values
         return np.trapezoid(total, self.time_s)
 

@@ -1,4 +1,6 @@
-"""The law of sand meets the fitted stops and predicts the others; [sanders] has the fitted numbers."""
+"""The law of sand meets the fitted stops and predicts the others; [sanders] has the fitted
+numbers.
+"""
 
 import pytest
 from paper import sanding

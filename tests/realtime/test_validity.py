@@ -1,4 +1,6 @@
-"""A run that is not valid is reported in its summary, in red, by the status and to later readers."""
+"""A run that is not valid is reported in its summary, in red, by the status and to later
+readers.
+"""
 
 import functools
 import json

@@ -1,4 +1,6 @@
-"""Every tutorial is done as it stands: its files are written, its commands run, in the order of the page."""
+"""Every tutorial is done as it stands: its files are written, its commands run, in the order of the
+page.
+"""
 
 import os
 import re
@@ -14,7 +16,8 @@ PAGES = ("tutorial_unit.md", "tutorial_ci.md", "tutorial_data.md", "tutorial_mod
 BLOCK = re.compile(
     r"^(?P<before>\S[^\n]*)\n\n(?P<block>(?: {4}[^\n]*\n|\n(?= {4}))+)", re.MULTILINE
 )
-# where several tests run at a time: any free port, and Modbus at one of the test's own where the page has it
+# where several tests run at a time: any free port, and Modbus at one of the test's own where the
+# page has it
 ALONE = "--set bus.interface=hub --set bus.socketcand_port=0 --set modbus."
 
 

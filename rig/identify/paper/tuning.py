@@ -13,10 +13,10 @@ stay those of the dataset, within its calibration tolerances.
 
 [U3] is biased where the rail is irregular. Wheels slide more where friction is less, so that
 sliding and friction are correlated, and the noise of f is also in W. On datasets with 2 % of
-irregularity and a known tau its least squares were 1 to 5 % low. [U4] estimates the irregularity as a state and
-was right within 0.2 % in the mean. Its value is the result; [U3] is reported for comparison. The
-interval is a bootstrap of [U4]: blocks of 3 s within each run, and the declared tolerances.
-Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, section 4.
+irregularity and a known tau its least squares were 1 to 5 % low. [U4] estimates the irregularity as
+a state and was right within 0.2 % in the mean. Its value is the result; [U3] is reported for
+comparison. The interval is a bootstrap of [U4]: blocks of 3 s within each run, and the declared
+tolerances. Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, section 4.
 """
 
 from collections.abc import Callable
