@@ -90,6 +90,21 @@ def test_a_limit_that_is_impossible_or_unknown_is_refused(tmp_path, old, new, ex
     assert expected in str(refusal.value)
 
 
+@pytest.mark.parametrize(
+    "start",
+    [
+        "tables = 0",
+        'tables = " "',
+        'mass = "40 t"\ntables = { vehicle = 1 }',
+        'gradient = "1 %"\ntables = { mechanisms = 1 }',
+    ],
+)
+def test_a_value_in_the_place_of_a_table_is_refused(tmp_path, start):
+    speed = next(line for line in GOOD.splitlines() if line.startswith("speed"))
+    with pytest.raises(ConfigError, match="is not a table"):
+        read(tmp_path, GOOD.replace(speed, f"{speed}\n{start}"))
+
+
 def test_a_limit_of_the_sequence_replaces_that_of_its_profile(tmp_path):
     loaded = read(tmp_path, GOOD + MEASURE.replace("0.4", "0.7"))
     bounds = [limit.high for limit in loaded.criteria.limits if limit.measure == "longest_lock"]

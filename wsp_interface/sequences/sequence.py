@@ -251,17 +251,29 @@ def _optional(table: Mapping[str, Any], key: str, unit: str, at: Where) -> float
     return conditions.quantity(table[key], unit, at(key))
 
 
+def _table(value: Any, place: str) -> Mapping[str, Any]:
+    """Return a value that must be a table. Raises ConfigError for any other value."""
+    if not isinstance(value, Mapping):
+        raise ConfigError(
+            f"{place}: {value!r} is not a table; write, as in [start.tables.vehicle] with "
+            "mass_kg = 40000 below it"
+        )
+    return value
+
+
 def _tables(content: Mapping[str, Any], at: Where) -> dict[str, Any]:
     """Return the changes of the scenario."""
     start = content.get("start", {})
-    tables = dict(start.get("tables", {}))
+    tables = dict(_table(start.get("tables", {}), at("tables")))
     mass_kg = _optional(start, "mass", "kg", at)
     if mass_kg is not None:
-        tables["vehicle"] = {**tables.get("vehicle", {}), "mass_kg": mass_kg}
+        vehicle = _table(tables.get("vehicle", {}), at("tables"))
+        tables["vehicle"] = {**vehicle, "mass_kg": mass_kg}
     gradient = _optional(start, "gradient", "", at)  # positive uphill
     if gradient is not None:
         # the plant has the gradient as one of its mechanisms
-        tables["mechanisms"] = {**tables.get("mechanisms", {}), "track_gradient_gradient": gradient}
+        mechanisms = _table(tables.get("mechanisms", {}), at("tables"))
+        tables["mechanisms"] = {**mechanisms, "track_gradient_gradient": gradient}
     if "friction" in content:
         tables["friction"] = content["friction"]
     return tables
