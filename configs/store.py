@@ -16,12 +16,12 @@ ROOT = Path(__file__).parent
 
 
 def names(kind: str) -> list[str]:
-    """Returns the names of the packaged configurations of a kind (a folder under configs/)."""
+    """Return the names of the packaged configurations of a kind (a folder under configs/)."""
     return sorted(path.stem for path in (ROOT / kind).glob("*.toml"))
 
 
 def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
-    """Returns the file of a configuration. Raises ConfigError if there is none.
+    """Return the file of a configuration. Raises ConfigError if there is none.
 
     `name` is the name of a packaged configuration, or a path: it is a path if it ends in .toml or
     has a folder. A path is relative to the working directory. If nothing is there, it is relative
@@ -49,7 +49,7 @@ def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
 
 
 def parse(path: Path) -> dict[str, Any]:
-    """Returns the content of a TOML file. Raises ConfigError with file, line and column."""
+    """Return the content of a TOML file. Raises ConfigError with file, line and column."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -59,6 +59,6 @@ def parse(path: Path) -> dict[str, Any]:
 
 
 def load(kind: str, name: str, mentioned_in: Path | None = None) -> tuple[dict[str, Any], Path]:
-    """Returns the content of a configuration, and its file (see `find`). Raises ConfigError."""
+    """Return the content of a configuration, and its file (see `find`). Raises ConfigError."""
     path = find(kind, name, mentioned_in)
     return parse(path), path

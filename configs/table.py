@@ -30,27 +30,27 @@ class Row(NamedTuple):
 
 
 def number(name: str, default: float | None, low: float, high: float, source: str) -> Row:
-    """Returns the row of a float with bounds."""
+    """Return the row of a float with bounds."""
     return Row(name, None if default is None else float(default), low, high, source)
 
 
 def integer(name: str, default: int, low: int, high: int, source: str) -> Row:
-    """Returns the row of an int with bounds."""
+    """Return the row of an int with bounds."""
     return Row(name, int(default), low, high, source)
 
 
 def choice(name: str, default: str, choices: tuple[str, ...], source: str) -> Row:
-    """Returns the row of a text: one of the choices, or any text without choices."""
+    """Return the row of a text: one of the choices, or any text without choices."""
     return Row(name, default, 0, 0, source, choices)
 
 
 def flag(name: str, default: bool, source: str) -> Row:
-    """Returns the row of a bool."""
+    """Return the row of a bool."""
     return Row(name, default, 0, 1, source)
 
 
 def read(rows: Iterable[Row], given: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Returns the checked value of every row, from `given` or its default.
+    """Return the checked value of every row, from `given` or its default.
 
     `where` is the beginning of messages: file and table. Raises ConfigError for an unknown or
     missing key, a wrong type or a value out of bounds.
@@ -61,7 +61,7 @@ def read(rows: Iterable[Row], given: Mapping[str, Any], where: str) -> dict[str,
 
 
 def known(given: Any, allowed: Collection[str], where: Callable[[str], str]) -> None:
-    """Raises ConfigError if `given` is no table or has a key that is not allowed; `where(key)`: its
+    """Raise ConfigError if `given` is no table or has a key that is not allowed; `where(key)`: its
     place.
     """
     if not isinstance(given, Mapping):
@@ -72,7 +72,7 @@ def known(given: Any, allowed: Collection[str], where: Callable[[str], str]) -> 
 
 
 def nearest(key: str, allowed: Iterable[str]) -> str:
-    """Returns the end of a message about an unknown name: the most similar name, and the allowed
+    """Return the end of a message about an unknown name: the most similar name, and the allowed
     names.
     """
     names = sorted(allowed)
@@ -82,7 +82,7 @@ def nearest(key: str, allowed: Iterable[str]) -> str:
 
 
 def check(row: Row, value: Any, where: str) -> Any:
-    """Returns a value in the type of its row. Raises ConfigError with the place and the bounds."""
+    """Return a value in the type of its row. Raises ConfigError with the place and the bounds."""
     at = f"{where}: {row.name}"
     if value is None:
         raise ConfigError(f"{at} is missing; give a number from {row.low:g} to {row.high:g}")

@@ -22,7 +22,7 @@ RESISTANCE = {0.0: "resistance_A_N", 1.0: "resistance_B_N_s_m", 2.0: "resistance
 
 
 def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
-    """Returns the brake torque of a wheelset in N m for each Pa above the spring pressure [1]."""
+    """Return the brake torque of a wheelset in N m for each Pa above the spring pressure [1]."""
     return (
         brake["cylinder_area_m2"]
         * brake["lever_ratio"]
@@ -35,7 +35,7 @@ def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
 
 
 def weighed_share(air: Mapping[str, float], vehicle: Mapping[str, Any]) -> float:
-    """Returns the share of the demanded pressure that the weighing valve passes at this vehicle
+    """Return the share of the demanded pressure that the weighing valve passes at this vehicle
     mass.
     """
     if air["weighed_mass_kg"] == 0.0:

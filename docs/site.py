@@ -23,7 +23,7 @@ LINK = re.compile(r"(!?\[([^\]]*)\])\(([^)\s#:]*)(#[^)\s]*)?\)")
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
-    """Adds the pages from the root of the repository."""
+    """Add the pages from the root of the repository."""
     for page, name in AT_ROOT.items():
         files.append(File.generated(config, page, abs_src_path=str(ROOT / name)))
     return files

@@ -545,7 +545,7 @@ def _pads(p: Mapping[str, float]) -> Pads:
 
 
 def _flats(sections: Mapping[str, Mapping[str, Any]]) -> Flats:
-    """Return the flats; raises ConfigError where their load meets the coach in 3D."""
+    """Return the flats; raise ConfigError where their load meets the coach in 3D."""
     f = sections["flats"]
     load_varies = f["wear_mm3_J"] > 0.0 and f["load_1_m"] > 0.0
     if load_varies and sections["vehicle"]["model"] != "planar":

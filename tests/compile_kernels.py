@@ -82,7 +82,7 @@ def main():
 
 
 def mark_of_this_checkout():
-    """Returns the file that marks this checkout as compiled; None if there is no folder for it."""
+    """Return the file that marks this checkout as compiled; None if there is no folder for it."""
     folder = kernel_cache.folder()
     if folder is None:
         return None
@@ -91,7 +91,7 @@ def mark_of_this_checkout():
 
 
 def run_series(commands, folder):
-    """Runs commands one after another, each with a result folder inside `folder`."""
+    """Run commands one after another, each with a result folder inside `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     plan = folder / "campaign.toml"
     plan.write_text(CAMPAIGN)
@@ -108,7 +108,7 @@ def run_series(commands, folder):
 
 
 def arguments_of(words, plan):
-    """Returns the arguments of the interpreter for a program, or for the words of a command."""
+    """Return the arguments of the interpreter for a program, or for the words of a command."""
     if isinstance(words, str):
         return ["-c", words]
     replaced = [str(plan) if word == "CAMPAIGN" else word for word in words]

@@ -93,7 +93,7 @@ def pytest_collection_modifyitems(config, items):
 
 
 def worker_group(item):
-    """Returns the name of the group of tests that one worker runs with this test."""
+    """Return the name of the group of tests that one worker runs with this test."""
     file, _, test = item.nodeid.partition("::")
     if RUNS & set(item.fixturenames):
         return "runs"
@@ -103,7 +103,7 @@ def worker_group(item):
 
 
 def start_rank(item):
-    """Returns when workers start a test, lowest first. Tests of equal rank keep their order."""
+    """Return when workers start a test, lowest first. Tests of equal rank keep their order."""
     if item.get_closest_marker("explanation"):
         return -1
     for rank, folder in enumerate(START_ORDER):
@@ -131,7 +131,7 @@ def pytest_collection_finish(session):
 
 @pytest.fixture(autouse=True)
 def on_one_core(request):
-    """Keeps an explanation on one core if there are several workers.
+    """Keep an explanation on one core if there are several workers.
 
     It then starts no processes.
     """

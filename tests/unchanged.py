@@ -36,7 +36,7 @@ COMPARED = ("causes", "gain", "misfit", "unknown")
 
 
 def rollerrig(*words):
-    """Runs a command with the interpreter that runs this file."""
+    """Run a command with the interpreter that runs this file."""
     return subprocess.run(
         [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
         capture_output=True,
@@ -45,7 +45,7 @@ def rollerrig(*words):
 
 
 def print_status(name, done):
-    """Prints the exit status of a command, and the end of its messages if it failed."""
+    """Print the exit status of a command, and the end of its messages if it failed."""
     messages = done.stderr[-300:] if done.returncode else ""
     print(name, done.returncode, messages, flush=True)
 
@@ -59,7 +59,7 @@ def record_stop(out, stop, rig):
 
 
 def generated_sets(folder):
-    """Yields twenty generated datasets: (name, folder)."""
+    """Yield twenty generated datasets: (name, folder)."""
     from generator import braking_stops, other_stops
 
     for generator in (braking_stops, other_stops):
@@ -94,7 +94,7 @@ def record(out, stops=True, explanations=True):
 
 
 def channels_apart(a, b):
-    """Returns the largest difference of any channel, relative to the largest value of the channel.
+    """Return the largest difference of any channel, relative to the largest value of the channel.
 
     It is 0 if all channels are equal to the bit, inf if names or numbers of rows differ.
     """
@@ -113,7 +113,7 @@ def channels_apart(a, b):
 
 
 def leaves(value, path=""):
-    """Yields all (path, leaf) of a JSON value."""
+    """Yield all (path, leaf) of a JSON value."""
     if isinstance(value, dict):
         for key, inner in value.items():
             yield from leaves(inner, f"{path}.{key}")
@@ -143,7 +143,7 @@ class Findings(NamedTuple):
 
 
 def reports_apart(a, b):
-    """Returns (whether verdict and causes are equal, largest relative difference of the
+    """Return (whether verdict and causes are equal, largest relative difference of the
     numbers).
     """
     first = Findings.of(a)
@@ -165,7 +165,7 @@ def is_number(value):
 
 
 def results(a, b, kind, file):
-    """Yields the folders of one kind that both recordings have, with this file."""
+    """Yield the folders of one kind that both recordings have, with this file."""
     if not (a / kind).is_dir():
         return
     for folder in sorted((a / kind).iterdir()):
@@ -175,7 +175,7 @@ def results(a, b, kind, file):
 
 
 def compare(a, b):
-    """Prints a line for each result; returns 1 if something differs, else 0."""
+    """Print a line for each result; return 1 if something differs, else 0."""
     differs = False
     for folder, other in results(a, b, "stops", "summary.json"):
         apart = channels_apart(folder, other)

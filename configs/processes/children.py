@@ -41,7 +41,7 @@ _STDERR = 2
 
 
 def command(*words: str, by: int = signal.SIGTERM) -> list[str]:
-    """Returns a command as a child of this process: it gets the signal `by` when this process is
+    """Return a command as a child of this process: it gets the signal `by` when this process is
     gone.
     """
     program = [sys.executable, "-IS", parent_death.__file__]
@@ -49,7 +49,7 @@ def command(*words: str, by: int = signal.SIGTERM) -> list[str]:
 
 
 def pool(count: int, first: Callable[..., Any] = int, *arguments: Any) -> ProcessPoolExecutor:
-    """Returns worker processes that stop with this one; each calls first(*arguments) at its
+    """Return worker processes that stop with this one; each calls first(*arguments) at its
     start.
     """
     return ProcessPoolExecutor(
@@ -66,20 +66,20 @@ def _begin_worker(parent: int, first: Callable[..., Any], arguments: tuple[Any, 
 
 
 def last_line(log: Path) -> str:
-    """Returns the last line that is not empty in the log of a process, or an empty string."""
+    """Return the last line that is not empty in the log of a process, or an empty string."""
     lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
     written = [line for line in lines if line.strip()]
     return written[-1] if written else ""
 
 
 def last_words(log: Path) -> str:
-    """Returns the last line of a log as the end of a sentence; empty where there is none."""
+    """Return the last line of a log as the end of a sentence; empty where there is none."""
     line = last_line(log)
     return f"; its last words: {line}" if line else ""
 
 
 def can_fork() -> bool:
-    """Returns whether this process may fork: on Linux, with one thread and no library with
+    """Return whether this process may fork: on Linux, with one thread and no library with
     threads.
     """
     return (
@@ -163,7 +163,7 @@ def _live(child: _Child) -> None:
 
 
 def _connect(child: _Child) -> None:
-    """Connects standard input, output and errors of a forked process."""
+    """Connect standard input, output and errors of a forked process."""
     nowhere = os.open(os.devnull, os.O_WRONLY)
     os.dup2(child.input_end, _STDIN)
     os.dup2(nowhere, _STDOUT)
@@ -181,7 +181,7 @@ def _close(descriptors: Iterable[int]) -> None:
 
 
 def _write_command_line(words: Sequence[str]) -> None:
-    """Writes a command line over the one of the parent, as far as there is room."""
+    """Write a command line over the one of the parent, as far as there is room."""
     with open("/proc/self/stat", encoding="ascii") as file:
         # the name of the process may contain spaces, so the fields count from its closing bracket
         fields = file.read().rpartition(")")[2].split()

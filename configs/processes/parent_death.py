@@ -13,7 +13,7 @@ _PR_SET_PDEATHSIG = 1  # of prctl(2)
 
 
 def signal_at_parent_death(parent: int, number: int) -> None:
-    """Makes Linux send this process a signal when the thread that has started it is gone."""
+    """Make Linux send this process a signal when the thread that has started it is gone."""
     if sys.platform != "linux":
         return
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)

@@ -89,7 +89,7 @@ class Demand:
         self.torque = approach(self.torque, target, set_points.torque_slope * dt_s)
 
     def _limit(self, target: float, bound: float) -> float:
-        """Return the target within plus and minus `bound`; sets `limited`."""
+        """Return the target within plus and minus `bound`; set `limited`."""
         cut = min(max(target, -bound), bound)
         self.limited = cut != target
         return cut

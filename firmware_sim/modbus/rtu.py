@@ -122,7 +122,7 @@ class SerialLine(asyncio.Protocol):
         return name
 
     def _open(self) -> tuple[str, int]:
-        """Open the device; returns the device of a client and the descriptor of the line."""
+        """Open the device; return the device of a client and the descriptor of the line."""
         if self.port == PSEUDO:
             line, self._client_end = os.openpty()
             # the side of the client stays open here, or the line would hang up between two clients
@@ -174,7 +174,7 @@ class SerialLine(asyncio.Protocol):
         self._received = b""
 
     def _execute(self, used: int, unit: int, number: int, request: bytes) -> bool:
-        """Take a frame from the received bytes, execute and answer it; returns False if there is
+        """Take a frame from the received bytes, execute and answer it; return False if there is
         none.
 
         The arguments are what `Frame.decode` returns.

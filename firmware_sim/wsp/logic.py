@@ -237,7 +237,7 @@ def event_of(state, j, params):
 
 @kernel
 def act(state, j, event, params):
-    """Advance the phase of axle j on an event; returns its magnets (bit 0 hold, bit 1 vent)."""
+    """Advance the phase of axle j on an event; return its magnets (bit 0 hold, bit 1 vent)."""
     # by phase: FILL, STEP_FILL, HOLD, STEP_VENT, VENT, RUN_UP, LOCKED_OUT
     pulse = (0.0, params.fill_pulse_s, 0.0, params.vent_pulse_s, 0.0, 0.0, params.lock_out_s)
     pause = (0.0, params.fill_pause_s, 0.0, params.vent_pause_s, 0.0, 0.0, 0.0)

@@ -68,6 +68,10 @@ def call(options: argparse.Namespace) -> int:
     plan = campaign.load(options.plan)
     if options.worst not in figures.BY_NAME:
         raise ConfigError(f"--worst {options.worst}: allowed are {', '.join(figures.BY_NAME)}")
+    if options.workers < 0:
+        raise ConfigError(
+            f"--workers {options.workers}: allowed are numbers from 1, or 0 for the number of cores"
+        )
 
     out = options.out or Path("campaigns") / Path(options.plan).stem
     _run_chunks(options, plan, out)

@@ -27,6 +27,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import NamedTuple
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output, wsp
 
 # exit statuses
@@ -54,6 +55,7 @@ _ISOLATED_CORES_FILE = Path("/sys/devices/system/cpu/isolated")
 _REALTIME_FILE = Path("/sys/kernel/realtime")
 
 _SS_TIMEOUT_S = 5.0
+_HIGHEST_PORT = 65535
 
 
 class State(StrEnum):
@@ -107,10 +109,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(options: argparse.Namespace) -> int:
-    """Check an FMU if one is given, otherwise this machine. Returns PASS or USAGE."""
+    """Check an FMU if one is given, otherwise this machine. Returns PASS or USAGE.
+
+    Raises ConfigError for a port that cannot exist.
+    """
     if options.fmu:
         findings = check_fmu(options.fmu, options.unit_map, options.step)
         return show(options, findings, f"{options.fmu.name}: whether it fits the rig")
+    if not 0 <= options.port <= _HIGHEST_PORT:
+        raise ConfigError(
+            f"--port {options.port}: allowed are numbers from 0 (any free port) to {_HIGHEST_PORT}"
+        )
     return show(options, check_machine(options.port))
 
 
@@ -361,10 +370,13 @@ def memory_lock() -> Finding:
         return Finding(name, State.OK, "allowed")
 
     soft_limit, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
+    limit = "no limit"
+    if soft_limit != resource.RLIM_INFINITY:
+        limit = f"limit {soft_limit // 1024} KiB"
     return Finding(
         name,
         State.WEAKER,
-        f"{reason} (limit {soft_limit // 1024} KiB)",
+        f"{reason} ({limit})",
         f"'{_user()} - memlock unlimited' in /etc/security/limits.conf and a new login, or "
         "CAP_IPC_LOCK (container: --cap-add=ipc_lock --ulimit memlock=-1)",
     )
@@ -495,13 +507,16 @@ def _user_of_port(number: int) -> str:
     program = shutil.which("ss")
     if not program:
         return ""
-    listing = subprocess.run(
-        [program, "-ltnpH", f"sport = :{number}"],
-        capture_output=True,
-        text=True,
-        timeout=_SS_TIMEOUT_S,
-        check=False,
-    ).stdout
+    try:
+        listing = subprocess.run(
+            [program, "-ltnpH", f"sport = :{number}"],
+            capture_output=True,
+            text=True,
+            timeout=_SS_TIMEOUT_S,
+            check=False,
+        ).stdout
+    except subprocess.TimeoutExpired:
+        return ""
     # ss prints: users:(("python",pid=4711,fd=6))
     users = re.findall(r'\("([^"]+)",pid=(\d+)', listing)
     if not users:

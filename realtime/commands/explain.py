@@ -221,6 +221,7 @@ def _write_further_stops(
     """
     import tomli_w
 
+    from rollerrig.realtime.reports import proposed_stops
     from rollerrig.rig.identify.next_stops import planning
 
     unclear = [k for k, identified in enumerate(diagnosis.causes) if identified.confusable]
@@ -230,7 +231,7 @@ def _write_further_stops(
     library = planning.library(fitted, planning.surviving(diagnosis), progress)
 
     def write(name: str, proposal: planning.Proposal) -> Path:
-        sequence = planning.sequence(proposal, fitted)
+        sequence = proposed_stops.sequence(proposal, fitted)
         (out / name).write_text(tomli_w.dumps(sequence), encoding="utf-8")
         return out / name
 
@@ -244,8 +245,10 @@ def _write_further_stops(
 
     proposals = planning.propose(library, count)
     files = [write(f"next_{k}.toml", proposal) for k, proposal in enumerate(proposals, start=1)]
-    report["next"] = planning.as_json(proposals, [file.name for file in files])
+    report["next"] = proposed_stops.as_json(proposals, [file.name for file in files])
     lines = []
     for file, proposal in zip(files, proposals, strict=True):
-        lines.append(f"Next: {proposal.stop.title}; {proposal.reason}: rollerrig sequence {file}")
+        title = proposed_stops.title(proposal.stop)
+        reason = proposed_stops.reason(proposal)
+        lines.append(f"Next: {title}; {reason}: rollerrig sequence {file}")
     return lines

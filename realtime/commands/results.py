@@ -194,6 +194,8 @@ def _picture_size(text: str) -> tuple[int, int]:
         raise ConfigError(
             f"--size {text}: write width x height in pixels, as in 1600x1000"
         ) from None
+    if width < 1 or height < 1:
+        raise ConfigError(f"--size {text}: width and height must be at least 1 pixel")
     return width, height
 
 

@@ -174,7 +174,7 @@ def _valves() -> None:
 
 
 def _plot(plot: _Plot) -> dict[str, Any]:
-    """Put an empty plot into the page; returns what `desk.js` must know to fill it."""
+    """Put an empty plot into the page; return what `desk.js` must know to fill it."""
     lines: list[dict[str, Any]] = []
     series: list[dict[str, Any]] = []
     for name in plot.signals:

@@ -24,6 +24,7 @@ from rollerrig.realtime.datasets import run_dataset, run_sensors
 from rollerrig.realtime.discover import fault_signs
 from rollerrig.realtime.record import records
 from rollerrig.realtime.record.files import replaced, writing
+from rollerrig.realtime.reports import proposed_stops
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import decision
 from rollerrig.rig.identify.decide.decision import Diagnosis
@@ -119,7 +120,7 @@ def _write_history(out: Path, history: dict[str, Any]) -> None:
 
 
 def _stop_row(stop: Stop, reason: str) -> Row:
-    return {**stop._asdict(), "title": stop.title, "why": reason}
+    return {**stop._asdict(), "title": proposed_stops.title(stop), "why": reason}
 
 
 def _stop_of(row: Row) -> Stop:
@@ -303,4 +304,4 @@ def _further_stops(
     # as many proposals more as there are stops: any of them may have been run already
     proposals = planning.propose(library, count + len(rows), tuple(confusable))
     new = [proposal for proposal in proposals if proposal.stop not in done]
-    return [_stop_row(proposal.stop, proposal.reason) for proposal in new[:count]]
+    return [_stop_row(proposal.stop, proposed_stops.reason(proposal)) for proposal in new[:count]]

@@ -6,7 +6,6 @@ The words for causes come from the table of mechanisms.
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.decide import decision, estimates, evidence, thresholds
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
@@ -18,6 +17,12 @@ from rollerrig.rig.mechanisms.mechanism import ALONE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 MOST_COVARIATES_SHOWN = 3
+
+# subject and verb of a sentence, for the causes with `unknown_in_other_runs`
+UNKNOWN_SHAPES = {
+    "wheel_out_of_round": "the angle of an out-of-round wheel at the start is",
+    "sanding": "the moments of sanding are",
+}
 
 
 # --- words and numbers ---
@@ -90,8 +95,7 @@ def note_sentence(note: Note) -> str:
     remainder = "" if note.remainder is None else covariate_of(note.remainder)
     match note.code:
         case NoteCode.GAIN_NOT_JUDGED:
-            # subject and verb of the sentence, for example "the moments of sanding are"
-            unknown = table.BY_NAME[note.causes[0]].unknown_in_other_runs
+            unknown = UNKNOWN_SHAPES[note.causes[0]]
             return (
                 f"{unknown} not known for the runs that were not fitted: the gain cannot be judged "
                 "there"

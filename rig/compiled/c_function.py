@@ -26,7 +26,7 @@ array_at: Any = numba.carray
 
 
 def external_function(name: str, returns: str, *takes: str | types.Type) -> Any:
-    """Returns what compiled code calls as the C function `name`.
+    """Return what compiled code calls as the C function `name`.
 
     Types are numba types or their names.
 
@@ -38,7 +38,7 @@ def external_function(name: str, returns: str, *takes: str | types.Type) -> Any:
 
 
 def compile_named(name: str, function: Callable[..., None], *takes: types.Type) -> Any:
-    """Compiles a function without a result as the C function `name`, or loads it from the cache.
+    """Compile a function without a result as the C function `name`, or load it from the cache.
 
     This must precede the first call of a kernel that calls `name`. The caller keeps the returned
     object as long as the function is in use.

@@ -66,5 +66,5 @@ event.register("numba:compile", _listener)
 
 
 def has_compiled() -> bool:
-    """Returns whether this process has compiled a kernel."""
+    """Return whether this process has compiled a kernel."""
     return _listener.compiled > 0

@@ -25,7 +25,7 @@ class Term(NamedTuple):
 def conditional_sum(
     name: str, arguments: str, terms: Iterable[Term], functions: Mapping[str, Any]
 ) -> Any:
-    """Returns a kernel that adds terms to its first argument, `value`, one after another.
+    """Return a kernel that adds terms to its first argument, `value`, one after another.
 
     A term is added if its condition holds; its increment may use the `value` so far. `functions`
     are the kernels that the terms call, by their names in the expressions. The `name` is unique in
@@ -40,7 +40,7 @@ def conditional_sum(
 
 
 def selection(name: str, arguments: str, expressions: Sequence[str]) -> Any:
-    """Returns a kernel that computes one of the expressions; its last argument is the number."""
+    """Return a kernel that computes one of the expressions; its last argument is the number."""
     lines = [
         f"def {name}({arguments}, number):",
         f"    return ({', '.join(expressions)})[number]",
@@ -49,7 +49,7 @@ def selection(name: str, arguments: str, expressions: Sequence[str]) -> Any:
 
 
 def elementwise(name: str, formula: Any, count: int) -> Any:
-    """Returns a kernel that fills its last argument (n,) with a formula of `count` arrays (n,)."""
+    """Return a kernel that fills its last argument (n,) with a formula of `count` arrays (n,)."""
     arrays = [f"x{k}" for k in range(count)]
     values = ", ".join(f"{array}[k]" for array in arrays)
     lines = [
@@ -61,7 +61,7 @@ def elementwise(name: str, formula: Any, count: int) -> Any:
 
 
 def _cached_kernel(name: str, lines: Sequence[str], names: Mapping[str, Any]) -> Any:
-    """Returns the kernel `name` that the lines define; numba caches it as a kernel of this file."""
+    """Return the kernel `name` that the lines define; numba caches it as a kernel of this file."""
     space: dict[str, Any] = {"__name__": __name__, **names}
     exec(compile("\n".join(lines), __file__, "exec"), space)
     return kernel(space[name])
@@ -70,7 +70,7 @@ def _cached_kernel(name: str, lines: Sequence[str], names: Mapping[str, Any]) ->
 def tuple_builder(
     structure: Any, arguments: str, fields: Iterable[str], counted: bool = False, **names: Any
 ) -> Any:
-    """Returns an inlined kernel that builds a named tuple.
+    """Return an inlined kernel that builds a named tuple.
 
     `fields` are Python expressions, one for each field, of `arguments` and `names`. `counted`: the
     expressions make arrays at addresses, for which numba needs reference counting.
@@ -82,13 +82,13 @@ def tuple_builder(
 
 
 def tuple_writer(arguments: str, places: Sequence[str]) -> Any:
-    """Returns an inlined kernel that writes the entries of its last argument to `places`."""
+    """Return an inlined kernel that writes the entries of its last argument to `places`."""
     space: dict[str, Any] = {}
     exec(f"def write({arguments}, values):\n    {', '.join(places)} = values", space)
     return inlined_without_cache(space["write"])
 
 
 def buffer_viewer(structure: Any, places: Iterable[slice | None]) -> Any:
-    """Returns an inlined kernel that views a flat buffer as a named tuple; None remains None."""
+    """Return an inlined kernel that views a flat buffer as a named tuple; None remains None."""
     views = ["None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places]
     return tuple_builder(structure, "buffer", views)

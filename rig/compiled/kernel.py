@@ -22,7 +22,7 @@ _WITHOUT_WRAPPER: dict[str, Any] = {"no_cfunc_wrapper": True}
 
 
 def _cached(**options: Any) -> Any:
-    """Returns a decorator that compiles a function and keeps the compiled code on disk."""
+    """Return a decorator that compiles a function and keeps the compiled code on disk."""
     compiled = _njit(**options, **_WITHOUT_WRAPPER)
 
     def decorate(function: Any) -> Any:

@@ -35,7 +35,7 @@ BYTES_KEPT = 200_000_000
 
 
 def _fingerprint(root: Path) -> str:
-    """Returns a hash of all that compiled code depends on: numba, the installation, the sources."""
+    """Return a hash of all that compiled code depends on: numba, the installation, the sources."""
     digest = hashlib.sha256(f"{numba.__version__} {root}".encode())
     paths = sorted(path for room in _ROOMS for path in (root / room).rglob("*.py"))
     for path in paths:
@@ -55,7 +55,7 @@ def _affects_compiled_code(path: Path, source: bytes, root: Path) -> bool:
 
 
 def use() -> None:
-    """Makes numba keep compiled kernels in the folder of these sources, and locks the folder.
+    """Make numba keep compiled kernels in the folder of these sources, and locks the folder.
 
     Raises OSError where the home folder is not writable; numba then chooses a folder itself.
     """
@@ -72,7 +72,7 @@ def use() -> None:
 
 
 def remove_old(base: Path, folders_kept: int = FOLDERS_KEPT, bytes_kept: int = BYTES_KEPT) -> None:
-    """Removes the least recently used folders of `base` beyond these limits, except locked ones."""
+    """Remove the least recently used folders of `base` beyond these limits, except locked ones."""
     folders = sorted(base.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True)
     size = 0
     for number, folder in enumerate(folders, start=1):
@@ -93,12 +93,12 @@ def _remove_unless_locked(folder: Path) -> None:
 
 
 def folder() -> Path | None:
-    """Returns the folder of compiled kernels, None where numba chooses it."""
+    """Return the folder of compiled kernels, None where numba chooses it."""
     return Path(settings.CACHE_DIR) if settings.CACHE_DIR else None
 
 
 def is_compiled() -> bool:
-    """Returns whether an earlier process has compiled these sources."""
+    """Return whether an earlier process has compiled these sources."""
     here = folder()
     return here is not None and any(here.rglob("*.nbi"))
 

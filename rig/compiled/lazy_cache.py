@@ -32,7 +32,7 @@ class LazyCache:
         return getattr(self._open(), name)
 
     def load_overload(self, signature: Any, context: Any) -> Any:
-        """Returns the compiled code for a signature, None if there is none.
+        """Return the compiled code for a signature, None if there is none.
 
         Numba's method also calls `context.refresh()`, which loads everything that compiling needs.
         """

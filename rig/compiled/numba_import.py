@@ -19,12 +19,12 @@ settings: Any = config
 
 
 def without_linear_algebra() -> without:
-    """Returns a context in which numba does not find scipy.linalg."""
+    """Return a context in which numba does not find scipy.linalg."""
     return without("scipy.linalg")
 
 
 def load_array_functions() -> None:
-    """Loads numba's array functions before numba loads them itself, together with scipy.linalg."""
+    """Load numba's array functions before numba loads them itself, together with scipy.linalg."""
     with without_linear_algebra():
         import numba.np.arraymath  # noqa: F401
 

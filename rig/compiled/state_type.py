@@ -47,7 +47,7 @@ class _Model(models.StructModel):
 
 
 def register(named_tuple: type, places: Mapping[str, slice]) -> None:
-    """Makes numba pass a named tuple to kernels as the address of its buffer.
+    """Make numba pass a named tuple to kernels as the address of its buffer.
 
     named_tuple: the class. Each field of an instance is a float64 view of one buffer, or None.
     places: the place of each field in the buffer, in values. The first field is never None and is
@@ -67,7 +67,7 @@ def register(named_tuple: type, places: Mapping[str, slice]) -> None:
 
 @unbox(Address)
 def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
-    """Generates the code that gets the address from a Python object.
+    """Generate the code that gets the address from a Python object.
 
     It is the address of the first field's data.
     """
@@ -100,7 +100,7 @@ class _Fields(templates.AttributeTemplate):
 
 @imputils.lower_getattr_generic(Address)
 def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) -> Any:
-    """Generates the code that makes the view of a field."""
+    """Generate the code that makes the view of a field."""
     from numba.np import arrayobj
 
     place = kind.places[field]

@@ -17,7 +17,7 @@ from rollerrig.rig.compiled.kernel import inlined_without_cache
 
 
 def variant(formula: Any, **replacements: Any) -> Any:
-    """Returns an inlined kernel with the code of `formula` and other functions under some names."""
+    """Return an inlined kernel with the code of `formula` and other functions under some names."""
     # without a compiler (NUMBA_DISABLE_JIT) a kernel is a plain function
     function = getattr(formula, "py_func", formula)
     clone = FunctionType(function.__code__, function.__globals__ | replacements)
@@ -25,7 +25,7 @@ def variant(formula: Any, **replacements: Any) -> Any:
 
 
 def module_variant(module: ModuleType, **replacements: Any) -> Any:
-    """Returns a copy of a module in which some names are replaced."""
+    """Return a copy of a module in which some names are replaced."""
     copy = ModuleType(module.__name__)
     vars(copy).update(vars(module))
     vars(copy).update(replacements)

@@ -62,7 +62,7 @@ _QUARTER_TURN_SQUARED = 2.5
 
 @kernel_inlined
 def _exp_parts(x):
-    """Returns (bits, part) with exp(x) = 2^n (1 + part).
+    """Return (bits, part) with exp(x) = 2^n (1 + part).
 
     `bits` is n as an addend to the exponent bits of a double.
     """
@@ -88,14 +88,14 @@ def _exp_parts(x):
 
 @kernel_inlined
 def exp(x):
-    """Returns exp(x) within two units of the last digit, for x limited to -700 .. 700."""
+    """Return exp(x) within two units of the last digit, for x limited to -700 .. 700."""
     bits, part = _exp_parts(x)
     return np.int64(np.float64(1.0 + part).view(np.int64) + bits).view(np.float64)
 
 
 @kernel_inlined
 def expm1(x):
-    """Returns exp(x) - 1, for x limited to -700 .. 700."""
+    """Return exp(x) - 1, for x limited to -700 .. 700."""
     bits, part = _exp_parts(x)
     power_of_two = np.int64(_EXPONENT_OF_ONE + bits).view(np.float64)
     return power_of_two * part + (power_of_two - 1.0)
@@ -103,7 +103,7 @@ def expm1(x):
 
 @kernel_inlined
 def log(x):
-    """Returns ln x for normal x > 0, within 1e-15 (absolute where x is near 1)."""
+    """Return ln x for normal x > 0, within 1e-15 (absolute where x is near 1)."""
     bits = np.float64(x).view(np.int64)
     exponent = np.int64((bits >> _MANTISSA_BITS) | _TWO_52_BITS).view(np.float64) - _TWO_52_AND_BIAS
     mantissa = np.int64((bits & _MANTISSA_MASK) | _EXPONENT_OF_ONE).view(np.float64)
@@ -124,7 +124,7 @@ def log(x):
 
 @kernel_inlined
 def atan(x):
-    """Returns the arc tangent within two units of the last digit."""
+    """Return the arc tangent within two units of the last digit."""
     size = abs(x)
     # three ranges of the argument, each moved to 0 .. 0.66 in size
     far = size > _TAN_3_8_PI
@@ -143,13 +143,13 @@ def atan(x):
 
 @kernel_inlined
 def power(x, y):
-    """Returns x^y for x > 0."""
+    """Return x^y for x > 0."""
     return exp(y * log(x))
 
 
 @kernel_inlined
 def sin(x):
-    """Returns the sine of an angle up to a quarter turn, within 1e-13; NaN for a larger angle."""
+    """Return the sine of an angle up to a quarter turn, within 1e-13; NaN for a larger angle."""
     z = x * x
     series = -1.0 / 1307674368000.0 + z / 355687428096000.0
     series = 1.0 / 6227020800.0 + z * series
@@ -163,7 +163,7 @@ def sin(x):
 
 @kernel_inlined
 def cos(x):
-    """Returns the cosine of an angle up to a quarter turn, within 3e-13; NaN for a larger angle."""
+    """Return the cosine of an angle up to a quarter turn, within 3e-13; NaN for a larger angle."""
     z = x * x
     series = -1.0 / 87178291200.0 + z / 20922789888000.0
     series = 1.0 / 479001600.0 + z * series
@@ -177,7 +177,7 @@ def cos(x):
 
 @kernel_inlined
 def inverse_cube_root(u):
-    """Returns u^(-1/3) to 1e-14 for u = 0.25 .. 4."""
+    """Return u^(-1/3) to 1e-14 for u = 0.25 .. 4."""
     z = (2.0 + u) / (1.0 + 2.0 * u)
     z = _closer_inverse_cube_root(z, 1.0 - u * z * z * z)
     return _closer_inverse_cube_root(z, 1.0 - u * z * z * z)
@@ -185,7 +185,7 @@ def inverse_cube_root(u):
 
 @kernel_inlined
 def _closer_inverse_cube_root(z, error):
-    """Returns the approximation after z; `error` is 1 - u z^3. The series of (1 - error)^(-1/3)."""
+    """Return the approximation after z; `error` is 1 - u z^3. The series of (1 - error)^(-1/3)."""
     return z * (1.0 + error * (1 / 3 + error * (2 / 9 + error * (14 / 81))))
 
 

@@ -36,7 +36,7 @@ _LARGEST_STEP = 1e-3
 
 @kernel_inlined
 def curve(sliding_m_s, eps_mu, mu_c, A, gamma_s_m, k_a, k_s):
-    """Returns Polach's adhesion coefficient; `eps_mu` is the gradient of the stress times the
+    """Return Polach's adhesion coefficient; `eps_mu` is the gradient of the stress times the
     friction.
     """
     mu = friction(sliding_m_s, mu_c, A, gamma_s_m)
@@ -45,20 +45,20 @@ def curve(sliding_m_s, eps_mu, mu_c, A, gamma_s_m, k_a, k_s):
 
 @kernel_inlined
 def friction(sliding_m_s, mu_c, A, gamma_s_m):
-    """Returns `polach.friction` for a magnitude of sliding."""
+    """Return `polach.friction` for a magnitude of sliding."""
     return mu_c * (1.0 + (1.0 / A - 1.0) * vector_math.exp(-gamma_s_m * sliding_m_s))
 
 
 @kernel_inlined
 def shape(eps, k_a, k_s):
-    """Returns `polach.shape` without its derivative, for eps >= 0."""
+    """Return `polach.shape` without its derivative, for eps >= 0."""
     stick = k_a * eps
     return (2.0 / math.pi) * (stick / (1.0 + stick * stick) + vector_math.atan(k_s * eps))
 
 
 @kernel_inlined
 def eps_mu(sliding_m_s, speed_m_s, load_N, eps1):
-    """Returns the argument `eps_mu` of `curve`; load_N on one wheel.
+    """Return the argument `eps_mu` of `curve`; load_N on one wheel.
 
     Meaningless outside the domain.
     """
@@ -68,7 +68,7 @@ def eps_mu(sliding_m_s, speed_m_s, load_N, eps1):
 
 @kernel_inlined
 def recovered(f_d, f_r, k):
-    """Returns (f, lambda, inside) of [V1], [V2] between f_d and f_r for k = tau N |e|.
+    """Return (f, lambda, inside) of [V1], [V2] between f_d and f_r for k = tau N |e|.
 
     `inside` is 0 where f is not valid, else 1.
     """
@@ -97,7 +97,7 @@ def recovered(f_d, f_r, k):
 
 @kernel_inlined
 def polach_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
-    """Returns (fx_N, fy_N, mz_Nm, inside): `creep_force.creep_force` by Polach's model."""
+    """Return (fx_N, fy_N, mz_Nm, inside): `creep_force.creep_force` by Polach's model."""
     a, b, inside = semi_axes(load_N, patch)
     approached = polach_spin.approach(xi, eta, phi_1_m, a, b, patch)
     limit, fx, fy = limited(
@@ -117,7 +117,7 @@ def polach_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
 
 @kernel_inlined
 def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
-    """Returns (fx_N, fy_N, mz_Nm, inside): `creep_force.recovering_force`."""
+    """Return (fx_N, fy_N, mz_Nm, inside): `creep_force.recovering_force`."""
     a, b, inside = semi_axes(load_N, patch)
     approached = polach_spin.approach(xi, eta, phi_1_m, a, b, patch)
     limit_d, dx, dy = limited(
@@ -159,7 +159,7 @@ def recovering_force(xi, eta, phi_1_m, sliding_m_s, load_N, patch, law):
 
 @kernel_inlined
 def semi_axes(load_N, patch):
-    """Returns the semi-axes in m along and across, and 1 if the load is within the domain, else
+    """Return the semi-axes in m along and across, and 1 if the load is within the domain, else
     0.
     """
     u = load_N * (1.0 / LOAD_N)
@@ -171,7 +171,7 @@ def semi_axes(load_N, patch):
 
 @kernel_inlined
 def limited(approached, xi, eta, sliding_m_s, load_N, mu_c, A, gamma_s_m, k_a, k_s):
-    """Returns the friction limit in N and the force (fx_N, fy_N) within it."""
+    """Return the friction limit in N and the force (fx_N, fy_N) within it."""
     limit_N = load_N * friction(sliding_m_s, mu_c, A, gamma_s_m)
     share = shape(approached.eps_limit_N * (1.0 / limit_N), k_a, k_s)
     fx, fy = polach_spin.force_of_share(approached, xi, eta, limit_N, share)
@@ -180,7 +180,7 @@ def limited(approached, xi, eta, sliding_m_s, load_N, mu_c, A, gamma_s_m, k_a, k
 
 @kernel_inlined
 def moment(linear_N, eta, phi_1_m, limit_N, a_m, b_m, patch):
-    """Returns `johnson_vermeulen.moment`, where linear_N is the size of Kalker's force without
+    """Return `johnson_vermeulen.moment`, where linear_N is the size of Kalker's force without
     spin.
     """
     linear = linear_N / limit_N

@@ -110,7 +110,7 @@ _write_law = tuple_writer("w, lane", [f"w[{row} + lane]" for row in _LAW_ROWS.va
 
 
 def fits(params: Params) -> bool:
-    """Returns whether rigs with these parameters may run in lanes."""
+    """Return whether rigs with these parameters may run in lanes."""
     return (
         params.coach is None
         and params.patch.model == creep_force.DEGRADED
@@ -128,7 +128,7 @@ def fits(params: Params) -> bool:
 
 @kernel
 def load_constants(w, rig, params):
-    """Writes the constants of a rig (0 to 3) into its lanes."""
+    """Write the constants of a rig (0 to 3) into its lanes."""
     vehicle = params.vehicle
     brake = params.brake
     drive = params.drive
@@ -167,7 +167,7 @@ def load_constants(w, rig, params):
 
 @kernel_inlined
 def scatter(w, rig, state, target_Pa):
-    """Writes the state of a rig into its lanes; target_Pa is the demanded brake pressure."""
+    """Write the state of a rig into its lanes; target_Pa is the demanded brake pressure."""
     for j in range(AXLES):
         at = rig * AXLES + j
         w[WHEEL + at] = state.wheel_speed[j]
@@ -203,7 +203,7 @@ def scatter(w, rig, state, target_Pa):
 
 @kernel_inlined
 def gather(w, rig, state):
-    """Writes the lanes of a rig into its state."""
+    """Write the lanes of a rig into its state."""
     for j in range(AXLES):
         at = rig * AXLES + j
         state.wheel_speed[j] = w[WHEEL + at]

@@ -28,7 +28,7 @@ _LEAST_RAD_S = 1e-3
 
 @kernel
 def step(w, rigs):
-    """Advances all lanes by one step; `rigs` are the parameters of the four vehicles."""
+    """Advance all lanes by one step; `rigs` are the parameters of the four vehicles."""
     pneumatics_and_motors(w)
     contacts(w)
     contacts_outside_domain(w)
@@ -42,7 +42,7 @@ def step(w, rigs):
 
 @kernel
 def pneumatics_and_motors(w):
-    """Computes brake demand, cylinders, motors and brake torques [B1] to [B4], [M1]."""
+    """Compute brake demand, cylinders, motors and brake torques [B1] to [B4], [M1]."""
     for j in range(LANES):
         # the first stage computes the contacts with the values at the beginning of the step
         w[row.V_END + j] = w[row.V + j]
@@ -81,7 +81,7 @@ def pneumatics_and_motors(w):
 
 @kernel
 def contacts(w):
-    """Computes sliding, load and secant slope T / s of each contact, from the rows ..._END."""
+    """Compute sliding, load and secant slope T / s of each contact, from the rows ..._END."""
     for j in range(LANES):
         v = w[row.V_END + j]
         roller = w[row.ROLLER_M + j] * w[row.ROLLER_END + j]
@@ -111,7 +111,7 @@ def contacts(w):
 
 @kernel
 def contacts_outside_domain(w):
-    """Computes the few contacts outside the domain of `vector_law` by the law itself."""
+    """Compute the few contacts outside the domain of `vector_law` by the law itself."""
     for j in range(LANES):
         if w[row.INSIDE + j] == 0.0 and w[row.MOVING + j] > 0.0:
             w[row.SLOPE + j] = exact_slope(w, j)
@@ -119,7 +119,7 @@ def contacts_outside_domain(w):
 
 @kernel
 def exact_slope(w, j):
-    """Returns the secant slope of lane j by `wheelset.contact_force`, for any contact."""
+    """Return the secant slope of lane j by `wheelset.contact_force`, for any contact."""
     here = row.law_of_lane(w, j)
     # the law of one wheel needs only eps1 of the patch
     patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[row.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
@@ -140,7 +140,7 @@ def exact_slope(w, j):
 
 @kernel_inlined
 def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
-    """Returns (wheel_k, roller_k, pull_N, brake_Nm) of a stage in lane j [W1] to [W4].
+    """Return (wheel_k, roller_k, pull_N, brake_Nm) of a stage in lane j [W1] to [W4].
 
     wheel_k and roller_k are the slopes of the speeds in rad/s2, pull_N is the contact force,
     brake_Nm the torque of the brake that acts. `wheel_before` and `roller_before` are subtracted
@@ -176,7 +176,7 @@ def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
 
 @kernel
 def begin(w):
-    """Computes the first stage: slopes at the start of the step, and the prediction for its end."""
+    """Compute the first stage: slopes at the start of the step, and the prediction for its end."""
     for j in range(LANES):
         wheel = w[row.WHEEL + j]
         wheel_k, roller_k, pull_N, brake_Nm = stage(
@@ -193,7 +193,7 @@ def begin(w):
 
 @kernel
 def total(w, first, resistance_N):
-    """Returns the force in N that holds a vehicle back; `first` is its first lane."""
+    """Return the force in N that holds a vehicle back; `first` is its first lane."""
     for j in range(first, first + AXLES):
         resistance_N += w[row.PULL + j]
     return resistance_N
@@ -201,7 +201,7 @@ def total(w, first, resistance_N):
 
 @kernel
 def predict(w, rigs):
-    """Predicts speed and felt acceleration of each vehicle for the end of the step."""
+    """Predict speed and felt acceleration of each vehicle for the end of the step."""
     for rig in range(RIGS):
         at = rig * AXLES
         vehicle = rigs[rig]
@@ -222,7 +222,7 @@ def predict(w, rigs):
 
 @kernel
 def finish(w):
-    """Computes the second stage, and the motion of wheels and rollers by both stages."""
+    """Compute the second stage, and the motion of wheels and rollers by both stages."""
     for j in range(LANES):
         moving = w[row.MOVING + j] > 0.0
         h = w[row.STEP + j]
@@ -260,7 +260,7 @@ def finish(w):
 
 @kernel
 def move(w, rigs):
-    """Moves every vehicle, and brings to rest those that hardly move."""
+    """Move every vehicle, and bring to rest those that hardly move."""
     for rig in range(RIGS):
         at = rig * AXLES
         vehicle = rigs[rig]
@@ -299,13 +299,13 @@ def move(w, rigs):
 
 @kernel
 def broadcast(w, first_of_row, first_lane, value):
-    """Writes a value of a vehicle into its four lanes."""
+    """Write a value of a vehicle into its four lanes."""
     for j in range(first_lane, first_lane + AXLES):
         w[first_of_row + j] = value
 
 
 @kernel
 def settle(w, first_lane):
-    """Brings a vehicle to rest, with its wheels and rollers."""
+    """Bring a vehicle to rest, with its wheels and rollers."""
     for place in (row.V, row.RATE, row.WHEEL, row.ROLLER, row.MOTOR, row.BRAKE, row.MOVING):
         broadcast(w, place, first_lane, 0.0)

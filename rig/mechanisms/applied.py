@@ -63,7 +63,7 @@ class Wheels(NamedTuple):
 
 
 def build(m: Mapping[str, Any]) -> Effects:
-    """Returns the effects of the checked section [mechanisms]."""
+    """Return the effects of the checked section [mechanisms]."""
     acts_on = set()
     for mechanism in IN_PLANT:
         if any(m[key] != 0.0 for key in mechanism.coefficients):
@@ -79,7 +79,7 @@ def build(m: Mapping[str, Any]) -> Effects:
 
 
 def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the model's constants with the changes of [mechanisms] that hold for all axles."""
+    """Return the model's constants with the changes of [mechanisms] that hold for all axles."""
     changed = dict(model)
     for mechanism in IN_PLANT:
         has_constants = changed.keys() >= set(mechanism.changes)
@@ -91,7 +91,7 @@ def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
-    """Returns the wheels of the checked sections [vehicle] (radius, inertia) and [mechanisms]."""
+    """Return the wheels of the checked sections [vehicle] (radius, inertia) and [mechanisms]."""
     swing = _of_axles(m, "wheel_out_of_round", "wheel_out_of_round_amplitude")
     radius_fraction = _of_axles(m, "wheel_radius", "wheel_radius_fraction")
     inertia_fraction = _of_axles(m, "wheel_inertia", "wheel_inertia_fraction")
@@ -105,7 +105,7 @@ def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
 
 
 def _of_axles(m: Mapping[str, Any], name: str, key: str) -> np.ndarray:
-    """Returns the value of a key on each axle, shape (4,); 0 on an axle without the mechanism."""
+    """Return the value of a key on each axle, shape (4,); 0 on an axle without the mechanism."""
     values = np.zeros(AXLES)
     for axle in range(AXLES):
         if m[f"{name}_axle"] in (0, axle + 1):
@@ -118,7 +118,7 @@ _ARGUMENTS = "state, axle, place_m, capacity_Nm, values, clean"
 
 
 def _term(mechanism: Mechanism) -> Term:
-    """Returns what a mechanism adds to ln mu or to the torque, as source text.
+    """Return what a mechanism adds to ln mu or to the torque, as source text.
 
     For example, with the places of the two parameters of rail_cleaning:
     if values[3] != 0.0: value += values[3] * rail_cleaning(state.rail_work[axle], values[4])
@@ -146,7 +146,7 @@ def _term(mechanism: Mechanism) -> Term:
 
 
 def _sum_of(name: str, mechanisms: Sequence[Mechanism]) -> Any:
-    """Returns a kernel that adds the effects of mechanisms to a value, one after another."""
+    """Return a kernel that adds the effects of mechanisms to a value, one after another."""
     terms = [_term(mechanism) for mechanism in mechanisms]
     functions = {mechanism.name: mechanism.courses[0] for mechanism in mechanisms}
     return conditional_sum(name, _ARGUMENTS, terms, functions)
@@ -166,7 +166,7 @@ _covariate = selection(
 
 @kernel
 def friction_factor(state, axle, place_m, effects, clean):
-    """Returns the factor of the degraded friction of an axle, or of that of the clean rail [X1]."""
+    """Return the factor of the degraded friction of an axle, or of that of the clean rail [X1]."""
     values = effects.values
     ln_mu = _changed_ln_friction(0.0, state, axle, place_m, state.brake_torque[axle], values, clean)
     if values[_COVARIATE] > 0.0:
@@ -185,7 +185,7 @@ def friction_factor(state, axle, place_m, effects, clean):
 
 @kernel
 def torque(capacity_Nm, state, axle, place_m, effects):
-    """Returns the torque in N m of an axle whose brake would otherwise give `capacity_Nm` [X2]."""
+    """Return the torque in N m of an axle whose brake would otherwise give `capacity_Nm` [X2]."""
     if capacity_Nm <= 0.0:
         return capacity_Nm
     changed_Nm = _changed_torque(
@@ -196,7 +196,7 @@ def torque(capacity_Nm, state, axle, place_m, effects):
 
 @kernel
 def remember(state, positions_m, tick_s):
-    """Advances sliding distance, angle turned under the brake and work of the wheels in front."""
+    """Advance sliding distance, angle turned under the brake and work of the wheels in front."""
     work_J_m = 0.0
     for j in range(AXLES):
         state.sliding_distance[j] += tick_s * abs(state.sliding[j])

@@ -114,7 +114,7 @@ class Mechanism(NamedTuple):
 
 
 def arguments(course: Any, shape_count: int) -> list[str]:
-    """Returns the arguments of a course without its last `shape_count`, the shape parameters.
+    """Return the arguments of a course without its last `shape_count`, the shape parameters.
 
     These are the names of its covariates.
     """
@@ -123,7 +123,7 @@ def arguments(course: Any, shape_count: int) -> list[str]:
 
 
 def number(name: str, low: float, high: float, unit: str, default: float = 0.0) -> Row:
-    """Returns a parameter of a mechanism. `unit` may also be a short text that explains it."""
+    """Return a parameter of a mechanism. `unit` may also be a short text that explains it."""
     return table.number(name, default, low, high, unit)
 
 
@@ -136,7 +136,7 @@ def row_of(
     changes: tuple[str, ...] = (),
     **more: Any,
 ) -> Mechanism:
-    """Returns the row of a mechanism with one formula.
+    """Return the row of a mechanism with one formula.
 
     `formula` is a course. With `changes` it is a function of constants, and `changes` are the
     constants that it changes. The mechanism has the name of this function, and the text of its
@@ -166,5 +166,5 @@ ALONE = number("contaminant_alone", 0.0, 1.0, "-")
 
 @kernel
 def saturating(x, scale):
-    """Returns x levelled off at a scale: scale (1 - exp(-x / scale)), or x for a scale >= WIDE."""
+    """Return x levelled off at a scale: scale (1 - exp(-x / scale)), or x for a scale >= WIDE."""
     return x if scale >= WIDE else -scale * math.expm1(-x / scale)

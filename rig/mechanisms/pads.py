@@ -19,7 +19,7 @@ from rollerrig.rig.compiled.kernel import kernel
 
 @kernel
 def friction_share(rim_m_s, pressure_Pa, disc_K, pads):
-    """Returns mu / mu_0 of pads on discs whose wheel turns at a rim speed [P1]."""
+    """Return mu / mu_0 of pads on discs whose wheel turns at a rim speed [P1]."""
     by_speed = 1.0 + pads.speed_loss * math.expm1(-rim_m_s / pads.speed_scale_m_s)
     by_pressure = 1.0 + pads.pressure_loss * math.expm1(-pressure_Pa / pads.pressure_scale_Pa)
     above_K = max(disc_K - pads.fade_from_K, 0.0)
@@ -29,5 +29,5 @@ def friction_share(rim_m_s, pressure_Pa, disc_K, pads):
 
 @kernel
 def clamped(before_Pa, pressure_Pa, hysteresis):
-    """Returns the pressure in Pa that clamps the pads, after `before_Pa` [P2]."""
+    """Return the pressure in Pa that clamps the pads, after `before_Pa` [P2]."""
     return min(max(before_Pa, pressure_Pa * (1.0 - hysteresis)), pressure_Pa * (1.0 + hysteresis))

@@ -28,7 +28,7 @@ IN_PLANT = tuple(m for m in BY_NAME.values() if m.acts_on != SENSOR)
 
 
 def rows() -> tuple[Row, ...]:
-    """Returns the rows of the section [mechanisms] of a model: `<mechanism>_<parameter>`."""
+    """Return the rows of the section [mechanisms] of a model: `<mechanism>_<parameter>`."""
     found = []
     for mechanism in IN_PLANT:
         for row in mechanism.parameters:

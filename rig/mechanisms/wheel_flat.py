@@ -18,13 +18,13 @@ from rollerrig.rig.compiled.kernel import kernel
 
 @kernel
 def length_m(work_J, wear_m3_J, width_m, radius_m):
-    """Returns the length in m of the flat that a lock makes by its work on one wheel [F1]."""
+    """Return the length in m of the flat that a lock makes by its work on one wheel [F1]."""
     return math.pow(12.0 * radius_m * wear_m3_J * work_J / width_m, 1.0 / 3.0)
 
 
 @kernel
 def load_share(turned_rad, length_m, radius_m, load_1_m):
-    """Returns N / N_0 of a wheel; at turned_rad = 0 the middle of its flat is below [F2]."""
+    """Return N / N_0 of a wheel; at turned_rad = 0 the middle of its flat is below [F2]."""
     if length_m == 0.0:
         return 1.0
     turns = math.floor(turned_rad / (2.0 * math.pi) + 0.5)

@@ -101,7 +101,7 @@ def build(
     model: int = 0,
     cells: int = 10,
 ) -> Coach:
-    """Returns the coach of the checked sections `vehicle`, `contact` and `multibody`.
+    """Return the coach of the checked sections `vehicle`, `contact` and `multibody`.
 
     roller_m is the radius of the rollers, inf on a rail; `model` and `cells` as in `patch.Patch`.
     Raises ConfigError or ValueError for profiles that cannot be used.
@@ -156,7 +156,7 @@ def build(
 
 
 def masses(vehicle: Section) -> np.ndarray:
-    """Returns the masses in kg of car, bogies and wheelsets, shape (7,)."""
+    """Return the masses in kg of car, bogies and wheelsets, shape (7,)."""
     bogie = vehicle["bogie_mass_kg"]
     wheelset = vehicle["wheelset_mass_kg"]
     car = vehicle["mass_kg"] - 2.0 * bogie - 4.0 * wheelset
@@ -164,12 +164,12 @@ def masses(vehicle: Section) -> np.ndarray:
 
 
 def _bogie_of(wheelset: int) -> int:
-    """Returns the body number of the bogie of a wheelset."""
+    """Return the body number of the bogie of a wheelset."""
     return BOGIES[(wheelset - FIRST_WHEELSET) // 2]
 
 
 def _rotary_inertia(body: int, vehicle: Section, m: Section) -> tuple[float, float, float]:
-    """Returns the inertias in kg m2 of a body in roll, pitch and yaw; `m` is [multibody]."""
+    """Return the inertias in kg m2 of a body in roll, pitch and yaw; `m` is [multibody]."""
     if body == CAR:
         return m["body_inertia_x_kgm2"], m["body_inertia_y_kgm2"], m["body_inertia_z_kgm2"]
     if body in BOGIES:
@@ -192,7 +192,7 @@ def _rotary_inertia(body: int, vehicle: Section, m: Section) -> tuple[float, flo
 
 
 def places(vehicle: Section) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the nominal x in m and the height in m above the rail of the seven bodies."""
+    """Return the nominal x in m and the height in m above the rail of the seven bodies."""
     half = 0.5 * vehicle["bogie_distance_m"]
     base = 0.5 * vehicle["bogie_wheelbase_m"]
     x = np.array([0.0, half, -half, half + base, half - base, -half + base, -half - base])
@@ -204,7 +204,7 @@ def places(vehicle: Section) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _springs(vehicle: Section, m: Section, mass: np.ndarray) -> list[_Row]:
-    """Returns the linear links; `m` is the section [multibody]."""
+    """Return the linear links; `m` is the section [multibody]."""
     x, height = places(vehicle)
     rows = []
     on_secondary_N = mass[CAR] * GRAVITY_M_S2 / 4.0  # [C2]
@@ -236,7 +236,7 @@ def _springs(vehicle: Section, m: Section, mass: np.ndarray) -> list[_Row]:
 
 
 def _curves(vehicle: Section, m: Section) -> list[_Row]:
-    """Returns the nonlinear links; `m` is the section [multibody]."""
+    """Return the nonlinear links; `m` is the section [multibody]."""
     x, _ = places(vehicle)
     rows = []
     for wheelset in WHEELSETS:
@@ -293,7 +293,7 @@ def _curves(vehicle: Section, m: Section) -> list[_Row]:
 
 
 def _secondary(bogie: int, y: float, level_m: float, vehicle: Section) -> _Joint:
-    """Returns the joint of car and bogie above the bogie's middle, level_m above the rail."""
+    """Return the joint of car and bogie above the bogie's middle, level_m above the rail."""
     x, height = places(vehicle)
     on_car = (x[bogie], y, level_m - height[CAR])
     on_bogie = (0.0, y, level_m - height[bogie])
@@ -301,7 +301,7 @@ def _secondary(bogie: int, y: float, level_m: float, vehicle: Section) -> _Joint
 
 
 def _links(rows: list[_Row]) -> Links:
-    """Returns the links as arrays [C1]."""
+    """Return the links as arrays [C1]."""
     at = np.zeros((len(rows), 6), dtype=np.int64)
     factors = np.zeros((len(rows), 6))
     for i, row in enumerate(rows):
@@ -319,7 +319,7 @@ def _links(rows: list[_Row]) -> Links:
 
 
 def _levers(axis: int, place: Place) -> tuple[tuple[int, float], ...]:
-    """Returns coordinates and factors that move a point of a turning body along an axis."""
+    """Return coordinates and factors that move a point of a turning body along an axis."""
     x, y, z = place
     if axis == X:
         return (X, 1.0), (PITCH, z), (YAW, -y)

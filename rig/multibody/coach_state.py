@@ -84,7 +84,7 @@ for _name in Motion._fields:
 
 
 def views(buffer: np.ndarray) -> Motion:
-    """Returns the state in a contiguous float64 buffer of shape (SIZE,)."""
+    """Return the state in a contiguous float64 buffer of shape (SIZE,)."""
     fields = []
     for name in Motion._fields:
         begin = BEGIN[name]

@@ -87,7 +87,7 @@ class Packed(NamedTuple):
 
 
 def packed(coach: Coach, law: Law, step_s: float, roller_inertia_kgm2: float) -> Packed:
-    """Returns the constants of a coach, the adhesion under it and its time step, for `run`."""
+    """Return the constants of a coach, the adhesion under it and its time step, for `run`."""
     wheel = coach.wheel
     rail = coach.rail
     patches = coach.patches
@@ -144,7 +144,7 @@ _law_on = tuple_builder(Law, "scalars", [f"scalars[{_LAW + i}]" for i in range(l
 
 
 def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:
-    """Unpacks the coach at these addresses, and does the action in its ports."""
+    """Unpack the coach at these addresses, and do the action in its ports."""
     scalars = array_at(tape_at, (_INERTIA,))
     layout = array_at(layout_at, (_COUNTS,))
     springs = layout[_SPRINGS]
@@ -209,7 +209,7 @@ def _act(memory_at: Any, tape_at: Any, layout_at: Any) -> None:
 
 @kernel_inlined
 def _obey(state, coach, step_s, roller_inertia_kgm2, law):
-    """Does the action in the ports: starts the coach or advances it by a step."""
+    """Do the action in the ports: start the coach or advance it by a step."""
     ports = state.ports
     if ports[coach_state.ACTION] == START:
         motion.start(state, coach, ports[coach_state.SPEED_M_S])
@@ -238,14 +238,14 @@ _compiled: list[Any] = []
 
 
 def prepare() -> None:
-    """Compiles the coach, or loads it from the cache, before any kernel that calls `run`."""
+    """Compile the coach, or load it from the cache, before any kernel that calls `run`."""
     if not _compiled:
         _compiled.append(c_function.compile_named(_NAME, _act, FLOATS, FLOATS, INTEGERS))
 
 
 @kernel_inlined
 def run(buffer, tape, layout):
-    """Does the action in the ports of a coach.
+    """Do the action in the ports of a coach.
 
     `buffer` (coach_state.SIZE,) is its memory; `packed` returns tape and layout.
     """

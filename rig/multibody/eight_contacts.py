@@ -51,7 +51,7 @@ SIZE = _ROWS
 
 @kernel_inlined
 def put(w, lane, patch):
-    """Writes the patch of a contact into its lane."""
+    """Write the patch of a contact into its lane."""
     w[A1 + lane] = patch.a1
     w[B1 + lane] = patch.b1
     w[SLIM + lane] = patch.slim
@@ -63,7 +63,7 @@ def put(w, lane, patch):
 
 @kernel_inlined
 def contact(w, j, patches, law):
-    """Returns the arguments of the models for lane j.
+    """Return the arguments of the models for lane j.
 
     They are (xi, eta, phi_1_m, sliding_m_s, load_N, patch, law).
     """
@@ -103,7 +103,7 @@ def contact(w, j, patches, law):
 
 @kernel
 def degraded(w, patches, law):
-    """Computes the creep forces with recovery of the first lanes."""
+    """Compute the creep forces with recovery of the first lanes."""
     for j in range(TOGETHER):
         xi, eta, phi_1_m, sliding, N, patch, law_here = contact(w, j, patches, law)
         w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = vector_law.recovering_force(
@@ -113,7 +113,7 @@ def degraded(w, patches, law):
 
 @kernel
 def polach(w, patches, law):
-    """Computes Polach's creep forces of the first lanes."""
+    """Compute Polach's creep forces of the first lanes."""
     for j in range(TOGETHER):
         xi, eta, phi_1_m, sliding, N, patch, law_here = contact(w, j, patches, law)
         w[FX + j], w[FY + j], w[MZ + j], w[INSIDE + j] = vector_law.polach_force(
@@ -123,7 +123,7 @@ def polach(w, patches, law):
 
 @kernel
 def forces(w, count, patches, law):
-    """Computes the creep forces of the first `count` lanes by the model of `patch.Patches`."""
+    """Compute the creep forces of the first `count` lanes by the model of `patch.Patches`."""
     computed = 0
     if patches.model == creep_force.DEGRADED:
         degraded(w, patches, law)

@@ -18,7 +18,7 @@ STIFFNESS_N_M, PRELOAD_N, DAMPING_N_S_M, DAMPING_MAX_N, STOP_GAP_M, STOP_N_M = r
 
 @kernel_inlined
 def elongation(i, q, links):
-    """Returns d of row i [L1], or its rate if q holds velocities."""
+    """Return d of row i [L1], or its rate if q holds velocities."""
     at = links.at
     factor = links.row
     return (
@@ -33,7 +33,7 @@ def elongation(i, q, links):
 
 @kernel_inlined
 def pull(i, f, force, links):
-    """Adds the generalised force f of row i to `force` (42,)."""
+    """Add the generalised force f of row i to `force` (42,)."""
     at = links.at
     factor = links.row
     for k in range(6):
@@ -42,7 +42,7 @@ def pull(i, f, force, links):
 
 @kernel_inlined
 def springs(q, force, links):
-    """Adds the forces of the linear rows [L1]."""
+    """Add the forces of the linear rows [L1]."""
     row = links.row
     for i in range(row.shape[0]):
         d = elongation(i, q, links)
@@ -51,7 +51,7 @@ def springs(q, force, links):
 
 @kernel_inlined
 def curves(q, v, force, links):
-    """Adds the forces of the nonlinear rows [L1 to L3]; returns the power of the dampers in W."""
+    """Add the forces of the nonlinear rows [L1 to L3]; return the power of the dampers in W."""
     power_W = 0.0
     row = links.row
     for i in range(row.shape[0]):

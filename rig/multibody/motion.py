@@ -49,7 +49,7 @@ LEAST_PLACE_M = 1e-3
 
 @kernel
 def start(motion, coach, speed_m_s):
-    """Sets a coach in equilibrium that rolls freely at a speed in m/s."""
+    """Set a coach in equilibrium that rolls freely at a speed in m/s."""
     motion.q[:] = 0.0
     motion.v[:] = 0.0
     for body in range(BODIES):
@@ -82,7 +82,7 @@ def start(motion, coach, speed_m_s):
 
 @kernel
 def mean_speed(v, coach):
-    """Returns the speed in m/s of the coach's centre of mass."""
+    """Return the speed in m/s of the coach's centre of mass."""
     momentum = 0.0
     for body in range(BODIES):
         momentum += coach.inertia[PER_BODY * body + X] * v[PER_BODY * body + X]
@@ -104,7 +104,7 @@ def step(
     mu_cr,
     law,
 ):
-    """Advances the coach by h seconds; arrays of shape (4,) belong to the wheelsets.
+    """Advance the coach by h seconds; arrays of shape (4,) belong to the wheelsets.
 
     `roller_rad_s` is advanced too (all 0 and unchanged on a track). `brake_Nm` is the largest
     torque of the brakes; the torque that acts is written to `brake_acts_Nm`.
@@ -126,7 +126,7 @@ def step(
 
 @kernel_inlined
 def hang(motion, coach, h, resistance_N):
-    """Moves the positions by half a step, and computes weight, suspension and resistance there."""
+    """Move the positions by half a step, and compute weight, suspension and resistance there."""
     q = motion.q
     v = motion.v
     force = motion.force
@@ -141,7 +141,7 @@ def hang(motion, coach, h, resistance_N):
 
 @kernel_inlined
 def touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law):
-    """Computes the contacts of all wheels, and their forces."""
+    """Compute the contacts of all wheels, and their forces."""
     on_rollers = not math.isinf(coach.roller_m)
     speed = 0.0
     place = 0.0
@@ -207,7 +207,7 @@ def respond(
     brake_acts_Nm,
     resistance_N,
 ):
-    """Computes the speeds at the end of the step, and moves the positions by the second half."""
+    """Compute the speeds at the end of the step, and move the positions by the second half."""
     q = motion.q
     v = motion.v
     force = motion.force
@@ -250,7 +250,7 @@ def respond(
 
 @kernel_inlined
 def follow(j, motion, coach, offset_m, searches_left):
-    """Moves the contacts of wheelset j on; returns how many searches are left in this step."""
+    """Move the contacts of wheelset j on; return how many searches are left in this step."""
     for wheel in range(2 * j, 2 * j + 2):
         searches_left = forces.follow(
             wheel,
@@ -274,7 +274,7 @@ def follow(j, motion, coach, offset_m, searches_left):
 
 @kernel_inlined
 def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, brake_Nm, on_rollers):
-    """Advances a wheelset along, in rotation and yaw, and its roller; returns the brake torque."""
+    """Advance a wheelset along, in rotation and yaw, and its roller; return the brake torque."""
     v = motion.v
     force = motion.force
     G = motion.Gx[j]
@@ -357,7 +357,7 @@ def along(j, motion, inertia, h, roller_rad_s, motor_Nm, roller_inertia_kgm2, br
 
 @kernel_inlined
 def middle(wheelset_forces, j, force_at, gs_at, weight, G, s0, s1, s2, s3):
-    """Returns the power of sliding that the changes s of the speeds add to the initial one [M6]."""
+    """Return the power of sliding that the changes s of the speeds add to the initial one [M6]."""
     s = (s0, s1, s2, s3)
     linear = 0.0
     quadratic = 0.0
@@ -373,7 +373,7 @@ def middle(wheelset_forces, j, force_at, gs_at, weight, G, s0, s1, s2, s3):
 
 @kernel_inlined
 def across(j, motion, inertia, h):
-    """Advances the speeds of a wheelset across the track, upwards and in roll."""
+    """Advance the speeds of a wheelset across the track, upwards and in roll."""
     v = motion.v
     force = motion.force
     G = motion.Gy[j]
@@ -439,5 +439,5 @@ def across(j, motion, inertia, h):
 
 @kernel_inlined
 def theta(z):
-    """Returns how implicit a step is, for its largest h G / M [M2]."""
+    """Return how implicit a step is, for its largest h G / M [M2]."""
     return 0.5 if z <= 1.0 else 1.0 - 0.5 / z

@@ -31,7 +31,7 @@ _WHEEL_SPEED = coach_state.BEGIN["v"] + BEFORE_WHEELSETS + PITCH
 
 @kernel_inlined
 def start(state, coach):
-    """Sets the coach rolling at the vehicle speed of the plant, the wheels without sliding."""
+    """Set the coach rolling at the vehicle speed of the plant, the wheels without sliding."""
     memory = state.coach
     memory[coach_state.ACTION] = compiled_coach.START
     memory[coach_state.SPEED_M_S] = state.vehicle_speed[0]
@@ -42,7 +42,7 @@ def start(state, coach):
 
 @kernel_inlined
 def integrate(state, params, resistance_N, coach):
-    """Advances coach, wheelsets and rollers by one step under this running resistance."""
+    """Advance coach, wheelsets and rollers by one step under this running resistance."""
     h = params.step_s
     memory = state.coach
     v = state.vehicle_speed[0]
@@ -79,7 +79,7 @@ def integrate(state, params, resistance_N, coach):
 
 @kernel_inlined
 def rest(state, coach):
-    """Lets a coach at rest swing out on its springs, with the brakes as they are."""
+    """Let a coach at rest swing out on its springs, with the brakes as they are."""
     for j in range(AXLES):
         state.coach[coach_state.MOTOR_NM + j] = 0.0
         state.coach[coach_state.BRAKE_NM + j] = state.brake_capacity[j]
@@ -89,7 +89,7 @@ def rest(state, coach):
 
 @kernel_inlined
 def step(state, resistance_N, coach):
-    """Writes the other ports and advances the coach by one step."""
+    """Write the other ports and advance the coach by one step."""
     memory = state.coach
     memory[coach_state.ACTION] = compiled_coach.STEP
     memory[coach_state.RESISTANCE_N] = resistance_N
@@ -101,7 +101,7 @@ def step(state, resistance_N, coach):
 
 @kernel_inlined
 def load(axle, planar_N, state, coach):
-    """Returns the load in N on a wheelset's contacts, not below 0; planar_N without a coach."""
+    """Return the load in N on a wheelset's contacts, not below 0; planar_N without a coach."""
     if coach is None:
         return planar_N
     left = _WHEEL_FORCES + 2 * WHEEL_COLUMNS * axle + LOAD
@@ -110,7 +110,7 @@ def load(axle, planar_N, state, coach):
 
 @kernel_inlined
 def slip(axle, planar_m_s, state, coach):
-    """Returns the sliding in m/s of a wheelset's contacts, at the radii on which they roll."""
+    """Return the sliding in m/s of a wheelset's contacts, at the radii on which they roll."""
     if coach is None:
         return planar_m_s
     memory = state.coach
@@ -125,7 +125,7 @@ def slip(axle, planar_m_s, state, coach):
 
 @kernel_inlined
 def adhesion(axle, planar, load_N, state, coach):
-    """Returns the adhesion of a wheelset: the braking force of its contacts over their load."""
+    """Return the adhesion of a wheelset: the braking force of its contacts over their load."""
     if coach is None:
         return planar
     if not load_N > 0.0:

@@ -25,7 +25,7 @@ _SMALLEST_M = 1e-12
 def growth(
     coach: Coach, law: Law, speed_m_s: float, shift_m: float = 5e-4, duration_s: float = 4.0
 ) -> float:
-    """Returns the rate in 1/s at which a small lateral oscillation grows, negative where it decays.
+    """Return the rate in 1/s at which a small lateral oscillation grows, negative where it decays.
 
     All wheelsets begin shift_m off the middle. The rate is that of the largest lateral displacement
     of any wheelset from the second to the last quarter of the time; or the rate from the beginning,
@@ -55,7 +55,7 @@ def growth(
 def critical_speed(
     coach: Coach, law: Law, speeds_m_s: np.ndarray | None = None, tolerance_m_s: float = 0.5
 ) -> float:
-    """Returns the speed in m/s above which the coach hunts; inf where it never hunts.
+    """Return the speed in m/s above which the coach hunts; inf where it never hunts.
 
     It is found by a sweep over the speeds and a bisection. `law` is the adhesion under the wheels;
     on dry rails (k = 1) a coach hunts first.

@@ -18,7 +18,7 @@ _ROLLER_INERTIA_KGM2 = 1.0
 
 
 def rolling(coach: Coach, speed_m_s: float) -> coach_state.Motion:
-    """Returns a coach in equilibrium that rolls freely at a speed in m/s."""
+    """Return a coach in equilibrium that rolls freely at a speed in m/s."""
     state = coach_state.views(np.zeros(coach_state.SIZE))
     motion.start(state, coach, float(speed_m_s))
     return state
@@ -40,7 +40,7 @@ def _steps(
     law,
     end_m_s,
 ):
-    """Advances by `count` steps or to end_m_s; returns the number of steps. Arrays are (4,)."""
+    """Advance by `count` steps or to end_m_s; return the number of steps. Arrays are (4,)."""
     for i in range(count):
         speed = motion.mean_speed(state.v, coach)
         if speed < end_m_s:
@@ -73,7 +73,7 @@ def advance(
     resistance: tuple[float, float] = (0.0, 0.0),
     end_m_s: float = -np.inf,
 ) -> float:
-    """Advances by a duration, or to the speed end_m_s; returns the time in s.
+    """Advance by a duration, or to the speed end_m_s; return the time in s.
 
     brake_Nm is the torque of each wheelset, or one for all; resistance is (A in N, C in N s2/m2).
     """

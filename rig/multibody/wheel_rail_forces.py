@@ -64,7 +64,7 @@ _SEARCHED_Y, _SEARCHED_Z, _SEARCHED_ROLL, _SEARCHED_YAW = range(4)
 
 @kernel_inlined
 def axis(roll_rad, yaw_rad):
-    """Returns a wheelset's axis, a unit vector to the left, for small rotations."""
+    """Return a wheelset's axis, a unit vector to the left, for small rotations."""
     return -yaw_rad, math.sqrt(1.0 - roll_rad * roll_rad - yaw_rad * yaw_rad), roll_rad
 
 
@@ -83,7 +83,7 @@ def follow(
     rail,
     searches_left,
 ):
-    """Moves the contacts of a wheel on; returns how many searches are left in this step.
+    """Move the contacts of a wheel on; return how many searches are left in this step.
 
     Wheel 2 j is the left one of wheelset j, 2 j + 1 the right one. q (42,); offset_m of the
     wheelset in front of a roller's crown. The wheel is searched again if it has lost a contact, or
@@ -141,7 +141,7 @@ def slide(
     w,
     lane,
 ):
-    """Writes load and sliding of wheelset j's contacts into the lanes `w`; returns the next lane.
+    """Write load and sliding of wheelset j's contacts into the lanes `w`; return the next lane.
 
     The first contact goes to `lane` of `eight_contacts`. base_m_s is the vehicle's speed on
     rollers, 0 on a track; roller_rad_s is 0 on a track.
@@ -208,7 +208,7 @@ def slide(
 def press(
     j, contacts, contact_count, damping_N_s_m, wheelset_forces, Gx, Gy, wheel_forces, w, lane
 ):
-    """Writes the forces of both wheels of wheelset j, after `slide`; returns the next lane.
+    """Write the forces of both wheels of wheelset j, after `slide`; return the next lane.
 
     They go into row j of `wheelset_forces`, the slopes `Gx` (4, 4) and `Gy` (3, 3) of [N4], and two
     rows of `wheel_forces`.
@@ -279,7 +279,7 @@ def press(
 
 @kernel_inlined
 def slopes(wheelset_forces, j, force_at, gs_at, G, size, J, f, g, s):
-    """Adds f J, g s J and g J'J (lower triangle) of a contact to the sums of wheelset j [N4]."""
+    """Add f J, g s J and g J'J (lower triangle) of a contact to the sums of wheelset j [N4]."""
     for k in range(size):
         wheelset_forces[j, force_at + k] += f * J[k]
         gJ = g * J[k]
@@ -297,7 +297,7 @@ _TOLERANCE_M = 1e-9
 def axle_height(
     load_N: float, wheel: Wheel, rail: Rail, patches: patch_table.Patches, roller_m: float
 ) -> float:
-    """Returns the height in m of a centred wheelset's axle at which each wheel carries load_N.
+    """Return the height in m of a centred wheelset's axle at which each wheel carries load_N.
 
     Raises ValueError where there is no such height.
     """

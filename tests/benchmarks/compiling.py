@@ -35,7 +35,7 @@ class Task(NamedTuple):
 
 
 def command(*words: str) -> str:
-    """Returns the source that runs a command of rollerrig."""
+    """Return the source that runs a command of rollerrig."""
     return f"from rollerrig.realtime import cli\nsys.exit(cli.main({[*words]!r}))\n"
 
 
@@ -174,7 +174,7 @@ class Figure(NamedTuple):
 
 
 def measure(trick: Trick, task: Task, repeats: int, caches: Path) -> Figure:
-    """Returns the smallest times of a task, measured alternately with the trick and without it."""
+    """Return the smallest times of a task, measured alternately with the trick and without it."""
     if trick.name == "cache on disk":
         cases = [("with", "", task), ("with", "", task._replace(cold=True))]
     else:
@@ -197,7 +197,7 @@ def measure(trick: Trick, task: Task, repeats: int, caches: Path) -> Figure:
 
 
 def run(switch_off: str, task: Task, cache: Path) -> float:
-    """Returns the processor time in s of a new process: as it prints it, or of the whole
+    """Return the processor time in s of a new process: as it prints it, or of the whole
     process.
     """
     with tempfile.TemporaryDirectory() as out:
@@ -218,7 +218,7 @@ def run(switch_off: str, task: Task, cache: Path) -> float:
 
 
 def children_s() -> float:
-    """Returns user plus system time in s of all child processes so far."""
+    """Return user plus system time in s of all child processes so far."""
     times = os.times()
     return times.children_user + times.children_system
 
@@ -252,7 +252,7 @@ def main() -> int:
 
 
 def row(figure: Figure, markdown: bool) -> str:
-    """Returns a figure as a line of the table."""
+    """Return a figure as a line of the table."""
     times = (figure.with_s, figure.without_s, figure.without_s - figure.with_s)
     cells = [figure.trick, figure.task, *(f"{time_s:.2f}" for time_s in times)]
     if markdown:

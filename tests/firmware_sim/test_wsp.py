@@ -307,7 +307,7 @@ def test_the_watch_for_stuck_sensors_changes_no_bit_of_an_ordinary_stop(mu):
 
 
 def with_sensor_stuck_after(second, params=None):
-    """Counts of an ordinary stop, axle 2 stuck from then on, and the references told."""
+    """Count of an ordinary stop, axle 2 stuck from then on, and the references told."""
     raw = stop(0.03)[:, SPEED_RAW : SPEED_RAW + 4].astype(np.int64)
     at = round(second / CYCLE_S)
     raw[at:, 1] = raw[at, 1]

@@ -58,6 +58,25 @@ def test_a_wrong_value_names_its_key_and_what_is_allowed(capsys):
     assert "100" in printed
 
 
+@pytest.mark.parametrize(
+    ("words", "allowed"),
+    [
+        (("campaign", "low_adhesion", "--workers", "-1"), "numbers from 1, or 0"),
+        (("check", "--port", "70000"), "numbers from 0"),
+        (("check", "--port", "-1"), "numbers from 0"),
+        (("view", "RUN", "--png", "PICTURE", "--size", "0x600"), "at least 1 pixel"),
+        (("view", "RUN", "--png", "PICTURE", "--size", "800x-1"), "at least 1 pixel"),
+    ],
+)
+def test_a_number_that_an_option_does_not_allow_is_a_usage_error(
+    words, allowed, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(list(words)) == cli.USAGE
+    assert allowed in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_version_is_that_of_the_package(capsys):
     with pytest.raises(SystemExit) as left:
         cli.main(["--version"])

@@ -93,7 +93,7 @@ VICTIMS = {
 
 @pytest.fixture(scope="module")
 def killed(tmp_path_factory):
-    """Runs by the processes that were killed.
+    """Run by the processes that were killed.
 
     They write simultaneously, because they mostly wait.
     """

@@ -74,7 +74,7 @@ class History:
 
 
 def _friction_plan(changes):
-    """Returns the changes of friction, rows as in `Rig`, as the plant reads them."""
+    """Return the changes of friction, rows as in `Rig`, as the plant reads them."""
     columns = list(zip(*changes, strict=True))
     if not columns:
         columns = [()] * len(params.Friction._fields)

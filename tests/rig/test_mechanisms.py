@@ -60,7 +60,7 @@ class Case(NamedTuple):
 
 
 def shapes_of(row: table.Search) -> tuple[table.Shape, ...]:
-    """Returns the shapes of a row; a row without shapes gets its window."""
+    """Return the shapes of a row; a row without shapes gets its window."""
     if row.shapes:
         return row.shapes
     window = WINDOWS[row.name]
@@ -79,7 +79,7 @@ IN_PLANT_CASES = [case for case in CASES if case.row.mechanism in IN_PLANT]
 
 
 def cases_on(*places: str) -> list[Case]:
-    """Returns the cases in the plant whose mechanism acts on one of these places."""
+    """Return the cases in the plant whose mechanism acts on one of these places."""
     return [case for case in IN_PLANT_CASES if case.row.mechanism.acts_on in places]
 
 

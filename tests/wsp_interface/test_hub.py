@@ -15,6 +15,7 @@ from rollerrig.wsp_interface.bus import cannelloni, frames, slcan, socketcand, v
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import CLIENTS_MAX, Hub
+from rollerrig.wsp_interface.bus.session import Mode
 from rollerrig.wsp_interface.events import Code
 
 TCP_DATA_SEGMENTS_IN = 152  # offset of tcpi_data_segs_in in struct tcp_info, linux/tcp.h
@@ -499,6 +500,18 @@ def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
     bench.send(node, *SAMPLES)
     expected = b"".join(encode(frame) for frame in SAMPLES)
     assert read_until(client, expected) == expected
+
+
+def test_a_virtualcan_client_that_sends_more_after_a_wrong_length_repeats_no_frame():
+    packet = virtualcan.encode_event(Frame(0x123, b"\x11"))
+    wrong_length = b"\xff\xff\xff\xff"
+    session = virtualcan.VirtualcanSession()
+    events = []
+    for chunk in (packet[:6], packet[6:] + wrong_length, packet[6:]):
+        events += session.feed(chunk)
+    frames_received = [event for event in events if isinstance(event, Frame)]
+    assert len(frames_received) == 1
+    assert events[1:] == [Mode.CLOSE, Mode.CLOSE]
 
 
 @pytest.mark.conformance("Hub", "virtualcan, cannelloni, slcan: the bytes of their documents")

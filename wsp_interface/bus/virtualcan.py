@@ -40,6 +40,9 @@ class VirtualcanSession(Session):
         while len(rest) >= _LENGTH_BYTES:
             size = int.from_bytes(rest[:_LENGTH_BYTES], "big")
             if size > _PACKET_MAX:
+                # the client is closed a little later, and may send more until then: what is
+                # parsed already must not be parsed again
+                self._rest = rest
                 yield Mode.CLOSE if self._began else Mode.FOREIGN
                 return
 

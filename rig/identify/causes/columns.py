@@ -111,7 +111,7 @@ class _Writer:
         self.variants: list[Variant] = []
 
     def add_course(self, wheel: np.ndarray | None) -> int:
-        """Add a course of the wheels (n,) and returns its number; -1 for None."""
+        """Add a course of the wheels (n,) and return its number; -1 for None."""
         if wheel is None:
             return -1
         self.courses_of_wheels.append(wheel.astype(np.float32))

@@ -53,8 +53,8 @@ class Search(NamedTuple):
 
     alpha: float = ALPHA_CAUSE
 
-    # what runs that were not fitted do not show: subject and verb of a sentence "... unknown"
-    unknown_in_other_runs: str = ""
+    # runs that were not fitted do not show the shape of the cause, for example its moments
+    unknown_in_other_runs: bool = False
 
     @property
     def mechanism(self) -> Mechanism:
@@ -162,7 +162,7 @@ TABLE = (
         price=2,
         single_axles_only=True,
         phase="phase_rad",
-        unknown_in_other_runs="the angle of an out-of-round wheel at the start is",
+        unknown_in_other_runs=True,
     ),
     # Its alpha is small, because all runs use the same rail: an irregularity with longer waves than
     # those of the null simulations looks like a patch.
@@ -172,7 +172,7 @@ TABLE = (
         shapes=(),
         price=6,
         edge_step=1.0,
-        unknown_in_other_runs="the moments of sanding are",
+        unknown_in_other_runs=True,
     ),
     Search("empirical", shapes=()),
 )

@@ -66,7 +66,7 @@ ACCURACY = (
 
 
 def columns_of_axles(quantity: str, unit: str) -> tuple[str, ...]:
-    """Returns the column names of a quantity, one for each wheelset."""
+    """Return the column names of a quantity, one for each wheelset."""
     return tuple(f"{quantity}_{axle}_{unit}" for axle in range(1, AXLES + 1))
 
 
@@ -88,7 +88,7 @@ DEFAULT_CURVE_LOAD_N = 52700.0  # about the static load of one wheel of the vehi
 
 
 def load(folder: Path | str) -> Dataset:
-    """Returns the checked dataset of a folder, or of the packaged dataset with this name.
+    """Return the checked dataset of a folder, or of the packaged dataset with this name.
 
     Raises ConfigError, which states how to correct the data.
     """
@@ -128,7 +128,7 @@ def load(folder: Path | str) -> Dataset:
 
 
 def _take_tables(content: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Removes the tables from the content of dataset.toml and returns them. Raises ConfigError."""
+    """Remove the tables from the content of dataset.toml and return them. Raises ConfigError."""
     names = [key for key, value in content.items() if isinstance(value, dict | list)]
     tables = {key: content.pop(key) for key in names}
     unknown = sorted(set(tables) - set(TABLES))
@@ -138,7 +138,7 @@ def _take_tables(content: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 def parse(path: Path) -> dict[str, Any]:
-    """Returns dataset.toml as plain data. Raises ConfigError.
+    """Return dataset.toml as plain data. Raises ConfigError.
 
     A file may have both a key `vehicle = "name"` and a table [vehicle], which TOML forbids. The key
     is therefore renamed to `vehicle_set` before the text is parsed.
@@ -161,7 +161,7 @@ def parse(path: Path) -> dict[str, Any]:
 
 
 def find(folder: Path | str) -> Path:
-    """Returns the folder of a dataset, from a path or the name of a packaged dataset.
+    """Return the folder of a dataset, from a path or the name of a packaged dataset.
 
     Raises ConfigError where no dataset.toml is there.
     """
@@ -177,7 +177,7 @@ def find(folder: Path | str) -> Path:
 
 
 def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:
-    """Returns the parameter sections of the base model.
+    """Return the parameter sections of the base model.
 
     The sections of a packaged vehicle come first. Then the contact of a rig is replaced by that of
     a rail. The tables of `tables` override both. Raises ConfigError.
@@ -196,7 +196,7 @@ def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[s
 
 
 def read_rows(rows: tuple[Row, ...], content: Mapping[str, Any], where: str) -> dict[str, Any]:
-    """Returns the value of each row, from `content` or by default. Raises ConfigError.
+    """Return the value of each row, from `content` or by default. Raises ConfigError.
 
     Unlike `table.read`, it allows a default outside the bounds of its row, such as -1 for "not
     given". A value in `content` must be within the bounds.
@@ -216,7 +216,7 @@ def read_rows(rows: tuple[Row, ...], content: Mapping[str, Any], where: str) -> 
 
 
 def _axle_positions(given: Any, sections: Mapping[str, Any], where: str) -> np.ndarray:
-    """Returns the distance in m of each wheelset behind the first one. Raises ConfigError."""
+    """Return the distance in m of each wheelset behind the first one. Raises ConfigError."""
     default = tuple(float(x) for x in params.axle_positions(sections["vehicle"]))
     row = Row("positions_m", default, 0.0, 1000.0, "m")
     positions = np.array(table.read((row,), given, f"{where} [axles]")["positions_m"])
@@ -229,7 +229,7 @@ def _axle_positions(given: Any, sections: Mapping[str, Any], where: str) -> np.n
 
 
 def read_table(path: Path) -> pa.Table:
-    """Returns the table of a CSV or Parquet file. Raises ConfigError."""
+    """Return the table of a CSV or Parquet file. Raises ConfigError."""
     try:
         if path.suffix.lower() == ".parquet":
             return pyarrow.parquet.ParquetFile(path).read()
@@ -245,7 +245,7 @@ def read_table(path: Path) -> pa.Table:
 
 
 def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
-    """Returns a column of finite numbers. Raises ConfigError with the column and the row."""
+    """Return a column of finite numbers. Raises ConfigError with the column and the row."""
     count = data.column_names.count(name)
     if count == 0:
         similar = table.nearest(name, data.column_names)
@@ -270,7 +270,7 @@ def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
 
 
 def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Path) -> Run:
-    """Returns the checked run of a table [[run]]. Raises ConfigError."""
+    """Return the checked run of a table [[run]]. Raises ConfigError."""
     where = f"{toml} [[run]] {number_of_run}"
     entry = read_rows(RUN, row, where)
     if not entry["file"]:
@@ -313,12 +313,12 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
 
 
 def _values_of_axles(data: pa.Table, quantity: str, unit: str, path: Path) -> np.ndarray:
-    """Returns a quantity of all wheelsets, shape (samples, AXLES). Raises ConfigError."""
+    """Return a quantity of all wheelsets, shape (samples, AXLES). Raises ConfigError."""
     return np.column_stack([column(data, name, path) for name in columns_of_axles(quantity, unit)])
 
 
 def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str, Any]) -> Curve:
-    """Returns the checked creep curve of a dataset. Raises ConfigError.
+    """Return the checked creep curve of a dataset. Raises ConfigError.
 
     Its points are in the file of the key `file`, else in the files of the tables [[run]]. Warnings
     are added to the dataset.
@@ -366,7 +366,7 @@ def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str,
 def _joined_columns(
     files: Sequence[tuple[Path, pa.Table]], name: str, default: float | None
 ) -> np.ndarray:
-    """Returns a column of all files in one array.
+    """Return a column of all files in one array.
 
     `default` fills files without the column. None: each file must have it.
     """
@@ -386,7 +386,7 @@ def _warn_of_default(
     default: float,
     consequence: str,
 ) -> None:
-    """Adds a warning where files lack a column and `default` is used instead.
+    """Add a warning where files lack a column and `default` is used instead.
 
     `consequence` is what depends on the column.
     """
@@ -399,7 +399,7 @@ def _warn_of_default(
 
 
 def _check_share(path: Path, name: str, values: np.ndarray, meaning: str) -> None:
-    """Raises ConfigError where values of a creep curve are too large, as percent are."""
+    """Raise ConfigError where values of a creep curve are too large, as percent are."""
     largest = np.max(np.abs(values))
     if largest > LARGEST_CURVE_VALUE:
         raise ConfigError(

@@ -39,7 +39,7 @@ _LEAD_CHANNEL = "wheel_speed_1_rad_s"
 
 
 def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str]) -> pa.Table:
-    """Returns those channels of a file that exist, on one clock of `step_s`, and `time_s`.
+    """Return those channels of a file that exist, on one clock of `step_s`, and `time_s`.
 
     Adds a warning where samples were moved. Raises ConfigError where asammdf is missing, the file
     is damaged, or a channel has gaps, another unit, or no time in common with the others.
@@ -76,7 +76,7 @@ def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str])
 
 
 def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
-    """Returns those channels of a file that exist, as signals of asammdf, by name.
+    """Return those channels of a file that exist, as signals of asammdf, by name.
 
     Raises ConfigError where the file cannot be read or has none of the channels.
     """
@@ -113,7 +113,7 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
 
 
 def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Returns (time in s, values) of a signal. Raises ConfigError."""
+    """Return (time in s, values) of a signal. Raises ConfigError."""
     _check_unit(str(signal.unit or "").strip(), name, path)
     time_s = np.asarray(signal.timestamps, float)
     values = np.asarray(signal.samples, float)
@@ -142,7 +142,7 @@ def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray
 
 
 def _check_unit(unit: str, name: str, path: Path) -> None:
-    """Raises ConfigError where the unit in the file is not the unit in the channel's name."""
+    """Raise ConfigError where the unit in the file is not the unit in the channel's name."""
     for ending, allowed in _UNITS.items():
         if name.endswith(f"_{ending}"):
             if unit and unit not in allowed:
@@ -155,7 +155,7 @@ def _check_unit(unit: str, name: str, path: Path) -> None:
 def _on_clock(
     time_s: np.ndarray, values: np.ndarray, grid_s: np.ndarray, step_s: float
 ) -> tuple[np.ndarray, float]:
-    """Returns (values on the grid, how far samples had to be moved in samples of the grid)."""
+    """Return (values on the grid, how far samples had to be moved in samples of the grid)."""
     own_step_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
     if own_step_s < 0.95 * step_s:
         # a higher sample rate: low-pass and thin it

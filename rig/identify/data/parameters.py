@@ -59,7 +59,7 @@ COLUMN = {
 
 
 def patch_of(data: Dataset) -> Patch:
-    """Returns the contact patch of a wheel of a dataset's base model."""
+    """Return the contact patch of a wheel of a dataset's base model."""
     contact = data.sections["contact"]
     return patch_for(
         data.sections["vehicle"]["wheel_radius_m"],
@@ -72,7 +72,7 @@ def patch_of(data: Dataset) -> Patch:
 
 
 def base_parameters(data: Dataset) -> np.ndarray:
-    """Returns the parameters of a dataset's base model, shape (PARAMETERS,), without noise."""
+    """Return the parameters of a dataset's base model, shape (PARAMETERS,), without noise."""
     vehicle = data.sections["vehicle"]
     law = data.sections["adhesion"]
     row = np.zeros(PARAMETERS)

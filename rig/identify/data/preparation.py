@@ -97,21 +97,21 @@ class Design(NamedTuple):
         return self.run.size
 
     def span(self, segment: int) -> slice:
-        """Returns where the samples of a segment are in a flat array."""
+        """Return where the samples of a segment are in a flat array."""
         return slice(int(self.start[segment]), int(self.start[segment + 1]))
 
     def vehicle_span(self, run: int) -> slice:
-        """Returns where the samples of a run are in a flat array of the vehicles."""
+        """Return where the samples of a run are in a flat array of the vehicles."""
         return slice(int(self.vehicle_start[run]), int(self.vehicle_start[run + 1]))
 
     def by_axle(self, flat: np.ndarray, run: int) -> np.ndarray:
-        """Returns the part of a flat array that belongs to a run, shape (samples, AXLES)."""
+        """Return the part of a flat array that belongs to a run, shape (samples, AXLES)."""
         return np.column_stack([flat[self.span(AXLES * run + axle)] for axle in range(AXLES)])
 
 
 @kernel_with_memory
 def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
-    """Returns the smoothed u of [P1], shape (n,), by a forward filter and a backward smoother.
+    """Return the smoothed u of [P1], shape (n,), by a forward filter and a backward smoother.
 
     The state is u and the slow disturbance d.
 
@@ -189,7 +189,7 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
 
 
 def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Design:
-    """Returns the design of some runs of a dataset.
+    """Return the design of some runs of a dataset.
 
     With `like` the design has the bins of place and time of that design, so that a cause that is a
     bin means the same in both.
@@ -261,7 +261,7 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
-    """Returns the standard deviations of vehicle speed (m/s), wheel speed (rad/s) and torque (N m).
+    """Return the standard deviations of vehicle speed (m/s), wheel speed (rad/s) and torque (N m).
 
     A value comes from the section [accuracy] of the data set. A negative value means that the
     section does not give it; then it is estimated from the run.
@@ -284,7 +284,7 @@ def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
 
 
 def _estimated_noise(values: np.ndarray) -> float:
-    """Returns the standard deviation of white noise on a smooth signal, from third differences."""
+    """Return the standard deviation of white noise on a smooth signal, from third differences."""
     third = np.diff(values, n=3, axis=0)
     # 0.6745 is the median of |x| for a normal distribution of standard deviation 1. A third
     # difference of white noise has 1 + 9 + 9 + 1 = 20 times its variance.
@@ -292,7 +292,7 @@ def _estimated_noise(values: np.ndarray) -> float:
 
 
 def _released_torque(torque_Nm: np.ndarray, step_s: float) -> tuple[float, float]:
-    """Returns the mean torque before the brake applies and its standard error.
+    """Return the mean torque before the brake applies and its standard error.
 
     Both are NaN where less than LEAST_RELEASED_S of the recording is with the brake released.
     """
@@ -317,7 +317,7 @@ def _flat_fields(
     torque_noise_Nm: float,
     resistance: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """Returns the part of one run in the flat arrays of `Design`, each of shape (n, AXLES)."""
+    """Return the part of one run in the flat arrays of `Design`, each of shape (n, AXLES)."""
     measured_m_s = run.speed_m_s
     window = max(5, 2 * int(0.5 * WINDOW_S / step_s) + 1)  # samples, odd
 
@@ -407,7 +407,7 @@ def _flat_fields(
 
 
 def _work_in_front(place_m: np.ndarray, energy_J_m: np.ndarray) -> np.ndarray:
-    """Returns the work that the wheels in front have done on each metre of rail, (n, AXLES).
+    """Return the work that the wheels in front have done on each metre of rail, (n, AXLES).
 
     The leading wheelset has no wheels in front.
     """

@@ -33,7 +33,7 @@ COPIED_SAMPLES = 50  # length of the piece that is compared between two runs
 
 
 def check_run(run: Run, path: Path, dataset: Dataset, initial_speed_m_s: float) -> None:
-    """Checks one run; adds warnings to the dataset. Raises ConfigError."""
+    """Check one run; add warnings to the dataset. Raises ConfigError."""
     vehicle = dataset.sections["vehicle"]
     _check_time(run, path, dataset.sample_time_s)
     _check_constant(run, path)
@@ -45,7 +45,7 @@ def check_run(run: Run, path: Path, dataset: Dataset, initial_speed_m_s: float) 
 
 
 def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
-    """Raises ConfigError unless the samples are those of one even clock of `sample_time_s`."""
+    """Raise ConfigError unless the samples are those of one even clock of `sample_time_s`."""
     n = run.time_s.size
     if n < LEAST_SAMPLES:
         raise ConfigError(
@@ -98,7 +98,7 @@ def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
 
 
 def _check_constant(run: Run, path: Path) -> None:
-    """Raises ConfigError where a channel never changes."""
+    """Raise ConfigError where a channel never changes."""
     for name, values in (
         ("vehicle_speed_m_s", run.speed_m_s[:, None]),
         ("wheel_speed_rad_s", run.wheel_speed_rad_s),
@@ -113,7 +113,7 @@ def _check_constant(run: Run, path: Path) -> None:
 
 
 def _check_speed(run: Run, path: Path, initial_m_s: float) -> None:
-    """Raises ConfigError where the vehicle's speed is not in m/s."""
+    """Raise ConfigError where the vehicle's speed is not in m/s."""
     top_m_s = float(np.max(run.speed_m_s))
     low_m_s, high_m_s = SPEEDS_M_S
     if not low_m_s < top_m_s < high_m_s:
@@ -130,7 +130,7 @@ def _check_speed(run: Run, path: Path, initial_m_s: float) -> None:
 
 
 def _check_signs(run: Run, path: Path) -> None:
-    """Raises ConfigError where a brake torque or a wheel speed has the wrong sign."""
+    """Raise ConfigError where a brake torque or a wheel speed has the wrong sign."""
     mean_Nm = np.mean(run.torque_Nm)
     if mean_Nm < 0.0:
         raise ConfigError(
@@ -152,7 +152,7 @@ def _check_signs(run: Run, path: Path) -> None:
 
 
 def _check_sliding(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
-    """Raises ConfigError where wheels turn faster than the vehicle; warns where little slides."""
+    """Raise ConfigError where wheels turn faster than the vehicle; warns where little slides."""
     sliding_m_s = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
     mean_m_s = np.mean(sliding_m_s)
     if mean_m_s < -0.2:
@@ -178,7 +178,7 @@ def _check_sliding(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: l
 
 
 def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
-    """Checks for wheel speeds that repeat their samples: a stuck sensor, or a lower sample rate.
+    """Check for wheel speeds that repeat their samples: a stuck sensor, or a lower sample rate.
 
     Raises ConfigError for a stuck sensor and warns of a lower sample rate.
     """
@@ -210,7 +210,7 @@ def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
 
 
 def check(dataset: Dataset, where: str) -> None:
-    """Checks a dataset as a whole; adds warnings to it. Raises ConfigError."""
+    """Check a dataset as a whole; add warnings to it. Raises ConfigError."""
     if not dataset.runs:
         raise ConfigError(f"{where}: no [[run]]; name at least two files")
     tune = dataset.group("tune")
@@ -248,7 +248,7 @@ def check(dataset: Dataset, where: str) -> None:
 
 
 def _has_piece_of(first: Run, second: Run) -> bool:
-    """Returns whether a piece from the middle of one run is in another run.
+    """Return whether a piece from the middle of one run is in another run.
 
     The piece is compared by the speed of the first wheelset and by that of the vehicle.
     """

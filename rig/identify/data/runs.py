@@ -49,5 +49,5 @@ class Dataset(NamedTuple):
     warnings: list[str]
 
     def group(self, name: str) -> list[Run]:
-        """Returns the runs of a group."""
+        """Return the runs of a group."""
         return [run for run in self.runs if run.group == name]

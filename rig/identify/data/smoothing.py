@@ -16,7 +16,7 @@ from scipy.ndimage import correlate1d
 def smoothed(
     values: np.ndarray, window: int, order: int, derivative: int = 0, step: float = 1.0
 ) -> np.ndarray:
-    """Returns the smoothed values, or a derivative of them, with the shape of `values` (n, ...).
+    """Return the smoothed values, or a derivative of them, with the shape of `values` (n, ...).
 
     `window` is an odd number of samples, at most n. `order` is that of the polynomial. `derivative`
     counts derivatives, to a variable that grows by `step` from sample to sample.

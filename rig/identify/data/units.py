@@ -64,7 +64,7 @@ CLEAR_GAIN = 0.5
 
 
 def check(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
-    """Checks the units of a run; warns where torque and speed disagree. Raises ConfigError."""
+    """Check the units of a run; warns where torque and speed disagree. Raises ConfigError."""
     _check_rolling(run, path, vehicle["wheel_radius_m"])
     if np.isfinite(run.mass_kg):
         _check_weight(run, path)
@@ -72,7 +72,7 @@ def check(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str])
 
 
 def _meaning(ratio: float, table: tuple[tuple[float, str], ...], otherwise: str) -> str:
-    """Returns the text of the first row with this ratio, or `otherwise`."""
+    """Return the text of the first row with this ratio, or `otherwise`."""
     for known_ratio, text in table:
         if abs(ratio / known_ratio - 1.0) < _SAME_RATIO:
             return text
@@ -80,7 +80,7 @@ def _meaning(ratio: float, table: tuple[tuple[float, str], ...], otherwise: str)
 
 
 def _check_rolling(run: Run, path: Path, radius_m: float) -> None:
-    """Raises ConfigError where wheels at the start of a run do not roll with the vehicle [D1]."""
+    """Raise ConfigError where wheels at the start of a run do not roll with the vehicle [D1]."""
     speed_m_s = max(float(np.median(run.speed_m_s[:50])), 1e-9)
     for j in range(run.wheel_speed_rad_s.shape[1]):
         wheel_rad_s = float(np.median(run.wheel_speed_rad_s[:50, j]))
@@ -98,7 +98,7 @@ def _check_rolling(run: Run, path: Path, radius_m: float) -> None:
 
 
 def _check_weight(run: Run, path: Path) -> None:
-    """Raises ConfigError where a load is far from the wheelset's share of the weight [D1]."""
+    """Raise ConfigError where a load is far from the wheelset's share of the weight [D1]."""
     axles = run.load_N.shape[1]
     static_N = run.mass_kg * GRAVITY_M_S2 / axles
     for j in range(axles):
@@ -116,7 +116,7 @@ def _check_weight(run: Run, path: Path) -> None:
 def _check_momentum(
     run: Run, path: Path, vehicle: Mapping[str, float], warnings: list[str]
 ) -> None:
-    """Raises ConfigError, or warns, where the torques do not account for the lost momentum [D1]."""
+    """Raise ConfigError, or warns, where the torques do not account for the lost momentum [D1]."""
     step_s = float(np.mean(np.diff(run.time_s)))
     radius_m = vehicle["wheel_radius_m"]
     v = run.speed_m_s
@@ -154,7 +154,7 @@ def _check_momentum(
 
 
 def _decrease(values: np.ndarray) -> np.ndarray:
-    """Returns how far values decrease from the first 20 samples to the last 20."""
+    """Return how far values decrease from the first 20 samples to the last 20."""
     return values[:20].mean(axis=0) - values[-20:].mean(axis=0)
 
 
@@ -167,7 +167,7 @@ class _Shift(NamedTuple):
 
 
 def check_clocks(runs: Sequence[Run], where: str, vehicle: Mapping[str, Any]) -> None:
-    """Raises ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2].
+    """Raise ConfigError where torque and wheel speed of a sliding wheel are shifted in time [D2].
 
     A clock belongs to a channel of all runs, or to all channels of a run. So a weak sign on one
     wheelset of one run is chance. It counts only if most wheelsets of this run show it, or this
@@ -202,7 +202,7 @@ def check_clocks(runs: Sequence[Run], where: str, vehicle: Mapping[str, Any]) ->
 
 
 def _clock_shift(run: Run, axle: int, vehicle: Mapping[str, Any]) -> _Shift:
-    """Returns the shift between wheel speed and torque of a wheelset in a run."""
+    """Return the shift between wheel speed and torque of a wheelset in a run."""
     wheel_m_s = vehicle["wheel_radius_m"] * run.wheel_speed_rad_s[:, axle]
     if np.mean(np.abs(run.speed_m_s - wheel_m_s)) < 1.0:
         return _Shift(0.0, math.nan)  # it hardly slides
@@ -213,7 +213,7 @@ def _clock_shift(run: Run, axle: int, vehicle: Mapping[str, Any]) -> _Shift:
 
 
 def _best_shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float, float]:
-    """Returns the shift in s with the best correlation, this correlation, and that without shift.
+    """Return the shift in s with the best correlation, this correlation, and that without shift.
 
     The two sides of [D2] are correlated: J domega/dt of the measured wheel speed, and -C of the
     measured torque. Their difference r T changes slowly, so only fast changes are compared. All
@@ -244,7 +244,7 @@ def _best_shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float,
 
 
 def _correlation(inertial: np.ndarray, braking: np.ndarray, shift: int) -> np.floating[Any]:
-    """Returns the correlation if `inertial` is late by `shift` samples (below 0: early).
+    """Return the correlation if `inertial` is late by `shift` samples (below 0: early).
 
     Both have mean 0 and deviation 1, so the mean of their product is the correlation. Samples
     without a counterpart are left out.
@@ -256,7 +256,7 @@ def _correlation(inertial: np.ndarray, braking: np.ndarray, shift: int) -> np.fl
 
 
 def _fast_part(values: np.ndarray, width: int, chosen: np.ndarray) -> np.ndarray:
-    """Returns the fast changes of values at the chosen samples, scaled to mean 0 and deviation 1.
+    """Return the fast changes of values at the chosen samples, scaled to mean 0 and deviation 1.
 
     A change is fast if a Gaussian filter of this width, in samples, removes it.
     """

@@ -17,7 +17,7 @@ speed.
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -92,14 +92,6 @@ class Proposal(NamedTuple):
     pair: tuple[str, str]  # the causes that are hardest to distinguish after it
     before: float  # separation [L2] without the stop
     after: float  # the same with the stop
-
-    @property
-    def reason(self) -> str:
-        """Why the stop is proposed, in words."""
-        return (
-            f"distinguishes {self.pair[0]} from {self.pair[1]}: separation {self.before:.3g} before, "
-            f"{self.after:.3g} with it (the data distinguish causes above {DISTINGUISHED:g})"
-        )
 
 
 class FittedData(NamedTuple):
@@ -390,28 +382,3 @@ def _projected(runs: Sequence[Information], names: Sequence[str]) -> np.ndarray:
     A_bb = A[n:, n:] * np.outer(scale, scale) + _REGULARISATION * np.eye(len(base))
     A_bc = scale[:, None] * A[n:, :n]
     return A[:n, :n] - A_bc.T @ np.linalg.solve(A_bb, A_bc)  # [L1]
-
-
-# --- what reports show ---
-
-
-def sequence(proposal: Proposal, fitted: FittedData) -> dict[str, Any]:
-    """Return a proposal as plain data for a TOML file that `rollerrig sequence` runs."""
-    return prototype.sequence(proposal.stop, proposal.reason, fitted.data, fitted.explanation)
-
-
-def as_json(proposals: Sequence[Proposal], files: Sequence[str]) -> list[dict[str, Any]]:
-    """Return the entries of proposals in a report; `files` are the names of their sequences."""
-    entries = []
-    for proposal, name in zip(proposals, files, strict=True):
-        entry: dict[str, Any] = {
-            "file": name,
-            "title": proposal.stop.title,
-            "reason": proposal.reason,
-        }
-        entry.update(proposal.stop._asdict())
-        entry["parts"] = list(proposal.pair)
-        entry["separation_before"] = proposal.before
-        entry["separation_after"] = proposal.after
-        entries.append(entry)
-    return entries

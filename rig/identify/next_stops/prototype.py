@@ -1,4 +1,4 @@
-"""A stop that has not been run yet: its rough course for the simulator, and the file that runs it.
+"""The rough course of a stop that has not been run yet, for the simulator.
 
 In the rough course the wheels slide as a WSP lets them: their sliding swings about a share of the
 speed. Where the brake torque is smaller than the adhesion at that sliding, the wheel creeps as much
@@ -9,7 +9,7 @@ sliding their dynamics. No wheelset is integrated here.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -37,12 +37,6 @@ CONTROL_S = 0.05  # the sliding is computed once in this time
 SMOOTHING_S = 0.08  # of sliding and force
 BISECTIONS = 14  # of the sliding of a creeping wheel
 
-_PASCAL_PER_BAR = 1e5
-# a sequence fails if a stop has not ended after this time
-_TIMEOUT_S = 280
-# a rig that holds the speed must not fall below this share of it
-_HELD_SHARE = 0.99
-
 
 class Stop(NamedTuple):
     """A stop to run: how it begins and how it brakes."""
@@ -62,16 +56,6 @@ class Stop(NamedTuple):
         if self.axle:
             return 0.5 * self.initial_speed_m_s
         return SLOWEST_M_S
-
-    @property
-    def title(self) -> str:
-        """A description in words."""
-        where = f"on wheelset {self.axle} only" if self.axle else "on all wheelsets"
-        speed = f"for {self.held_s:g} s at a held" if self.held_s else "from"
-        return (
-            f"{self.pressure_Pa / _PASCAL_PER_BAR:g} bar {where} {speed} "
-            f"{self.initial_speed_m_s:g} m/s with {self.mass_kg / 1e3:.3g} t"
-        )
 
 
 def is_on_rollers(data: Dataset) -> bool:
@@ -210,65 +194,3 @@ def braked_wheel(speed, wanted_N, load_N, row, time_s):
         else:
             high = middle
     return 0.5 * (low + high), wanted_N
-
-
-# --- the file that runs the stop ---
-
-
-def sequence(stop: Stop, reason: str, data: Dataset, explanation: Explanation) -> dict[str, Any]:
-    """Return the stop as a sequence on the fitted base model: plain data for a TOML file.
-
-    `rollerrig sequence` runs that file.
-    """
-    return {
-        "title": f"Proposed by explain: {stop.title}",
-        "criteria": "none",
-        "notes": reason,
-        "start": {
-            "speed": f"{stop.initial_speed_m_s:g} m/s",
-            "mass": f"{stop.mass_kg:.6g} kg",
-            "adhesion": "soap",
-            "tables": _tables(stop, data, explanation),
-        },
-        "step": [_step(stop)],
-    }
-
-
-def _tables(stop: Stop, data: Dataset, explanation: Explanation) -> dict[str, Any]:
-    """Return the tables of the scenario: those of the dataset with the fitted adhesion law."""
-    sections = data.sections
-    law = dict(sections["adhesion"])
-    law["mu_cd"] = float(law["mu_cd"] * math.exp(explanation.level))
-    law["tau_m_J"] = float(law["tau_m_J"] * math.exp(explanation.base.get("ln_tau", 0.0)))
-    return {
-        "adhesion": law,
-        "contact": dict(sections["contact"]),
-        "vehicle": dict(sections["vehicle"]),
-        "brake": dict(sections["brake"]),
-        "rig": {
-            "mode": "contaminated_rollers" if is_on_rollers(data) else "track",
-            "speed": "held" if stop.held_s else "vehicle",
-        },
-        "loop": {"record_hz": round(1.0 / data.sample_time_s)},
-    }
-
-
-def _step(stop: Stop) -> dict[str, Any]:
-    """Return the step of the sequence that brakes."""
-    step: dict[str, Any] = {
-        "title": stop.title,
-        "at": f"{RELEASED_S:g} s",
-        "set": {"brake_demand": f"{stop.pressure_Pa / _PASCAL_PER_BAR:g} bar"},
-    }
-    if stop.held_s:
-        step["for"] = f"{stop.held_s:g} s"
-        step["expect"] = [f"vehicle_speed > {_HELD_SHARE * stop.initial_speed_m_s:.4g} m/s"]
-    else:
-        step["until"] = f"vehicle_speed < {stop.last_speed_m_s:g} m/s"
-        step["timeout"] = f"{_TIMEOUT_S} s"
-    if stop.axle:
-        # The dump valves of the other wheelsets stay open. So one wheelset slides at a speed that
-        # hardly decreases.
-        others = [axle for axle in range(1, AXLES + 1) if axle != stop.axle]
-        step["fault"] = [f"vent_magnet_stuck axle={axle}" for axle in others]
-    return step

@@ -83,7 +83,7 @@ class PolachFit(NamedTuple):
 
 
 def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
-    """Returns the adhesion [C1] [C2] at the points of a curve (n,); x is in the order of NAMES."""
+    """Return the adhesion [C1] [C2] at the points of a curve (n,); x is in the order of NAMES."""
     mu_0, A, gamma, k_a, k_s = x
     creepage = np.abs(curve.creepage)
     unit = patch.eps1 * curve.load_N ** (-1.0 / 3.0)
@@ -94,7 +94,7 @@ def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
 
 
 def fit(data: Dataset, seed: int = 0) -> PolachFit:
-    """Fits a creep-curve dataset. Raises ConfigError for a dataset of another kind."""
+    """Fit a creep-curve dataset. Raises ConfigError for a dataset of another kind."""
     if data.curve is None:
         raise ConfigError(
             f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; a creep_curve is required here"
@@ -132,7 +132,7 @@ def fit(data: Dataset, seed: int = 0) -> PolachFit:
 def _best(
     curve: Curve, patch: Patch, free: np.ndarray, starts: tuple[Parameters, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Returns parameters (5,) and residuals (n,) of the best least-squares fit of all starts."""
+    """Return parameters (5,) and residuals (n,) of the best least-squares fit of all starts."""
 
     def with_fixed(part: np.ndarray) -> np.ndarray:
         x = np.array(Parameters(mu_0=0.0, A=1.0, gamma_s_m=0.0, k_a=0.0, k_s=0.0))
@@ -158,7 +158,7 @@ def _best(
 
 
 def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarray:
-    """Returns parameters (REPLICATES, 5) of curves that are made of drawn blocks of points."""
+    """Return parameters (REPLICATES, 5) of curves that are made of drawn blocks of points."""
     rng = np.random.default_rng(seed)
     by_creepage = np.argsort(np.abs(curve.creepage))
     blocks = np.array_split(by_creepage, min(BLOCKS, curve.creepage.size // 2))
@@ -172,7 +172,7 @@ def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarr
 
 
 def _scatter_floor(curve: Curve) -> float:
-    """Returns the scatter about lines through each point's neighbours.
+    """Return the scatter about lines through each point's neighbours.
 
     No smooth curve has less error.
 

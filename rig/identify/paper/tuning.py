@@ -126,12 +126,12 @@ class ContactModel(NamedTuple):
 
 
 def contact(data: Dataset) -> ContactModel:
-    """Returns patch and law of a dataset's base model."""
+    """Return patch and law of a dataset's base model."""
     return ContactModel(patch_of(data), params.law_of(data.sections["adhesion"]))
 
 
 def collect(design: Design, cleaning_creepage: float) -> Samples:
-    """Returns the samples of sliding braked wheels, thinned to independent samples [U1] [U2]."""
+    """Return the samples of sliding braked wheels, thinned to independent samples [U1] [U2]."""
     samples_of_segment = np.diff(design.start)
     number_in_segment = np.concatenate([np.arange(count) for count in samples_of_segment])
     run = np.repeat(design.run, samples_of_segment)
@@ -165,7 +165,7 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
 
 @kernel
 def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
-    """Writes f, f_d, f_r of the model at each sample into out (n, 3)."""
+    """Write f, f_d, f_r of the model at each sample into out (n, 3)."""
     for i in range(sliding_m_s.size):
         f, f_d, f_r, _, _, _ = wheelset.wheelset_adhesion(
             sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i], law.mu_cr, patch, law
@@ -184,7 +184,7 @@ class Predicted(NamedTuple):
 
 
 def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: ContactModel) -> Predicted:
-    """Returns the adhesion for a recovery and the contaminants of the runs, mu_cd (runs,)."""
+    """Return the adhesion for a recovery and the contaminants of the runs, mu_cd (runs,)."""
     out = np.empty((s.run.size, 3))
     curves(
         s.sliding_m_s,
@@ -224,7 +224,7 @@ class _Fit:
         ]
 
     def unpack(self, x: np.ndarray) -> tuple[float, np.ndarray]:
-        """Returns tau, m/J, and mu_cd (runs,)."""
+        """Return tau, m/J, and mu_cd (runs,)."""
         mu_cd = self._mu_cd.copy()
         if self._free_runs:
             mu_cd[self._free_runs] = np.exp(x[-len(self._free_runs) :])
@@ -232,12 +232,12 @@ class _Fit:
         return tau_m_J, mu_cd
 
     def residual(self, x: np.ndarray) -> np.ndarray:
-        """Returns the error of f (n,)."""
+        """Return the error of f (n,)."""
         tau_m_J, mu_cd = self.unpack(x)
         return predicted(self.s, tau_m_J, mu_cd, self.model).f - self.s.adhesion
 
     def paper_residual(self, x: np.ndarray) -> np.ndarray:
-        """Returns the paper's error (n,) [U3]."""
+        """Return the paper's error (n,) [U3]."""
         tau_m_J, mu_cd = self.unpack(x)
         _, f_d, f_r = predicted(self.s, tau_m_J, mu_cd, self.model)
         transition = -np.expm1(-tau_m_J * np.maximum(self.s.energy_J_m, 0.0))
@@ -246,7 +246,7 @@ class _Fit:
     def solve(
         self, residual: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> tuple[np.ndarray, float]:
-        """Returns the free parameters and the rms of the residual."""
+        """Return the free parameters and the rms of the residual."""
         law = self.model.law
         start = []
         bounds = []
@@ -272,12 +272,12 @@ class _Fit:
 
 
 def rms(values: np.ndarray) -> float:
-    """Returns the root mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(values * values)))
 
 
 def tune(data: Dataset, seed: int = 0) -> Tuned:
-    """Fits tau to the tuning runs of a dataset. Raises ConfigError where wheels hardly slide."""
+    """Fit tau to the tuning runs of a dataset. Raises ConfigError where wheels hardly slide."""
     runs = data.group("tune")
     design = prepare(data, runs)
     model = contact(data)
@@ -333,7 +333,7 @@ def _warnings(tau: Interval, runs: int) -> list[str]:
 
 
 def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
-    """Returns tau and mu_cd of each run by [U4] with their intervals; keys "tau", "mu_cd_0" ...
+    """Return tau and mu_cd of each run by [U4] with their intervals; keys "tau", "mu_cd_0" ...
 
     A replicate of the bootstrap draws the 3 s blocks of each run and the declared tolerances anew,
     and takes one Gauss-Newton step from the optimum. Blocks do not contain what changes from run
@@ -393,7 +393,7 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
 
 
 def _deviation_between_runs(A: np.ndarray, b_of_run: np.ndarray) -> np.ndarray:
-    """Returns the deviation of each coefficient from run to run; 0 for a single run.
+    """Return the deviation of each coefficient from run to run; 0 for a single run.
 
     `A` is the normal matrix of all runs, `b_of_run` (runs, coefficients) the right side of each
     run.
@@ -408,7 +408,7 @@ def _deviation_between_runs(A: np.ndarray, b_of_run: np.ndarray) -> np.ndarray:
 def contaminant(
     s: Samples, model: ContactModel, stated_mu_cd: float | None, tau_m_J: float
 ) -> tuple[float, float]:
-    """Returns mu_cd and the rms error of f of one run for a given recovery.
+    """Return mu_cd and the rms error of f of one run for a given recovery.
 
     mu_cd is fitted unless it is stated. The error is NaN where the run has too few samples.
     """

@@ -85,7 +85,7 @@ def free_run(
     sliding,
     force_N,
 ):
-    """Writes sliding and contact force of one wheelset in windows of samples [V1]; inputs (n,)."""
+    """Write sliding and contact force of one wheelset in windows of samples [V1]; inputs (n,)."""
     h = step_s / SUBSTEPS  # linearly implicit Euler
     omega = omega_measured[0]
     for k in range(omega_measured.size):
@@ -115,7 +115,7 @@ def free_run(
 
 
 def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Verdict]:
-    """Judges both models on the runs of a group. Raises ConfigError without such runs."""
+    """Judge both models on the runs of a group. Raises ConfigError without such runs."""
     runs = data.group(group)
     if not runs:
         raise ConfigError(
@@ -167,7 +167,7 @@ def _simulate(
     tau_m_J: float,
     stated_mu_cd: float | None,
 ) -> _Simulated:
-    """Runs one model free on the first samples of a run."""
+    """Run one model free on the first samples of a run."""
     model = tuning.contact(data)
     all_samples = tuning.collect(design, model.law.cleaning_creepage)
     samples = tuning.Samples(*(column[all_samples.run == run] for column in all_samples))

@@ -29,13 +29,13 @@ LANES = 2 * AXLES
 
 @kernel_inlined
 def _no_lag(*_):
-    """Returns 1: lambda goes all of its way in a step. Takes the place of `replay.lag_share`."""
+    """Return 1: lambda goes all of its way in a step. Takes the place of `replay.lag_share`."""
     return 1.0
 
 
 @kernel_inlined
 def _not_a_number(_):
-    """Returns NaN. Takes the place of Lambert's function, which has no vector form."""
+    """Return NaN. Takes the place of Lambert's function, which has no vector form."""
     return math.nan
 
 
@@ -92,14 +92,14 @@ lane_model = tuple_builder(
 
 @kernel_inlined
 def store_models(parameters, cells):
-    """Writes rows of parameters, one for each lane from the first on, for `lane_model`."""
+    """Write rows of parameters, one for each lane from the first on, for `lane_model`."""
     for i in range(PARAMETERS):
         for j in range(len(parameters)):
             cells[MODEL + LANES * i + j] = parameters[j, i]
 
 
 def _state_kernels(state: Any) -> dict[str, Any]:
-    """Returns the kernels that read and write the state of a filter in the cells of a lane."""
+    """Return the kernels that read and write the state of a filter in the cells of a lane."""
     places = [f"cells[{LANES * k} + j]" for k in range(len(state._fields))]
     return {
         "load_state": tuple_builder(state, "cells, j", places),
@@ -120,7 +120,7 @@ store_state = _kernels["store_state"]
 
 @kernel_inlined
 def _store_inputs(start, inputs, k, w, first_lane, cells):
-    """Writes the inputs of a run's wheelsets, a share `w` of the way from sample k to the next.
+    """Write the inputs of a run's wheelsets, a share `w` of the way from sample k to the next.
 
     After the end of its run a wheelset keeps the inputs of the last sample.
     """
@@ -136,7 +136,7 @@ def _store_inputs(start, inputs, k, w, first_lane, cells):
 
 @kernel_inlined
 def _write_results(start, k, first_lane, cells, out):
-    """Writes innovation, variance and irregularity of a run's wheelsets, up to the run's end."""
+    """Write innovation, variance and irregularity of a run's wheelsets, up to the run's end."""
     if k < start[1] - start[0]:
         for j in range(AXLES):
             at = start[j] + k
@@ -148,7 +148,7 @@ def _write_results(start, k, first_lane, cells, out):
 
 @kernel_inlined
 def _replay_pair(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
-    """Does what `replay_runs` does, for wheelsets without adhesion memory."""
+    """Do what `replay_runs` does, for wheelsets without adhesion memory."""
     store_models(parameters, cells)
     for j in range(AXLES):
         store_state(cells, j, initial_state(measured[start[j]], lane_model(cells, j)))
@@ -211,7 +211,7 @@ _replay_pair_with_memory = variant(
 
 @kernel
 def replay_runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
-    """Writes the innovations of the wheelsets of two runs, or of the same run twice.
+    """Write the innovations of the wheelsets of two runs, or of the same run twice.
 
     `start` and `other` (AXLES + 1,) are where the wheelsets of a run begin in the flat arrays, and
     where the last one ends. `inputs` and `others` (INPUTS, n) are those of the two runs,
@@ -247,7 +247,7 @@ PATH_SLOPE = 6 * PATH_LANES
 
 @kernel
 def adhesion_along(sliding, speed, load, friction, row, cells, out):
-    """Writes what `replay.adhesion_along` writes without a lag of recovery, 16 samples at a time.
+    """Write what `replay.adhesion_along` writes without a lag of recovery, 16 samples at a time.
 
     `cells` (PATH_CELLS,) is work space.
     """

@@ -45,13 +45,13 @@ class MemoryFilterState(NamedTuple):
 
 @kernel_inlined
 def phi(z, exponential):
-    """Returns (e^z - 1) / z; `exponential` is e^z."""
+    """Return (e^z - 1) / z; `exponential` is e^z."""
     return (exponential - 1.0) / z if abs(z) > 1e-4 else 1.0 + 0.5 * z + z * z / 6.0
 
 
 @kernel_inlined
 def matrix_step(a, g, d, c, h):
-    """Returns e^(A h) and phi(A h) h of A = [[a, g], [d, c]], row by row: eight numbers [Y2].
+    """Return e^(A h) and phi(A h) h of A = [[a, g], [d, c]], row by row: eight numbers [Y2].
 
     Both are e0 + e (A - middle), of the mean eigenvalue `middle` and half the distance `root` of
     the eigenvalues.
@@ -108,7 +108,7 @@ def matrix_step(a, g, d, c, h):
 
 @kernel_inlined
 def initial_state(measured, model):
-    """Returns the state of the filter before the first sample."""
+    """Return the state of the filter before the first sample."""
     return MemoryFilterState(
         measured,
         0.0,
@@ -124,7 +124,7 @@ def initial_state(measured, model):
 
 @kernel_inlined
 def correct(measured, state, model):
-    """Returns (innovation, its variance, the state) after a measured wheel speed."""
+    """Return (innovation, its variance, the state) after a measured wheel speed."""
     omega, m, lambda_, p00, p01, p11, p02, p12, p22 = state
     innovation = measured - omega
     variance = p00 + model.speed_noise_rad_s * model.speed_noise_rad_s
@@ -148,7 +148,7 @@ def correct(measured, state, model):
 
 @kernel_inlined
 def predict(state, speed, load, torque, degraded, recovered, model, step_s):
-    """Returns the state of the filter after a substep; `step_s` is the time of a whole sample."""
+    """Return the state of the filter after a substep; `step_s` is the time of a whole sample."""
     omega, m, lambda_, p00, p01, p11, p02, p12, p22 = state
     r = model.wheel_radius_m
     inertia = model.wheelset_inertia_kgm2
@@ -239,7 +239,7 @@ _replay_wheel_with_memory = variant(
 def replay_wheels(
     start, measured, torque, load, speed, friction, parameters, step_s, nu, variance, field
 ):
-    """Writes the innovations of all segments as `replay.replay_wheel` does, one after the other.
+    """Write the innovations of all segments as `replay.replay_wheel` does, one after the other.
 
     `start` (segments + 1,) is where the segments begin and end in the flat arrays, `parameters` has
     the shape (segments, PARAMETERS). Each segment has the filter that its parameters need.

@@ -32,7 +32,7 @@ OUTLIER_DEVIATIONS = 6.0  # a larger innovation moves the state no further than 
 
 @kernel_inlined
 def curves(sliding, speed, load_N, degraded, recovered, model):
-    """Returns what `adhesion.curves` returns for one wheel with this load.
+    """Return what `adhesion.curves` returns for one wheel with this load.
 
     `degraded` and `recovered` are factors of its two frictions, `model` is a WheelModel.
     """
@@ -43,7 +43,7 @@ def curves(sliding, speed, load_N, degraded, recovered, model):
 
 @kernel
 def wheel_adhesion(sliding, speed, load_N, degraded, recovered, model, lagging, share):
-    """Returns (f, df/dsliding, lambda) of one wheel. f has the sign of the sliding.
+    """Return (f, df/dsliding, lambda) of one wheel. f has the sign of the sliding.
 
     lambda goes a `share` of its way from `lagging` to its target [R4]. With a share of 1 recovery
     does not lag, and `lagging` has no effect.
@@ -64,7 +64,7 @@ def wheel_adhesion(sliding, speed, load_N, degraded, recovered, model, lagging, 
 
 @kernel
 def lag_share(speed, step_s, model):
-    """Returns the share of its way that lambda goes in a step [R4]; 1: recovery does not lag."""
+    """Return the share of its way that lambda goes in a step [R4]; 1: recovery does not lag."""
     if model.memory_m > 0.0:
         rate_1_s = adhesion.lag_rate_1_s(speed, model.memory_m, model.memory_speed_power)
         return -math.expm1(-step_s * rate_1_s)
@@ -73,7 +73,7 @@ def lag_share(speed, step_s, model):
 
 @kernel
 def adhesion_along(sliding, speed, load, friction, row, step_s, lagging, follow, out):
-    """Writes (f, df/dsliding) of one wheel along a path to `out`, shape (2, n).
+    """Write (f, df/dsliding) of one wheel along a path to `out`, shape (2, n).
 
     `sliding`, `speed` and the wheelset's `load` have the shape (n,), the factors of `friction` (2,
     n). `row` (PARAMETERS,) is a row of parameters. `lagging` (n + 1,) is lambda before each sample;
@@ -108,7 +108,7 @@ class FilterState(NamedTuple):
 
 @kernel_inlined
 def initial_state(measured, model):
-    """Returns the state of the filter before the first sample."""
+    """Return the state of the filter before the first sample."""
     return FilterState(
         measured,
         0.0,
@@ -120,7 +120,7 @@ def initial_state(measured, model):
 
 @kernel_inlined
 def bounded_innovation(innovation, variance):
-    """Returns the innovation, limited to `OUTLIER_DEVIATIONS` standard deviations."""
+    """Return the innovation, limited to `OUTLIER_DEVIATIONS` standard deviations."""
     largest = OUTLIER_DEVIATIONS * math.sqrt(variance)
     if abs(innovation) > largest:
         return math.copysign(largest, innovation)
@@ -129,7 +129,7 @@ def bounded_innovation(innovation, variance):
 
 @kernel_inlined
 def correct(measured, state, model):
-    """Returns (innovation, its variance, the state) after a measured wheel speed."""
+    """Return (innovation, its variance, the state) after a measured wheel speed."""
     omega, m, p00, p01, p11 = state
     innovation = measured - omega
     variance = p00 + model.speed_noise_rad_s * model.speed_noise_rad_s
@@ -148,7 +148,7 @@ def correct(measured, state, model):
 
 @kernel_inlined
 def predict(state, speed, load, torque, degraded, recovered, model, step_s):
-    """Returns the state of the filter after a substep; `step_s` is the time of a whole sample."""
+    """Return the state of the filter after a substep; `step_s` is the time of a whole sample."""
     omega, m, p00, p01, p11 = state
     r = model.wheel_radius_m
     inertia = model.wheelset_inertia_kgm2
@@ -192,7 +192,7 @@ def predict(state, speed, load, torque, degraded, recovered, model, step_s):
 
 @kernel
 def replay_wheel(measured, torque, load, speed, friction, row, step_s, nu, variance, field):
-    """Writes the innovations of one wheel [R1] to `nu`, their variance to `variance`, shape (n,).
+    """Write the innovations of one wheel [R1] to `nu`, their variance to `variance`, shape (n,).
 
     The filtered irregularity m is written to `field` (n,). The inputs have the shape (n,),
     `friction` (2, n), and `row` (PARAMETERS,) is the wheelset's row of parameters.
@@ -220,7 +220,7 @@ def replay_wheel(measured, torque, load, speed, friction, row, step_s, nu, varia
 
 @kernel
 def replay_vehicle(measured, force_over_mass, step_s, noise, torque_noise, nu, variance):
-    """Writes the innovations of the vehicle's force balance [R3] and their variance, shape (n,).
+    """Write the innovations of the vehicle's force balance [R3] and their variance, shape (n,).
 
     `noise` is that of `measured`, in m/s; `torque_noise` that of the force over mass, in m/s2 of
     one sample.

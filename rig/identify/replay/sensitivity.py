@@ -70,7 +70,7 @@ class Inputs(NamedTuple):
 
 @kernel
 def second_gain(variance, coefficients, row):
-    """Writes the second gain of the filter of one wheel to the column G1 of the coefficients.
+    """Write the second gain of the filter of one wheel to the column G1 of the coefficients.
 
     The covariances are computed again with [S1]. Column F00 is limited where the covariance of the
     filter shows that an error grows more slowly.
@@ -105,7 +105,7 @@ def second_gain(variance, coefficients, row):
 
 @kernel_with_memory
 def response(changes, variance, coefficients, out):
-    """Writes the response of one wheel's whitened innovations to `out`, shape (n, columns) [S2].
+    """Write the response of one wheel's whitened innovations to `out`, shape (n, columns) [S2].
 
     `changes` (n, columns) are changes of the wheel's acceleration.
     """
@@ -131,7 +131,7 @@ def response(changes, variance, coefficients, out):
 
 @kernel_with_memory
 def vehicle_response(changes, variance, noise, step_s, out):
-    """Writes the response of the whitened innovations of one vehicle to `out`, shape (n, columns).
+    """Write the response of the whitened innovations of one vehicle to `out`, shape (n, columns).
 
     `changes` (n, columns) are changes of du/dt, `noise` is that of the vehicle's speed.
     """
@@ -148,7 +148,7 @@ def vehicle_response(changes, variance, noise, step_s, out):
 
 
 def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> LinearisedReplay:
-    """Returns the replay of all wheels and vehicles, with its coefficients.
+    """Return the replay of all wheels and vehicles, with its coefficients.
 
     `changed` (segments, changes, PARAMETERS) are parameters of which one is larger by STEP.
     """
@@ -205,7 +205,7 @@ def _linearise_wheel(
     constants: np.ndarray,
     path: np.ndarray,
 ) -> None:
-    """Writes [S1] of one wheelset along the filtered path to the last four arguments.
+    """Write [S1] of one wheelset along the filtered path to the last four arguments.
 
     `changed` (changes, PARAMETERS) and `replayed` (3, n) are those of the segment s.
     """
@@ -247,7 +247,7 @@ def _linearise_wheel(
     coefficients[:, G0] = g0
 
     def adhesion_with(load: np.ndarray, factors: np.ndarray, model: np.ndarray) -> np.ndarray:
-        """Returns f along the same path, with other inputs or parameters."""
+        """Return f along the same path, with other inputs or parameters."""
         return replay_law(sliding, v, load, factors, model, design.step_s, lagging, False)[0]
 
     rates[0] = force * (adhesion_with(load_N, friction * math.exp(STEP), row) - f) / STEP
@@ -270,7 +270,7 @@ def replay_law(
     lagging: np.ndarray,
     follow: bool,
 ) -> np.ndarray:
-    """Returns (f, df/dsliding) of one wheel along a path, shape (2, n).
+    """Return (f, df/dsliding) of one wheel along a path, shape (2, n).
 
     `lagging` (n + 1,) is lambda before each sample; with `follow` it is written.
     """
@@ -287,17 +287,17 @@ def replay_law(
 
 
 def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
-    """Returns (nu, variance, filtered m) of the wheels and (nu, variance) of the vehicles."""
+    """Return (nu, variance, filtered m) of the wheels and (nu, variance) of the vehicles."""
     return (*replay_wheels(design, inputs), *replay_vehicles(design, inputs))
 
 
 def replay_wheels(design: Design, inputs: Inputs) -> np.ndarray:
-    """Returns (nu, variance, filtered m) of all wheels, shape (3, n)."""
+    """Return (nu, variance, filtered m) of all wheels, shape (3, n)."""
     return replays(design, [inputs])[0]
 
 
 def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
-    """Returns the replays of all wheels under each of several inputs, shape (inputs, 3, n)."""
+    """Return the replays of all wheels under each of several inputs, shape (inputs, 3, n)."""
     stacked = [
         np.array([i.speed_m_s, i.load_N, i.torque_Nm, i.friction[0], i.friction[1]])
         for i in several
@@ -356,7 +356,7 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
 
 
 def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
-    """Returns the measured u of [R3] of `replay`, shape (samples,)."""
+    """Return the measured u of [R3] of `replay`, shape (samples,)."""
     p = inputs.parameters[run * AXLES : (run + 1) * AXLES]
     turning = design.by_axle(design.measured_rad_s, run) @ (
         p[:, parameters.INERTIA] / p[:, parameters.RADIUS]
@@ -365,7 +365,7 @@ def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
 
 
 def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
-    """Returns the force over the mass of a vehicle in m/s2, shape (samples,)."""
+    """Return the force over the mass of a vehicle in m/s2, shape (samples,)."""
     v = design.speed_m_s[design.span(run * AXLES)]
     A, B, C = design.resistance
     force = A + B * v + C * v * v + inputs.force_N[design.vehicle_span(run)]
@@ -375,7 +375,7 @@ def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
 
 
 def replay_vehicles(design: Design, inputs: Inputs) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the innovations and variances of all vehicles, flat arrays."""
+    """Return the innovations and variances of all vehicles, flat arrays."""
     total = int(design.vehicle_start[-1])
     nu = np.empty(total)
     variance = np.empty(total)

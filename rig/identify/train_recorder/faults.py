@@ -70,7 +70,7 @@ class Hit(NamedTuple):
 
 
 def find(run: Run) -> tuple[Run, list[Finding]]:
-    """Returns a run without its faults, and the faults. `copies` finds copies between runs."""
+    """Return a run without its faults, and the faults. `copies` finds copies between runs."""
     found: list[Finding] = []
     for check in (_units, _stamps, _missing, _old_messages, _lines, _zeros, _held):
         run, more = check(run)
@@ -79,7 +79,7 @@ def find(run: Run) -> tuple[Run, list[Finding]]:
 
 
 def _join_drop_outs(found: list[Finding]) -> list[Finding]:
-    """Makes one finding of drop-outs of a channel that follow each other, as zeros before a gap."""
+    """Make one finding of drop-outs of a channel that follow each other, as zeros before a gap."""
     joined: list[Finding] = []
     for finding in sorted(found, key=lambda f: (f.name, f.channels, f.start_s)):
         if joined and _follows(finding, joined[-1]):
@@ -100,7 +100,7 @@ def _follows(finding: Finding, before: Finding) -> bool:
 
 
 def _extended(before: Finding, after: Finding) -> Finding:
-    """Returns a drop-out from the start of one to the end of the next, with the reasons of both."""
+    """Return a drop-out from the start of one to the end of the next, with the reasons of both."""
     assert isinstance(before.details, DropOut)
     assert isinstance(after.details, DropOut)
     reasons = before.details.reasons
@@ -120,7 +120,7 @@ def _extended(before: Finding, after: Finding) -> Finding:
 
 
 def stretches(flag: np.ndarray) -> list[Stretch]:
-    """Returns the stretches in which a flag (n,) is set."""
+    """Return the stretches in which a flag (n,) is set."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flag, [False]]).astype(np.int8)))
     return [
         Stretch(int(start), int(end) - 1)
@@ -129,7 +129,7 @@ def stretches(flag: np.ndarray) -> list[Stretch]:
 
 
 def at(channel: Channel, time_s: np.ndarray) -> np.ndarray:
-    """Returns a channel at other stamps of any shape, by linear interpolation; NaN across gaps."""
+    """Return a channel at other stamps of any shape, by linear interpolation; NaN across gaps."""
     good = np.isfinite(channel.values)
     known_s = channel.time_s[good]
     known = channel.values[good]
@@ -143,7 +143,7 @@ def at(channel: Channel, time_s: np.ndarray) -> np.ndarray:
 
 
 def median(values: np.ndarray) -> np.ndarray:
-    """Returns the median over the first axis without NaN; NaN where there is no value."""
+    """Return the median over the first axis without NaN; NaN where there is no value."""
     middle = np.full(values.shape[1], np.nan)
     known = np.isfinite(values).any(axis=0)
     middle[known] = np.nanmedian(values[:, known], axis=0)
@@ -151,14 +151,14 @@ def median(values: np.ndarray) -> np.ndarray:
 
 
 def _replaced(run: Run, channels: list[Channel]) -> Run:
-    """Returns a run with these channels in place of those of the same names."""
+    """Return a run with these channels in place of those of the same names."""
     return run._replace(
         channels={**run.channels, **{channel.name: channel for channel in channels}}
     )
 
 
 def _without(channel: Channel, parts: list[Stretch]) -> Channel:
-    """Returns a channel with NaN in these stretches."""
+    """Return a channel with NaN in these stretches."""
     values = channel.values.copy()
     for part in parts:
         values[part.first : part.last + 1] = np.nan
@@ -173,7 +173,7 @@ def _lasting(
     part: Stretch,
     details: Details | None,
 ) -> Finding:
-    """Returns a finding whose size is its duration, which is known to one sample."""
+    """Return a finding whose size is its duration, which is known to one sample."""
     start_s = float(channel.time_s[part.first])
     end_s = float(channel.time_s[part.last])
     step_s = channel.step_s
@@ -193,7 +193,7 @@ def _lasting(
 
 
 def _clocks(run: Run) -> list[list[Channel]]:
-    """Returns the channels in groups that share their stamps."""
+    """Return the channels in groups that share their stamps."""
     groups: dict[bytes, list[Channel]] = {}
     for channel in run.channels.values():
         groups.setdefault(channel.time_s.tobytes(), []).append(channel)
@@ -204,7 +204,7 @@ def _clocks(run: Run) -> list[list[Channel]]:
 
 
 def _units(run: Run) -> tuple[Run, list[Finding]]:
-    """Checks declared units.
+    """Check declared units.
 
     The evidence is the position, else the majority of the channels, else the deceleration that a
     vehicle can reach.
@@ -267,7 +267,7 @@ def _units(run: Run) -> tuple[Run, list[Finding]]:
 
 
 def _matching_ratio(measured_ratio: float) -> UnitRatio | None:
-    """Returns the two units whose ratio is the measured one; None if there are none."""
+    """Return the two units whose ratio is the measured one; None if there are none."""
     for candidate in _RATIOS:
         if abs(measured_ratio / candidate.ratio - 1.0) < limit.UNIT_SHARE:
             return candidate
@@ -275,7 +275,7 @@ def _matching_ratio(measured_ratio: float) -> UnitRatio | None:
 
 
 def _scale_by_majority(moving: dict[str, float]) -> dict[str, float]:
-    """Returns each speed over the speed that most channels agree with."""
+    """Return each speed over the speed that most channels agree with."""
 
     def agreeing(speed: float) -> int:
         return sum(abs(other / speed - 1.0) < _SAME_UNIT_SHARE for other in moving.values())
@@ -285,7 +285,7 @@ def _scale_by_majority(moving: dict[str, float]) -> dict[str, float]:
 
 
 def _scale_by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | None:
-    """Returns the distance by each speed over the distance by position; medians of windows of 2 s.
+    """Return the distance by each speed over the distance by position; medians of windows of 2 s.
 
     The result is None without a position or with too few samples in motion.
     """
@@ -313,7 +313,7 @@ def _scale_by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | No
 
 
 def _hardest_change(channel: Channel) -> float:
-    """Returns the change of speed over 6 s that is exceeded in 2 % of the time, m/s^2.
+    """Return the change of speed over 6 s that is exceeded in 2 % of the time, m/s^2.
 
     6 s is longer than most slides.
     """
@@ -330,7 +330,7 @@ def _hardest_change(channel: Channel) -> float:
 
 
 def _stamps(run: Run) -> tuple[Run, list[Finding]]:
-    """Finds clock steps and gaps of the stamps, and corrects the steps."""
+    """Find clock steps and gaps of the stamps, and corrects the steps."""
     found: list[Finding] = []
     for group in _clocks(run):
         corrected_s, more = _check_clock(run, group)
@@ -348,7 +348,7 @@ def _stamps(run: Run) -> tuple[Run, list[Finding]]:
 
 
 def _check_clock(run: Run, group: list[Channel]) -> tuple[np.ndarray, list[Finding]]:
-    """Returns the corrected stamps of a group of channels, and its clock steps and gaps.
+    """Return the corrected stamps of a group of channels, and its clock steps and gaps.
 
     A step that is taken back later is one finding. A gap whose jump is taken back later was a step
     of the clock, too.
@@ -423,7 +423,7 @@ def _check_clock(run: Run, group: list[Channel]) -> tuple[np.ndarray, list[Findi
 
 
 def _clock_details(size_s: float, half_s: float, returns: bool) -> ClockStep:
-    """Returns the details of a step: its whole seconds where the size is whole within its error."""
+    """Return the details of a step: its whole seconds where the size is whole within its error."""
     whole = round(size_s)
     is_whole = abs(size_s - whole) < half_s
     return ClockStep(whole_seconds=whole if is_whole else 0, returns=returns)
@@ -465,7 +465,7 @@ def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
 
 
 def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
-    """Finds samples at the start before a jump that no vehicle makes."""
+    """Find samples at the start before a jump that no vehicle makes."""
     found = []
     for group in _clocks(run):
         speeds = [channel for channel in group if channel.quantity in _SPEEDS]
@@ -485,7 +485,7 @@ def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
 
 
 def _last_jump_at_start(speeds: list[Channel]) -> int | None:
-    """Returns the sample before the last jump that all speeds make at the start; None without."""
+    """Return the sample before the last jump that all speeds make at the start; None without."""
     time_s = speeds[0].time_s
     count = int(np.searchsorted(time_s, time_s[0] + limit.START_S))
     v = np.array([channel.values[: count + 1] for channel in speeds])
@@ -504,7 +504,7 @@ def _last_jump_at_start(speeds: list[Channel]) -> int | None:
 
 
 def _others(run: Run, channel: Channel) -> np.ndarray:
-    """Returns the median of the other speeds at the stamps of one channel; NaN without any."""
+    """Return the median of the other speeds at the stamps of one channel; NaN without any."""
     others = [at(other, channel.time_s) for other in run.of(*_SPEEDS) if other.name != channel.name]
     if not others:
         return np.full(channel.time_s.size, np.nan)
@@ -514,7 +514,7 @@ def _others(run: Run, channel: Channel) -> np.ndarray:
 def _each_speed(
     check: Callable[[Run, Channel], Iterator[Hit]],
 ) -> Callable[[Run], tuple[Run, list[Finding]]]:
-    """Makes a check of a run from a check of one channel; it runs on one speed after another."""
+    """Make a check of a run from a check of one channel; it runs on one speed after another."""
 
     def checked(run: Run) -> tuple[Run, list[Finding]]:
         found = []
@@ -532,7 +532,7 @@ def _each_speed(
 
 @_each_speed
 def _lines(_: Run, channel: Channel) -> Iterator[Hit]:
-    """Finds straight lines over seconds, which fill a gap and are no data."""
+    """Find straight lines over seconds, which fill a gap and are no data."""
     good = np.flatnonzero(np.isfinite(channel.values))
     v = channel.values[good]
     t = channel.time_s[good]
@@ -564,7 +564,7 @@ def _is_off_rounding(values: np.ndarray, quantum: float) -> bool:
 
 @_each_speed
 def _zeros(_: Run, channel: Channel) -> Iterator[Hit]:
-    """Finds zeros that come and go faster than a wheel can lock or take up speed."""
+    """Find zeros that come and go faster than a wheel can lock or take up speed."""
     for stretch in stretches(np.abs(channel.values) < _ZERO_M_S):
         edges_m_s = []
         for outside, inside in (
@@ -579,7 +579,7 @@ def _zeros(_: Run, channel: Channel) -> Iterator[Hit]:
 
 
 def _speed_next_to(channel: Channel, outside: int, inside: int) -> float | None:
-    """Returns the speed outside an edge, m/s; None at a gap or an end of the recording."""
+    """Return the speed outside an edge, m/s; None at a gap or an end of the recording."""
     if not 0 <= outside < channel.values.size:
         return None
     is_gap = abs(channel.time_s[outside] - channel.time_s[inside]) >= 2.5 * channel.step_s
@@ -590,7 +590,7 @@ def _speed_next_to(channel: Channel, outside: int, inside: int) -> float | None:
 
 @_each_speed
 def _missing(_: Run, channel: Channel) -> Iterator[Hit]:
-    """Finds cells without a value, of one channel while the others go on."""
+    """Find cells without a value, of one channel while the others go on."""
     good = np.flatnonzero(np.isfinite(channel.values))
     longest_s = max(limit.GAP_S, 3.0 * channel.step_s)
     for k in np.flatnonzero(np.diff(channel.time_s[good]) > longest_s):
@@ -602,7 +602,7 @@ def _missing(_: Run, channel: Channel) -> Iterator[Hit]:
 
 @_each_speed
 def _held(run: Run, channel: Channel) -> Iterator[Hit]:
-    """Finds a value that stays while the other channels move, or ends in an impossible jump."""
+    """Find a value that stays while the other channels move, or ends in an impossible jump."""
     v = channel.values
     t = channel.time_s
     others = _others(run, channel)
@@ -644,7 +644,7 @@ class _Place(NamedTuple):
 
 
 def copies(runs: list[Run]) -> tuple[list[Run], list[Finding]]:
-    """Returns runs without copies, and the copies: equal stretches of all speeds of a clock.
+    """Return runs without copies, and the copies: equal stretches of all speeds of a clock.
 
     Copies are found within a run and between runs. The later one is taken out.
     """
@@ -701,7 +701,7 @@ def _speed_groups(runs: list[Run]) -> list[_Group]:
 
 
 def _windows_in_a_row(pairs: list[tuple[int, _Place]]) -> int:
-    """Returns how many pairs from the first on continue the same copy."""
+    """Return how many pairs from the first on continue the same copy."""
     k, original = pairs[0]
     count = 1
     while count < len(pairs) and pairs[count] == (
@@ -713,7 +713,7 @@ def _windows_in_a_row(pairs: list[tuple[int, _Place]]) -> int:
 
 
 def _windows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns a hash of every window of samples, and how often its rows change."""
+    """Return a hash of every window of samples, and how often its rows change."""
     count = max(len(rows) - limit.COPY_SAMPLES + 1, 0)
     plain = np.nan_to_num(rows, nan=-1.0)
     window_hash = np.array(

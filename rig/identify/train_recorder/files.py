@@ -42,7 +42,7 @@ class Column(NamedTuple):
 
 
 def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str, Column]:
-    """Returns the columns of a file that have these names.
+    """Return the columns of a file that have these names.
 
     `head` holds the keys `separator` and `decimal` of dataset.toml, and for the column of the
     stamps its name `time` and its unit `time_unit`. MDF4 and rosbag2 need none of these keys: their
@@ -83,7 +83,7 @@ def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str,
 
 
 def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
-    """Returns the names of the columns of a CSV or Parquet file.
+    """Return the names of the columns of a CSV or Parquet file.
 
     The list is empty for other files: their channels must be in dataset.toml.
     """
@@ -98,7 +98,7 @@ def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
 
 
 def _check_column(path: Path, name: str, names: list[str]) -> None:
-    """Raises ConfigError unless a name is there exactly once."""
+    """Raise ConfigError unless a name is there exactly once."""
     if names.count(name) > 1:
         raise ConfigError(
             f"{path}: column '{name}' is there {names.count(name)} times; give each column a "
@@ -115,7 +115,7 @@ def _check_column(path: Path, name: str, names: list[str]) -> None:
 
 
 def _read_mdf(path: Path, names: Sequence[str]) -> dict[str, Column]:
-    """Returns the columns of an MDF4 file. Raises ConfigError."""
+    """Return the columns of an MDF4 file. Raises ConfigError."""
     signals = mdf.channels(path, tuple(names))
     for name in names:
         _check_column(path, name, list(signals))
@@ -134,7 +134,7 @@ def _read_mdf(path: Path, names: Sequence[str]) -> dict[str, Column]:
 
 
 def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, str]]:
-    """Returns the table, and the units by column where the second line holds units."""
+    """Return the table, and the units by column where the second line holds units."""
     try:
         all_lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -175,7 +175,7 @@ def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, 
 
 
 def _units_of_line(names: list[str], line: list[str], time_name: str) -> dict[str, str]:
-    """Returns the units by column if this line is a line of units, else an empty dict.
+    """Return the units by column if this line is a line of units, else an empty dict.
 
     It is one if it has a unit of time in the column of the stamps. If no column has that name, the
     first column counts.
@@ -189,7 +189,7 @@ def _units_of_line(names: list[str], line: list[str], time_name: str) -> dict[st
 
 
 def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> np.ndarray:
-    """Returns stamps (n,) in s, NaN where there is none."""
+    """Return stamps (n,) in s, NaN where there is none."""
     types = pa.types
     if types.is_string(values.type) or types.is_large_string(values.type):
         # Text with an offset from UTC fails without a zone and is read with the zone UTC. Text
@@ -218,12 +218,12 @@ def _seconds(path: Path, values: pa.ChunkedArray, name: str, unit_s: float) -> n
 
 
 def _nanoseconds(values: pa.ChunkedArray) -> np.ndarray:
-    """Returns counts (n,) of a column of durations or times in ns."""
+    """Return counts (n,) of a column of durations or times in ns."""
     return np.asarray(values.cast(pa.int64()).to_numpy(), float)
 
 
 def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
-    """Returns a column as numbers (n,), NaN where there is none."""
+    """Return a column as numbers (n,), NaN where there is none."""
     try:
         # safe=False allows rounding: a float holds a count of ns since 1970 to about 0.3 us only
         numbers = values.cast(pa.float64(), safe=False)
@@ -239,7 +239,7 @@ def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
 
 
 def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
-    """Returns the columns of a rosbag2 recording. Raises ConfigError."""
+    """Return the columns of a rosbag2 recording. Raises ConfigError."""
     try:
         from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_typestore
@@ -276,7 +276,7 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
 
 
 def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float, float]]]) -> None:
-    """Appends (stamp s, value) of every message to the samples of its fields."""
+    """Append (stamp s, value) of every message to the samples of its fields."""
     topic_of = {}
     fields_of = {}  # path from the message to the number, field by field
     for name in samples:

@@ -164,7 +164,7 @@ class _ChannelSource(NamedTuple):
 
 
 def load(folder: Path | str) -> Recording:
-    """Returns the recording of a folder, or of a packaged dataset by its name.
+    """Return the recording of a folder, or of a packaged dataset by its name.
 
     Raises ConfigError with the file, the key and the remedy.
     """
@@ -197,7 +197,7 @@ def load(folder: Path | str) -> Recording:
 
 
 def _read_runs(place: Path, path: Path, run_tables: Any) -> list[dict[str, Any]]:
-    """Returns the rows of [[run]] after their checks."""
+    """Return the rows of [[run]] after their checks."""
     are_tables = isinstance(run_tables, list) and all(
         isinstance(row, Mapping) for row in run_tables
     )
@@ -228,7 +228,7 @@ def _read_runs(place: Path, path: Path, run_tables: Any) -> list[dict[str, Any]]
 
 
 def _parse_key(key: str) -> _Key | None:
-    """Returns the parts of a channel's key; None for any other key."""
+    """Return the parts of a channel's key; None for any other key."""
     for kind in KEYS:
         match = re.fullmatch(kind.pattern, key)
         if match is None:
@@ -244,7 +244,7 @@ def _parse_key(key: str) -> _Key | None:
 def _read_channels(
     tables: Mapping[str, Any], head: Mapping[str, Any], where: str
 ) -> tuple[_Stamps, list[_ChannelSource]]:
-    """Returns column and unit of the stamps, and the channels."""
+    """Return column and unit of the stamps, and the channels."""
     stamps = _Stamps("time_s", "s")
     sources = []
     for key, content in tables.items():
@@ -273,7 +273,7 @@ def _read_channels(
 def _channel_source(
     key: str, row: Mapping[str, Any], head: Mapping[str, Any], where: str
 ) -> _ChannelSource:
-    """Returns one channel of [channels]: its key and the row under it."""
+    """Return one channel of [channels]: its key and the row under it."""
     kind = _parse_key(key)
     if kind is None:
         raise ConfigError(
@@ -309,7 +309,7 @@ def _channel_source(
 def _load_channels(
     path: Path, head: Mapping[str, Any], sources: list[_ChannelSource]
 ) -> dict[str, Channel]:
-    """Returns the channels of a file by name, in SI units, with stamps from the first sample on."""
+    """Return the channels of a file by name, in SI units, with stamps from the first sample on."""
     columns = files.read(path, [source.column for source in sources], head)
     first_s = min(float(column.time_s.min()) for column in columns.values() if column.time_s.size)
 
@@ -336,7 +336,7 @@ def _load_channels(
 
 
 def _scale(path: Path, source: _ChannelSource, column: files.Column) -> float:
-    """Returns the factor to SI units; a unit in the file wins over the unit in the key."""
+    """Return the factor to SI units; a unit in the file wins over the unit in the key."""
     file_unit = column.unit.replace(" ", "")
     if file_unit not in UNITS:
         return source.scale
@@ -351,7 +351,7 @@ def _scale(path: Path, source: _ChannelSource, column: files.Column) -> float:
 
 
 def quantum(values: np.ndarray) -> float:
-    """Returns the decimal step to which most values are rounded; 0 where there is none."""
+    """Return the decimal step to which most values are rounded; 0 where there is none."""
     known = values[np.isfinite(values)]
     if not known.size:
         return 0.0

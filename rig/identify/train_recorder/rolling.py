@@ -97,7 +97,7 @@ class Aligned(NamedTuple):
 
 
 def align(run: Run, delay_s: dict[str, float], radius: dict[str, float]) -> Aligned:
-    """Returns a run with the known delays and radii of its channels corrected [R1]."""
+    """Return a run with the known delays and radii of its channels corrected [R1]."""
     speeds = run.of("speed")
     base = max(speeds, key=lambda channel: np.isfinite(channel.values).sum())
     time_s = base.time_s - delay_s.get(base.name, 0.0)
@@ -124,7 +124,7 @@ def align(run: Run, delay_s: dict[str, float], radius: dict[str, float]) -> Alig
 
 
 def slope(time_s: np.ndarray, values: np.ndarray, half_s: float = 1.0) -> np.ndarray:
-    """Returns the least-squares slope in a window around each sample; NaN where a third is missing.
+    """Return the least-squares slope in a window around each sample; NaN where a third is missing.
 
     The window reaches `half_s` to both sides. Its sums are differences of running sums.
     """
@@ -153,7 +153,7 @@ def slope(time_s: np.ndarray, values: np.ndarray, half_s: float = 1.0) -> np.nda
 
 
 def quiet(a: Aligned) -> np.ndarray:
-    """Returns where nobody brakes hard and the wheels turn, flags (n,)."""
+    """Return where nobody brakes hard and the wheels turn, flags (n,)."""
     v = a.vehicle
     is_steady = np.abs(slope(a.time_s, v)) < limit.QUIET_M_S2
     turns = v > limit.SLOWEST_M_S
@@ -161,7 +161,7 @@ def quiet(a: Aligned) -> np.ndarray:
 
 
 def _brakes_hard(a: Aligned) -> np.ndarray:
-    """Returns where the brake demand is high, flags (n,); nowhere if no demand is recorded."""
+    """Return where the brake demand is high, flags (n,); nowhere if no demand is recorded."""
     known = np.isfinite(a.demand)
     most = np.nanmax(a.demand) if known.any() else 0.0
     if most <= 0.0:
@@ -170,7 +170,7 @@ def _brakes_hard(a: Aligned) -> np.ndarray:
 
 
 def fit(runs: list[Run]) -> tuple[list[Aligned], list[Finding]]:
-    """Returns all runs with delays and radii corrected, and the findings about both.
+    """Return all runs with delays and radii corrected, and the findings about both.
 
     Delays and radii are estimated alternately, because each needs the other.
     """
@@ -227,7 +227,7 @@ class _DelaySearch:
             self._compare_reference(self.reference)
 
     def _compare_pair(self) -> None:
-        """Compares two speeds: the later one is taken as wrong."""
+        """Compare two speeds: the later one is taken as wrong."""
         first, second = self.names
         lag = self._estimate(first, [second])
         if lag is None:
@@ -240,7 +240,7 @@ class _DelaySearch:
             self._decide(late, lag, other)
 
     def _compare_with_median(self) -> None:
-        """Compares each speed with the median of all speeds."""
+        """Compare each speed with the median of all speeds."""
         for name in self.names:
             lag = self._estimate(name, self.names)
             if lag is None:
@@ -249,7 +249,7 @@ class _DelaySearch:
                 self._decide(name, lag, "")
 
     def _compare_reference(self, reference: str) -> None:
-        """Compares the reference with the median of the speeds that are not late."""
+        """Compare the reference with the median of the speeds that are not late."""
         right = [name for name in self.names if name not in self.delays]
         lag = self._estimate(reference, right) if right else None
         if lag is None:
@@ -264,7 +264,7 @@ class _DelaySearch:
         return _lag(self.aligned, self.radii, name, against, self._rng)
 
     def _decide(self, name: str, lag: Lag, against: str) -> None:
-        """Reports a lag beyond the delay that is normal for the channel; else only corrects it."""
+        """Report a lag beyond the delay that is normal for the channel; else only corrects it."""
         normal_s = max(self.channels[name].delay_s, 0.0)
         is_late = lag.low_s > normal_s + limit.LATE_S
         is_early = lag.high_s < -limit.LATE_S and len(self.names) > 2 and name != self.reference
@@ -292,7 +292,7 @@ class _DelaySearch:
 def _delays(
     runs: list[Run], radii: list[dict[str, float]]
 ) -> tuple[dict[str, float], list[Finding]]:
-    """Returns the delay of each late channel, s, and the findings."""
+    """Return the delay of each late channel, s, and the findings."""
     search = _DelaySearch(runs, radii)
     search.search()
     return search.delays, search.found
@@ -305,7 +305,7 @@ def _lag(
     against: list[str],
     rng: np.random.Generator,
 ) -> Lag | None:
-    """Returns how late a channel is against the median of others; None where nothing changes."""
+    """Return how late a channel is against the median of others; None where nothing changes."""
     block_costs: list[np.ndarray] = []
     total = sum(a.time_s.size for a in aligned)
     every = max(total // _MOST_SAMPLES, 1)
@@ -349,7 +349,7 @@ def _lag(
 
 
 def _least_cost(cost: np.ndarray) -> np.ndarray:
-    """Returns the delay of the least cost of each row, by a parabola through three points."""
+    """Return the delay of the least cost of each row, by a parabola through three points."""
     k = np.clip(np.argmin(cost, axis=1), 1, cost.shape[1] - 2)
     row = np.arange(len(cost))
     before = cost[row, k - 1]
@@ -382,7 +382,7 @@ class _Level(NamedTuple):
 def _radii(
     runs: list[Run], delays: dict[str, float]
 ) -> tuple[list[dict[str, float]], list[Finding]]:
-    """Returns rho of each channel in each run, and the statistically significant findings."""
+    """Return rho of each channel in each run, and the statistically significant findings."""
     aligned = [align(run, delays, {}) for run in runs]
     groups: dict[tuple[str, str], list[Aligned]] = {}
     for a in aligned:
@@ -420,7 +420,7 @@ def _radii(
 
 
 def wheels(group: list[Aligned]) -> dict[str, Wheel]:
-    """Returns rho of each speed over the runs of one vehicle and date [R1]."""
+    """Return rho of each speed over the runs of one vehicle and date [R1]."""
     shares_of_blocks: dict[str, list[float]] = {}
     rounding_error: dict[str, float] = {}
     for a in group:
@@ -460,7 +460,7 @@ def wheels(group: list[Aligned]) -> dict[str, Wheel]:
 
 
 def _base_speed(a: Aligned) -> np.ndarray | None:
-    """Returns the speed to compare with: the vehicle's or the second of two; None for one speed."""
+    """Return the speed to compare with: the vehicle's or the second of two; None for one speed."""
     if not a.has_reference:
         if len(a.names) == 1:
             return None
@@ -472,7 +472,7 @@ def _base_speed(a: Aligned) -> np.ndarray | None:
 def _judge_radius(
     channels: tuple[str, ...], vehicle_id: str, dates: dict[str, Wheel], tests: int
 ) -> tuple[list[Finding], dict[str, float]]:
-    """Returns the findings about the radius of one speed and its steps, and rho by date."""
+    """Return the findings about the radius of one speed and its steps, and rho by date."""
     levels = _levels(dates, tests)
     found = []
     first = levels[0]
@@ -495,7 +495,7 @@ def _judge_radius(
 
 
 def _levels(dates: dict[str, Wheel], tests: int) -> list[_Level]:
-    """Returns the levels of a radius: a date that differs significantly begins a new one."""
+    """Return the levels of a radius: a date that differs significantly begins a new one."""
     levels: list[list[tuple[str, Wheel]]] = []
     for date, wheel in dates.items():
         if levels:
@@ -518,7 +518,7 @@ def _radius_finding(
     vehicle_id: str,
     until: str | None,
 ) -> Finding:
-    """Returns a finding with its size in % of the radius."""
+    """Return a finding with its size in % of the radius."""
     quantile = float(student.ppf(0.975, max(wheel.blocks - 1, 2)))
     half = wheel.error * quantile
     # a wheel that is smaller than assumed turns faster: the signs differ
@@ -546,7 +546,7 @@ def _difference(wheel: Wheel, other: Wheel) -> Wheel:
 
 
 def _mean(level: list[Wheel]) -> Wheel:
-    """Returns the mean, weighted by the inverse variances."""
+    """Return the mean, weighted by the inverse variances."""
     weight = np.array([1.0 / wheel.error**2 for wheel in level])
     return Wheel(
         radius=float(np.sum(weight * [wheel.radius for wheel in level]) / weight.sum()),

@@ -74,7 +74,7 @@ class _Deceleration(NamedTuple):
 
 
 def vehicle(a: Aligned) -> np.ndarray:
-    """Returns the speed of the vehicle also while wheels slide, m/s [S1]."""
+    """Return the speed of the vehicle also while wheels slide, m/s [S1]."""
     known = np.isfinite(a.speed)
     some = known.any(axis=1)
     fastest = np.max(np.where(known, a.speed, -np.inf), axis=1)
@@ -90,7 +90,7 @@ def vehicle(a: Aligned) -> np.ndarray:
 
 
 def scatter(a: Aligned) -> np.ndarray:
-    """Returns how each speed scatters about the vehicle's without hard braking, m/s, (m,)."""
+    """Return how each speed scatters about the vehicle's without hard braking, m/s, (m,)."""
     is_quiet = rolling.quiet(a)
     v = a.vehicle
     deviations = []
@@ -105,7 +105,7 @@ def scatter(a: Aligned) -> np.ndarray:
 
 
 def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
-    """Returns the slides of all runs, and for each run where each speed slides, flags (n, m)."""
+    """Return the slides of all runs, and for each run where each speed slides, flags (n, m)."""
     slides: list[Slide] = []
     flags = []
     for number_of_run, a in enumerate(aligned):
@@ -131,7 +131,7 @@ def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
 
 
 def _sliding_flags(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Returns where each speed slides for long enough in braking, flags (n, m)."""
+    """Return where each speed slides for long enough in braking, flags (n, m)."""
     by_speed = np.maximum(limit.SLIDE_M_S, limit.SLIDE_SHARE * v)[:, None]
     threshold = np.maximum(by_speed, limit.SLIDE_DEVIATIONS * noise)
     flag = np.where(np.isfinite(sliding), sliding > threshold, False)
@@ -150,7 +150,7 @@ def _sliding_flags(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.nda
 
 
 def _episodes(a: Aligned, any_slides: np.ndarray) -> list[tuple[int, int]]:
-    """Returns first and last sample of each episode; slides less than 2 s apart are one episode."""
+    """Return first and last sample of each episode; slides less than 2 s apart are one episode."""
     episodes: list[tuple[int, int]] = []
     for first, last in stretches(any_slides):
         if episodes:
@@ -173,7 +173,7 @@ def _slide(
     first: int,
     last: int,
 ) -> Slide:
-    """Returns one episode; its size is the largest sliding."""
+    """Return one episode; its size is the largest sliding."""
     part = slice(first, last + 1)
     within = np.where(slides_at[part], sliding[part], 0.0)
     worst = int(np.argmax(within.max(axis=0)))
@@ -205,7 +205,7 @@ def _slide(
 
 
 def _adhesion(a: Aligned, v: np.ndarray, first: int, last: int) -> AdhesionUsed:
-    """Returns the mean adhesion used and its bounds, by the deceleration over the episode [S2]."""
+    """Return the mean adhesion used and its bounds, by the deceleration over the episode [S2]."""
     middle_s = 0.5 * (a.time_s[first] + a.time_s[last])
     half_s = max(1.0, 0.5 * (a.time_s[last] - a.time_s[first]))
     near = np.abs(a.time_s - middle_s) <= half_s + 0.5 * a.step_s
@@ -227,7 +227,7 @@ def _adhesion(a: Aligned, v: np.ndarray, first: int, last: int) -> AdhesionUsed:
 
 
 def _deceleration_by_reference(a: Aligned, v: np.ndarray, samples: np.ndarray) -> _Deceleration:
-    """Returns the slope of a straight line through the speed of the vehicle."""
+    """Return the slope of a straight line through the speed of the vehicle."""
     t = a.time_s[samples] - a.time_s[samples].mean()
     deceleration = -float(t @ v[samples] / (t @ t))
     rest = v[samples] - v[samples].mean() + deceleration * t
@@ -240,7 +240,7 @@ def _deceleration_by_reference(a: Aligned, v: np.ndarray, samples: np.ndarray) -
 def _deceleration_by_wheels(
     a: Aligned, v: np.ndarray, first: int, last: int
 ) -> _Deceleration | None:
-    """Returns the deceleration between two moments before and after the slide when all wheels roll.
+    """Return the deceleration between two moments before and after the slide when all wheels roll.
 
     The result is None where there is no such moment, or only a single speed.
     """
@@ -274,7 +274,7 @@ class _Span(NamedTuple):
 
 
 def places(aligned: list[Aligned], slides: list[Slide]) -> list[Finding]:
-    """Returns the places where significantly many runs slide.
+    """Return the places where significantly many runs slide.
 
     By chance, each run would slide anywhere on the track on which it braked. This is simulated: the
     slides of a run are shifted together along its braked track, which is closed to a ring.
@@ -337,7 +337,7 @@ def places(aligned: list[Aligned], slides: list[Slide]) -> list[Finding]:
 
 
 def _braked_track(a: Aligned, spans: list[_Span]) -> _Span:
-    """Returns the positions between which a run brakes or slides."""
+    """Return the positions between which a run brakes or slides."""
     change_m_s2 = np.nan_to_num(rolling.slope(a.time_s, a.vehicle))
     is_braked = np.isfinite(a.position) & (change_m_s2 < _BRAKED_TRACK_M_S2)
     positions = [*a.position[is_braked]]
@@ -352,7 +352,7 @@ def _runs_that_slide(
     braked: dict[int, _Span],
     shift_m: dict[int, float],
 ) -> np.ndarray:
-    """Returns how many runs slide in each step of the grid, with the slides of each run shifted."""
+    """Return how many runs slide in each step of the grid, with the slides of each run shifted."""
     count = np.zeros(grid_m.size)
     for run, run_spans in spans.items():
         track = braked[run]

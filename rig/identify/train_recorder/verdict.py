@@ -51,7 +51,7 @@ class Account(NamedTuple):
 
 
 def explain(recording: Recording) -> Account:
-    """Returns the explanation of a recording."""
+    """Return the explanation of a recording."""
     begun_s = time.perf_counter()
     found: list[Finding] = []
 
@@ -92,7 +92,7 @@ def _has_speed(run: Run) -> bool:
 
 
 def _unexplained_blocks(a: Aligned, sliding: np.ndarray) -> list[Finding]:
-    """Returns blocks in which a speed is off or rough beyond chance and braking wheels."""
+    """Return blocks in which a speed is off or rough beyond chance and braking wheels."""
     noise = slides.scatter(a)
     reach = round(_AROUND_SLIDES_S / a.step_s)
     near_slide = np.convolve(sliding.any(axis=1), np.ones(2 * reach + 1), "same") > 0.0
@@ -122,7 +122,7 @@ def _unexplained_blocks(a: Aligned, sliding: np.ndarray) -> list[Finding]:
 
 
 def _comparison(a: Aligned) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Returns the speed to compare with, and the speeds that are compared with it.
+    """Return the speed to compare with, and the speeds that are compared with it.
 
     Without a reference a single speed shows nothing about itself, and two speeds only show how the
     first differs from the second.
@@ -143,7 +143,7 @@ def _offset_finding(
     change_m_s2: np.ndarray,
     noise_m_s: float,
 ) -> Finding | None:
-    """Returns a finding if the mean of a block is off; a braked wheel may be a little slower."""
+    """Return a finding if the mean of a block is off; a braked wheel may be a little slower."""
     mean = float(offset[part].mean())
     mean_speed = float(base[part].mean())
     # a quarter of the samples counts as independent
@@ -170,7 +170,7 @@ def _offset_finding(
 def _scatter_finding(
     a: Aligned, name: str, part: np.ndarray, scatter: float, usual: float
 ) -> Finding | None:
-    """Returns a finding if a speed scatters much more in a block than usual."""
+    """Return a finding if a speed scatters much more in a block than usual."""
     if scatter <= limit.ROUGH * usual or scatter <= limit.LEFT_M_S:
         return None
     return _unknown(
@@ -210,7 +210,7 @@ def _unknown(
 
 
 def _join_blocks(found: list[Finding]) -> list[Finding]:
-    """Makes one finding of successive blocks of a channel; its size is the larger one."""
+    """Make one finding of successive blocks of a channel; its size is the larger one."""
     joined: list[Finding] = []
     for finding in found:
         if joined and _follows(finding, joined[-1]):

@@ -38,12 +38,12 @@ class ContactResult(NamedTuple):
     mz: float  # over mu N sqrt(a b)
 
     def distance(self, fx, fy):
-        """Returns how far a force, also over mu N, is from that of CONTACT."""
+        """Return how far a force, also over mu N, is from that of CONTACT."""
         return math.hypot(fx - self.fx, fy - self.fy)
 
 
 def contact_results():
-    """Returns all results, one for each combination of creepages and spin."""
+    """Return all results, one for each combination of creepages and spin."""
     with _FILE.open() as file:
         lines = [line for line in file if not line.startswith("#")]
     results = []

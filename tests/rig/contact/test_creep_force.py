@@ -30,7 +30,7 @@ LIMIT_N = MU * LOAD_N
 
 
 def patch_of(roller_m, lateral_m):
-    """Returns the patch of a wheel on a roller, or on a rail with an infinite radius."""
+    """Return the patch of a wheel on a roller, or on a rail with an infinite radius."""
     return patch_for(
         wheel_radius_m=0.445,
         roller_radius_m=roller_m,
@@ -49,14 +49,14 @@ each_patch = pytest.mark.parametrize("patch", PATCHES)
 
 
 def force(model, xi, eta, phi_1_m, patch=RAIL_PATCH, law=CLEAN, sliding_m_s=0.0, load_N=LOAD_N):
-    """Returns force and moment (3,) of a model."""
+    """Return force and moment (3,) of a model."""
     return np.array(
         creep_force.creep_force(model, xi, eta, phi_1_m, sliding_m_s, load_N, patch, law)
     )
 
 
 def size_m(patch):
-    """Returns the geometric mean of the semi-axes under the load."""
+    """Return the geometric mean of the semi-axes under the load."""
     return math.sqrt(patch.a1 * patch.b1) * LOAD_N ** (1 / 3)
 
 

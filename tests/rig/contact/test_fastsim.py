@@ -21,7 +21,7 @@ each_patch = pytest.mark.parametrize(
 
 
 def force_over_limit(xi, eta, phi_1_m, cells, patch=CONTACT_PATCH):
-    """Returns the force over mu N and the moment over mu N sqrt(a b), shape (3,)."""
+    """Return the force over mu N and the moment over mu N sqrt(a b), shape (3,)."""
     fx, fy, mz = fastsim.force(xi, eta, phi_1_m, MU, LOAD_N, patch, cells, cells)
     size_m = math.sqrt(patch.a1 * patch.b1) * LOAD_N ** (1.0 / 3.0)
     return np.array((fx, fy, mz / size_m)) / (MU * LOAD_N)

@@ -52,7 +52,7 @@ REFERENCES = [
 
 
 def patch(A, B, load_N=LOAD_N):
-    """Returns semi-axes along and across, largest pressure and approach of a patch."""
+    """Return semi-axes along and across, largest pressure and approach of a patch."""
     return hertz.semi_axes(A, B, load_N, E_PA, NU)
 
 

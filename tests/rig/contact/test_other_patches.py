@@ -84,13 +84,13 @@ class Judge:
         self.spin_unit_1_m = self.creepage_unit / math.sqrt(a_m * b_m)
 
     def in_units(self, xi, eta, phi=0.0):
-        """Returns creepages and spin (3,) of numbers in the units above."""
+        """Return creepages and spin (3,) of numbers in the units above."""
         return np.array(
             [self.creepage_unit * xi, self.creepage_unit * eta, self.spin_unit_1_m * phi]
         )
 
     def force(self, model, creepages_and_spin):
-        """Returns force and moment (3,) of a model."""
+        """Return force and moment (3,) of a model."""
         return np.array(
             creep_force.creep_force(
                 model, *creepages_and_spin, 0.0, self.load_N, self.patch, self.law
@@ -98,7 +98,7 @@ class Judge:
         )
 
     def distance(self, model, xi, eta, phi=0.0):
-        """Returns |dF| / (mu N) between a model and the half-space; inputs as in `in_units`."""
+        """Return |dF| / (mu N) between a model and the half-space; inputs as in `in_units`."""
         creepages_and_spin = self.in_units(xi, eta, phi)
         fx, fy, _ = self.force(model, creepages_and_spin)
         exact_x, exact_y = self.half_space.force(*creepages_and_spin, self.limit_N)

@@ -37,13 +37,13 @@ EPS_PER_CREEPAGE = 140.0
 
 
 def adhesion(eps, mu, k_a, k_s):
-    """Returns the force over the load at a stress gradient."""
+    """Return the force over the load at a stress gradient."""
     shape, _ = polach.shape(eps, k_a, k_s)
     return mu * shape
 
 
 def slope(eps, mu, k_a, k_s):
-    """Returns the derivative of `adhesion` to eps."""
+    """Return the derivative of `adhesion` to eps."""
     _, shape_slope = polach.shape(eps, k_a, k_s)
     return mu * shape_slope
 

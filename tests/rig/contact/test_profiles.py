@@ -19,7 +19,7 @@ STEPS_MM = np.array([-39.76, -38.43, -35.0, -26.0])
 
 
 def places_m(wheel):
-    """Returns the places across of the fine nodes of a wheel."""
+    """Return the places across of the fine nodes of a wheel."""
     return wheel.start_m + wheel.spacing_m * np.arange(len(wheel.fine))
 
 
@@ -103,7 +103,7 @@ def test_smoothing_removes_noise_from_the_slopes_and_reports_the_shift_of_the_po
 
 
 def _write(path: Path, rows) -> Path:
-    """Writes a profile in mm, and returns its path."""
+    """Write a profile in mm, and return its path."""
     lines = ["s_mm,z_mm", *(f"{s_mm:.6f},{z_mm:.6f}" for s_mm, z_mm in rows)]
     path.write_text("\n".join(lines) + "\n")
     return path

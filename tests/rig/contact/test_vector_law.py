@@ -52,7 +52,7 @@ def inverse_cube_root(u):
 
 @kernel
 def recovered_adhesion(sliding, speed, load, patch, law):
-    """Returns (f, lambda, inside) of one wheel by `vector_law`."""
+    """Return (f, lambda, inside) of one wheel by `vector_law`."""
     eps_mu = vector_law.eps_mu(sliding, speed, load, patch.eps1)
     f_d = vector_law.curve(sliding, eps_mu, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
     f_r = vector_law.curve(sliding, eps_mu, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
@@ -67,7 +67,7 @@ def laws():
 
 
 def contacts():
-    """Yields random contacts (sliding m/s, speed m/s, load N), from micro-slip to a lock."""
+    """Yield random contacts (sliding m/s, speed m/s, load N), from micro-slip to a lock."""
     rng = np.random.default_rng(5)
     for _ in range(400):
         speed = 10.0 ** rng.uniform(-1.0, 2.0)

@@ -68,7 +68,7 @@ def replace_in_toml(copy: Path, old: str, new: str) -> None:
 
 
 def keep_runs(copy: Path, names: Sequence[str]) -> None:
-    """Removes all other runs from the data set."""
+    """Remove all other runs from the data set."""
     path = copy / "dataset.toml"
     head, *runs = path.read_text().split("[[run]]")
     remaining = []
@@ -82,7 +82,7 @@ def keep_runs(copy: Path, names: Sequence[str]) -> None:
 
 
 def scaled(factor: float, names: Sequence[str]) -> Defect:
-    """Multiplies some columns by a factor."""
+    """Multiply some columns by a factor."""
 
     def defect(columns: Columns) -> Columns:
         for name in names:
@@ -106,7 +106,7 @@ def delayed(names: Sequence[str], samples: int) -> Defect:
 
 
 def with_clock(clock: Callable[[np.ndarray], np.ndarray]) -> Defect:
-    """Replaces the times by a function of them."""
+    """Replace the times by a function of them."""
 
     def defect(columns: Columns) -> Columns:
         columns["time_s"] = clock(columns["time_s"])
@@ -116,7 +116,7 @@ def with_clock(clock: Callable[[np.ndarray], np.ndarray]) -> Defect:
 
 
 def with_rows(select: Callable[[np.ndarray], np.ndarray]) -> Defect:
-    """Selects rows; `select` maps the numbers of all rows to those of the selected ones."""
+    """Select rows; `select` maps the numbers of all rows to those of the selected ones."""
 
     def defect(columns: Columns) -> Columns:
         rows = select(np.arange(columns["time_s"].size))
@@ -331,7 +331,7 @@ def replace_run_a2_by_mdf(
     samplings: dict[str, Sampling] | None = None,
     units: dict[str, str] | None = None,
 ) -> None:
-    """Writes the run a2 as MDF4 in place of CSV.
+    """Write the run a2 as MDF4 in place of CSV.
 
     samplings: how channels are sampled, by name; the others as in the CSV file.
     units: units of channels, by name; the others have none.

@@ -8,6 +8,7 @@ import tomli_w
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
+from rollerrig.realtime.reports import proposed_stops
 from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.decide import fitting
@@ -132,7 +133,7 @@ def test_every_possible_stop_is_a_sequence_that_is_accepted(
 ) -> None:
     for k, stop in enumerate(speed_or_time.stops):
         proposal = planning.Proposal(stop, NAMES, 1.0, 2.0)
-        text = tomli_w.dumps(planning.sequence(proposal, fitted))
+        text = tomli_w.dumps(proposed_stops.sequence(proposal, fitted))
         (tmp_path / f"next_{k}.toml").write_text(text)
     assert cli.main(["sequence", str(tmp_path), "--check"]) == 0
     capsys.readouterr()
@@ -144,7 +145,7 @@ def test_the_bench_runs_sliding_at_a_steady_speed(
     stop = next(stop for stop in speed_or_time.stops if stop.axle)
     file = tmp_path / "next_1.toml"
     proposal = planning.Proposal(stop, NAMES, 1.0, 2.0)
-    file.write_text(tomli_w.dumps(planning.sequence(proposal, fitted)))
+    file.write_text(tomli_w.dumps(proposed_stops.sequence(proposal, fitted)))
     written = tomllib.loads(file.read_text())
     assert written["start"]["tables"]["rig"]["mode"] == "track"
 

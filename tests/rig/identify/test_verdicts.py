@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from rollerrig.realtime.reports import cause_sentences
+from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.decide import choice, decision, estimates, evidence
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.evidence import ScoreTest
-from rollerrig.rig.identify.decide.notes import NoteCode
+from rollerrig.rig.identify.decide.notes import Note, NoteCode
 
 
 def score_test(name: str, statistic: float) -> ScoreTest:
@@ -78,6 +79,13 @@ def test_no_cause_and_no_remainder_is_consistent() -> None:
     remainder = [score_test("along time", 100.0)]
     verdict, _ = decision.decide_verdict([], remainder, None)
     assert verdict == "unexplained"
+
+
+def test_every_cause_whose_shape_other_runs_do_not_show_has_a_note_on_the_gain() -> None:
+    for row in table.TABLE:
+        if row.unknown_in_other_runs:
+            note = Note(NoteCode.GAIN_NOT_JUDGED, causes=(row.name,))
+            assert "the gain cannot be judged there" in cause_sentences.note_sentence(note)
 
 
 def test_two_causes_that_leave_a_large_remainder_are_noted_and_not_reported() -> None:

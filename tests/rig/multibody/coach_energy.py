@@ -22,13 +22,13 @@ from rollerrig.rig.multibody.links import (
 
 @kernel
 def total_J(motion, coach):
-    """Returns the energy in the coach plus the energy that has left it, which is constant."""
+    """Return the energy in the coach plus the energy that has left it, which is constant."""
     return stored_J(motion, coach) + dissipated_J(motion)
 
 
 @kernel
 def stored_J(motion, coach):
-    """Returns the energy in the coach: kinetic, springs and stops, weight, contacts.
+    """Return the energy in the coach: kinetic, springs and stops, weight, contacts.
 
     It is 0 for a coach at rest whose links are not deformed.
     """
@@ -42,7 +42,7 @@ def stored_J(motion, coach):
 
 @kernel
 def dissipated_J(motion):
-    """Returns the energy that has left since the start: sliding, brakes, dampers, resistance."""
+    """Return the energy that has left since the start: sliding, brakes, dampers, resistance."""
     return (
         motion.sliding_work.sum()
         + motion.brake_work.sum()
@@ -54,7 +54,7 @@ def dissipated_J(motion):
 
 @kernel
 def contacts_J(motion, coach):
-    """Returns the elastic energy of all contacts of the last step, 2/5 k_h p^(5/2) each."""
+    """Return the elastic energy of all contacts of the last step, 2/5 k_h p^(5/2) each."""
     energy_J = 0.0
     for wheel in range(WHEELS):
         first = MOST * wheel
@@ -68,7 +68,7 @@ def contacts_J(motion, coach):
 
 @kernel_inlined
 def links_J(q, links):
-    """Returns the energy of springs and stops, preload included."""
+    """Return the energy of springs and stops, preload included."""
     energy_J = 0.0
     row = links.row
     for i in range(row.shape[0]):

@@ -41,7 +41,7 @@ ROTATION = slice(BEFORE_WHEELSETS + PITCH, None, PER_BODY)
 
 
 def _sections(vehicle=None, **multibody):
-    """Returns the parameter sections of a coach with these changes."""
+    """Return the parameter sections of a coach with these changes."""
     return {
         "contact": read(params.ROWS["contact"], {}, "contact"),
         "adhesion": read(params.ROWS["adhesion"], {}, "adhesion"),
@@ -60,12 +60,12 @@ DRY = _law(mu_cd=0.28, k_ad=1.0, k_sd=0.4, gamma_d_s_m=0.6, tau_m_J=0.0)
 
 
 def wheel_loads_N(state):
-    """Returns the vertical load of each wheel, shape (8,)."""
+    """Return the vertical load of each wheel, shape (8,)."""
     return state.wheel_forces[:, wheel_rail_forces.LOAD]
 
 
 def braking_N(state):
-    """Returns the braking force of all wheelsets."""
+    """Return the braking force of all wheelsets."""
     return state.wheelset_forces[:, wheel_rail_forces.BRAKING_N].sum()
 
 
@@ -77,7 +77,7 @@ def mean_speed_m_s(state):
 
 
 def stiffness(of: coach.Coach, move: float = 1e-6) -> np.ndarray:
-    """Returns the stiffness matrix (42, 42) of the suspension at rest, from its forces."""
+    """Return the stiffness matrix (42, 42) of the suspension at rest, from its forces."""
     matrix = np.zeros((COORDINATES, COORDINATES))
     at_rest = np.zeros(COORDINATES)
     for column in range(COORDINATES):
@@ -92,7 +92,7 @@ def stiffness(of: coach.Coach, move: float = 1e-6) -> np.ndarray:
 
 
 def modes(of: coach.Coach) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the modes of car and bogies with fixed wheelsets.
+    """Return the modes of car and bogies with fixed wheelsets.
 
     They are the frequencies in Hz (18,), rising, and the shapes (18, 18).
     """
@@ -151,7 +151,7 @@ class _TableMatrices:
         self._add_spring((5e6, 0.0, 0.0), at_car - at_bogie)
 
     def _displacement(self, body, place_m):
-        """Returns u + theta x r of a point of a body over the 18 coordinates, shape (3, 18)."""
+        """Return u + theta x r of a point of a body over the 18 coordinates, shape (3, 18)."""
         x, y, z = place_m
         first = PER_BODY * body
         matrix = np.zeros((3, 18))

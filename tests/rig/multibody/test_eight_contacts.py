@@ -71,7 +71,7 @@ def put(w, lane, patch):
 
 @kernel
 def force_of_model(contact, law):
-    """Returns the force (fx, fy, mz) of a contact by its model."""
+    """Return the force (fx, fy, mz) of a contact by its model."""
     sliding_m_s = math.sqrt(contact.sx_m_s * contact.sx_m_s + contact.sy_m_s * contact.sy_m_s)
     per_speed = 1.0 / max(abs(contact.surface_m_s), SPEED_FLOOR_M_S)
     share = cleaning_share(sliding_m_s, contact.surface_m_s, law.cleaning_creepage)[0]
@@ -92,7 +92,7 @@ def table_of_patches(model, cells=10):
 
 
 def random_contact(rng, patches, loads_N):
-    """Returns a contact from micro-slip to a lock; some have no spin or lateral creepage."""
+    """Return a contact from micro-slip to a lock; some have no spin or lateral creepage."""
     surface_m_s = 10.0 ** rng.uniform(-1.5, 1.9)
     largest_creepage = 10.0 ** rng.uniform(-6.0, [0.0, -1.0, 0.3])
     signs = rng.choice([-1.0, 1.0], 3)
@@ -113,7 +113,7 @@ def random_contact(rng, patches, loads_N):
 
 
 def filled_lanes(rng, count, patches, loads_N):
-    """Returns lanes with so many random contacts, and the contacts."""
+    """Return lanes with so many random contacts, and the contacts."""
     w = np.full(lanes.SIZE, np.nan)
     contacts = []
     for lane in range(count):
@@ -131,7 +131,7 @@ def filled_lanes(rng, count, patches, loads_N):
 
 
 def force_in(w, lane):
-    """Returns the force (fx, fy, mz) in a lane, shape (3,)."""
+    """Return the force (fx, fy, mz) in a lane, shape (3,)."""
     return w[[lanes.FX + lane, lanes.FY + lane, lanes.MZ + lane]]
 
 
