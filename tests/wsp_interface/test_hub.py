@@ -505,7 +505,7 @@ def test_each_other_protocol_carries_base_extended_and_remote_frames_both_ways(
 def test_a_virtualcan_client_that_sends_more_after_a_wrong_length_repeats_no_frame():
     packet = virtualcan.encode_event(Frame(0x123, b"\x11"))
     wrong_length = b"\xff\xff\xff\xff"
-    session = virtualcan.VirtualcanSession()
+    session = virtualcan.VirtualcanSession("rig0")
     events = []
     for chunk in (packet[:6], packet[6:] + wrong_length, packet[6:]):
         events += session.feed(chunk)
