@@ -20,6 +20,7 @@ from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.multibody import coach, coach_state
 from rollerrig.wsp_interface import signals
 
+# what cyclictest prints: a histogram of latencies in us and their statistics
 PRINTED = """# /dev/cpu_dma_latency set to 0us
 # Histogram
 000000 000000
@@ -35,7 +36,7 @@ PRINTED = """# /dev/cpu_dma_latency set to 0us
 
 
 def punctual(lateness_us, ticks, missed=0):
-    """Return a program that had the same lateness in so many ticks."""
+    """Return the punctuality of a program that is equally late in every tick."""
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     histogram[lateness_us] = ticks
     program = loop_benchmark.Punctuality()
@@ -50,10 +51,12 @@ def test_devices_writes_an_eds_of_every_node_one_dbc_and_the_tables(tmp_path, ca
     assert cli.main(["devices", "--out", str(tmp_path / "new" / "devices"), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
     names = set(printed["files"])
-    nodes = (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE)
-    for node in nodes:
-        assert any(name.startswith(f"node_{node:03d}") and name.endswith(".eds") for name in names)
+
+    descriptions = [name for name in names if name.endswith(".eds")]
+    for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE):
+        assert any(name.startswith(f"node_{node:03d}") for name in descriptions)
     assert {"rig.dbc", "signals.md"} < names
+
     database = cantools.database.load_file(f"{printed['folder']}/rig.dbc")
     assert database.get_message_by_frame_id(0x180 + signals.SPEED_NODE).length == 8
     assert all((tmp_path / "new" / "devices" / name).stat().st_size for name in names)
@@ -84,20 +87,21 @@ def test_quantiles_of_a_thousand_values():
     assert figures.quantiles([]) == {}
 
 
-def test_the_output_of_cyclictest_is_read_with_what_lies_beyond_the_histogram():
-    histogram, worst_ns, late = loop_benchmark.parse(PRINTED, 1000)
+def test_the_output_of_cyclictest_is_read_with_its_latencies_beyond_the_histogram():
+    histogram, worst_ns, missed_deadlines = loop_benchmark.parse(PRINTED, 1000)
     assert histogram.sum() == 1000
     assert histogram[12] == 900
     assert worst_ns == 25_000_000
     # nine latencies of 1.2 ms cost a deadline each, and one beyond the last bin (20 ms) costs 19
-    assert late == 9 * 1 + 19
+    assert missed_deadlines == 9 * 1 + 19
 
 
 def test_only_ticks_that_the_loop_slept_for_are_compared():
     # the second tick is 2.5 ms late, the next two begin late because of it
-    lateness = np.array([10.0, 2500.0, 1550.0, 600.0, 15.0])
-    duration = np.full(5, 50.0)
-    assert loop_benchmark.wakes(lateness, duration, 1000.0).tolist() == [10.0, 2500.0, 15.0]
+    lateness_us = np.array([10.0, 2500.0, 1550.0, 600.0, 15.0])
+    duration_us = np.full(5, 50.0)
+    wakes_us = loop_benchmark.wakes(lateness_us, duration_us, 1000.0)
+    assert wakes_us.tolist() == [10.0, 2500.0, 15.0]
 
 
 def test_a_loop_as_punctual_as_cyclictest_meets_its_targets():
@@ -105,7 +109,7 @@ def test_a_loop_as_punctual_as_cyclictest_meets_its_targets():
     assert all(target["met"] for target in result["targets"])
 
 
-def test_a_loop_that_is_later_than_cyclictest_misses_them():
+def test_a_loop_that_is_later_than_cyclictest_misses_its_targets():
     result = loop_benchmark.compared(punctual(30, 20000), punctual(20, 15000))
     assert [target["met"] for target in result["targets"]] == [False, False, True]
 
@@ -148,7 +152,8 @@ def test_bench_contact_times_every_law(capsys, monkeypatch):
     assert cli.main(["bench", "contact", "--json"]) == 0
     contacts = json.loads(capsys.readouterr().out)["contact"]["contacts"]
     assert contacts["polach"]["ratio"] == 1.0
-    assert all(law["time_ns"] > 1.0 for law in contacts.values())
+    for law in contacts.values():
+        assert law["time_ns"] > 1.0
 
 
 def test_bench_loop_measures_a_real_run(capsys):
@@ -159,7 +164,9 @@ def test_bench_loop_measures_a_real_run(capsys):
 
 
 def test_bench_bus_follows_the_magnets_from_the_frame_to_the_tick():
-    valve, timing = bus.to_valve(4.0)  # on a busy machine its client needs up to 2 s to join
+    # on a busy machine the client needs up to 2 s to join
+    valve, timing = bus.to_valve(4.0)
+
     assert valve["switches"] > 10
     assert 0.0 < valve["from_command_us"]["p50"] <= valve["from_tpdo_us"]["p50"]
     assert timing["last_tpdo_us"]["p50"] > timing["last_tpdo_hub_us"]["p50"] > 0.0
@@ -177,8 +184,8 @@ def test_bench_bus_measures_round_trips_of_the_echo_and_of_a_node():
 def test_a_wrong_benchmark_is_refused_with_status_2(wrong, capsys):
     try:
         status = cli.main(wrong)
-    except SystemExit as left:
-        status = left.code
+    except SystemExit as request:
+        status = request.code
     assert status == 2
     assert capsys.readouterr().err
 
@@ -186,30 +193,46 @@ def test_a_wrong_benchmark_is_refused_with_status_2(wrong, capsys):
 # -- the coach
 
 
+class RecordedStop(NamedTuple):
+    """A stop of the coach, and what is needed to repeat its steps with each contact model."""
+
+    stop: table8.Stop
+    law: Any  # the parameters of the adhesion law
+    coaches: dict[str, Any]  # the coach with each contact model, by the name of the model
+
+
 @pytest.fixture(scope="module")
-def on_record():
-    """The coach's stop in pieces, the law under it, and a coach with each model."""
+def recorded_stop():
+    """A sliding stop of the coach, recorded in four pieces."""
     plan = scenario.load("velim_a1", settings=("rig=plain_track",))
     sections = params.check(plan.resolved, "velim_a1")
     law = params.law_of(sections["adhesion"])
-    ready = {name: coach.build(sections, np.inf, model, 10) for name, model in MODELS.items()}
-    return table8.recorded(ready["degraded"], law, 4), law, ready
+    coaches = {name: coach.build(sections, np.inf, model, 10) for name, model in MODELS.items()}
+    stop = table8.recorded(coaches["degraded"], law, 4)
+    return RecordedStop(stop, law, coaches)
 
 
-def test_every_model_of_table_8_meets_the_same_states_of_one_sliding_stop(on_record):
-    stop, law, ready = on_record
+def test_every_model_of_table_8_meets_the_same_states_of_one_sliding_stop(recorded_stop):
+    stop, law, coaches = recorded_stop
     assert stop.memory.shape == (4, coach_state.SIZE)
+
     first_v = stop.v[0, 0]
     last_v = stop.v[-1, -1]
-    assert last_v[0] < first_v[0] - 0.5
-    rim_m_s = 0.445 * np.abs(last_v[22::6])
-    assert (last_v[0] - rim_m_s > 1.0).any()  # some wheelset slides
+    first_speed_m_s = first_v[0]
+    last_speed_m_s = last_v[0]
+    assert last_speed_m_s < first_speed_m_s - 0.5
+
+    # some wheelset slides
+    wheel_radius_m = 0.445
+    rim_speeds_m_s = wheel_radius_m * np.abs(last_v[WHEELSET_ROTATIONS])
+    assert (last_speed_m_s - rim_speeds_m_s > 1.0).any()
 
     states = {}
-    for name, model in ready.items():
+    for name, model in coaches.items():
         buffer = np.empty(coach_state.SIZE)
         table8.seconds(table8.CONTACT, model, law, 3, stop, buffer)
         states[name] = coach_state.views(buffer)
+
     polach = states["polach"]
     for name, state in states.items():
         np.testing.assert_array_equal(state.v, stop.v[3, -1], err_msg=name)
@@ -218,15 +241,15 @@ def test_every_model_of_table_8_meets_the_same_states_of_one_sliding_stop(on_rec
             assert (state.wheelset_forces != polach.wheelset_forces).any()
 
 
-def test_the_vehicle_of_table_8_is_the_step_without_its_contacts(on_record):
-    stop, law, ready = on_record
-    model = ready["degraded"]
+def test_the_vehicle_of_table_8_is_the_step_without_its_contacts(recorded_stop):
+    stop, law, coaches = recorded_stop
+    model = coaches["degraded"]
     whole, vehicle = np.empty((2, coach_state.SIZE))
     table8.seconds(table8.WHOLE, model, law, 2, stop, whole)
     first_step = stop._replace(q=stop.q[:, :1], v=stop.v[:, :1])
     table8.seconds(table8.WHOLE, model, law, 2, first_step, whole)
 
-    # with the contacts of that very state, the vehicle alone moves to the same end
+    # with the contact forces of this state, the step of the vehicle alone gives the same velocities
     with_contacts = first_step._replace(memory=stop.memory.copy())
     state = coach_state.views(with_contacts.memory[2])
     after = coach_state.views(whole)
@@ -234,6 +257,7 @@ def test_the_vehicle_of_table_8_is_the_step_without_its_contacts(on_record):
     state.Gx[:] = after.Gx
     state.Gy[:] = after.Gy
     table8.seconds(table8.VEHICLE, model, law, 2, with_contacts, vehicle)
+
     moved = coach_state.views(vehicle)
     np.testing.assert_allclose(moved.v, after.v, rtol=1e-9, atol=1e-12)
     np.testing.assert_array_equal(moved.contacts, coach_state.views(stop.memory[2]).contacts)
@@ -252,7 +276,9 @@ def test_a_target_of_table_8_is_met_only_beyond_its_spread_which_is_printed(scat
     for row in table8.ROWS:
         timed[row.model, table8.WHOLE] = rounds(whole_us[row.model])
         timed[row.model, table8.CONTACT] = rounds(whole_us[row.model] - vehicle_us)
+
     result = table8.judged(timed, 50.0)
+
     assert result["recovery_percent_of_whole"] == pytest.approx(
         100 * 0.1 / 4.4, abs=60 * scatter_us + 0.1
     )
@@ -267,22 +293,24 @@ def test_table_8_has_the_papers_figures():
     for row in table8.ROWS:
         assert row.model in MODELS
         assert 300.0 < row.whole_s < 450.0
-    assert [row.whole_s for row in table8.ROWS][-2:] == [360.0, 362.0]
+    assert table8.ROWS[-2].whole_s == 360.0
+    assert table8.ROWS[-1].whole_s == 362.0
 
 
 def test_the_sweep_for_hunting_prints_the_critical_speed(monkeypatch):
     monkeypatch.setattr(hunting, "SPEEDS_M_S", (30.0, 60.0, 90.0))
-    given = argparse.Namespace(set=["multibody.laying=0.025"])
+    arguments = argparse.Namespace(set=["multibody.laying=0.025"])
     progress = []
-    result = hunting.run(given, progress.append)
-    critical = result["critical_speed_m_s"]["soap"]
-    assert 20.0 < critical < 90.0
-    assert any(f"hunting from {critical:.1f} m/s" in note for note in result["notes"])
+    result = hunting.run(arguments, progress.append)
+
+    critical_m_s = result["critical_speed_m_s"]["soap"]
+    assert 20.0 < critical_m_s < 90.0
+    assert any(f"hunting from {critical_m_s:.1f} m/s" in note for note in result["notes"])
     assert len(progress) == 6
     assert hunting.table(result).row_count == 3
 
 
-# -- what needs a clone
+# -- commands that need a clone
 
 
 @pytest.mark.parametrize(
@@ -308,13 +336,13 @@ def test_a_command_that_needs_a_clone_reports_how_to_get_one(words, capsys, monk
 def test_the_help_of_bench_marks_which_benchmarks_need_a_clone(capsys):
     with pytest.raises(SystemExit):
         cli.main(["bench", "--help"])
-    shown = capsys.readouterr().out
-    marked = {name for name in bench.BENCHMARKS if f"\n* {name} " in shown}
+    printed = capsys.readouterr().out
+    marked = {name for name in bench.BENCHMARKS if f"\n* {name} " in printed}
     assert set(bench.BENCHMARKS) - marked == {"loop", "bus", "vehicle", "campaign"}
 
 
 @pytest.mark.parametrize("name", bench.BENCHMARKS)
-def test_every_benchmark_is_where_its_row_says(name):
+def test_the_row_of_every_benchmark_has_the_place_of_its_module(name):
     module = bench._module(name)
     assert callable(module.run)
     assert callable(module.table)

@@ -1,10 +1,11 @@
-"""Runs exported and read back by the readers of others."""
+"""Exported runs, read back by the readers of other packages."""
 
 import csv
 import json
 import resource
 import subprocess
 import sys
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -12,30 +13,46 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import export, records
 from rollerrig.realtime.record.channels import Channels
-from rollerrig.wsp_interface.signals import COLUMNS
+from rollerrig.wsp_interface.signals import COLUMNS, column
 
-EVENTS = [(0.5, "info", "the rig is on the bus"), (1.25, "warning", "Ölstand, „niedrig“")]
+
+
+class RunEvent(NamedTuple):
+    """The fields of an event that every format holds."""
+
+    time_s: float
+    level: str
+    text: str
+
+
+EVENTS = [
+    RunEvent(0.5, "info", "the rig is on the bus"),
+    RunEvent(1.25, "warning", "Ölstand, „niedrig“"),
+]
 
 
 @pytest.fixture
 def run(tmp_path):
-    """Half a second of all channels, with two events."""
+    """A run of half a second with all channels, one missing value and two events."""
     folder = tmp_path / "run"
     folder.mkdir()
     rows = np.random.default_rng(1).normal(size=(50, len(COLUMNS)))
-    rows[:, 0] = np.arange(50) / 100.0
-    rows[3, 7] = np.nan
+    rows[:, column("time")] = np.arange(50) / 100.0
+    rows[3, 7] = np.nan  # any value
     channels = Channels(folder)
     channels.add(rows)
     channels.finish()
     (folder / "scenario.toml").write_text('title = "a run"\n')
-    (folder / "events.jsonl").write_text(
-        "".join(
-            json.dumps(dict(zip(("time_s", "level", "text"), event, strict=True))) + "\n"
-            for event in EVENTS
-        )
-    )
+    lines = [json.dumps(event._asdict()) + "\n" for event in EVENTS]
+    (folder / "events.jsonl").write_text("".join(lines))
     return records.load(folder)
+
+
+def as_text(sample):
+    """Return a text of an MDF file, which is padded with zeros if it is read as bytes."""
+    if isinstance(sample, bytes):
+        return sample.decode().rstrip("\0")
+    return sample
 
 
 def test_mdf4_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path):
@@ -48,11 +65,11 @@ def test_mdf4_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_pat
             assert np.array_equal(signal.timestamps, run.column("time_s"))
         assert read.get("vehicle_speed_m_s").unit == "m/s"
         assert read.get("cylinder_pressure_1_Pa").unit == "Pa"
-        told = read.get("events")
-        assert list(told.timestamps) == [event[0] for event in EVENTS]
-        assert [
-            text.decode().rstrip("\0") if isinstance(text, bytes) else text for text in told.samples
-        ] == [f"{level}: {text}" for _, level, text in EVENTS]
+
+        events = read.get("events")
+        assert list(events.timestamps) == [event.time_s for event in EVENTS]
+        texts = [as_text(sample) for sample in events.samples]
+        assert texts == [f"{event.level}: {event.text}" for event in EVENTS]
 
 
 def test_mat_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path):
@@ -63,72 +80,63 @@ def test_mat_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path
     for name in COLUMNS:
         assert np.array_equal(read[name], run.column(name), equal_nan=True), name
     assert read["units"]["vehicle_speed_m_s"] == "m/s"
-    assert list(read["events"]["time_s"]) == [event[0] for event in EVENTS]
-    assert list(read["events"]["text"]) == [event[2] for event in EVENTS]
+    assert list(read["events"]["time_s"]) == [event.time_s for event in EVENTS]
+    assert list(read["events"]["text"]) == [event.text for event in EVENTS]
 
 
 def test_csv_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path):
-    file, beside = export.write(run, "csv", tmp_path / "run.csv")
+    file, events_file = export.write(run, "csv", tmp_path / "run.csv")
+
     with file.open(encoding="utf-8") as lines:
-        names, units = (next(csv.reader(lines)) for _ in range(2))
+        names = next(csv.reader(lines))
+        units = next(csv.reader(lines))
         rows = np.loadtxt(lines, delimiter=",")
     assert names == list(COLUMNS)
     assert units[names.index("vehicle_acceleration_m_s2")] == "m/s^2"
     assert np.array_equal(rows, records.rows(run.table), equal_nan=True)
-    with beside.open(encoding="utf-8") as lines:
-        assert [
-            (float(time_s), level, text) for time_s, level, text in list(csv.reader(lines))[1:]
-        ] == EVENTS
+
+    with events_file.open(encoding="utf-8") as lines:
+        _, *event_rows = csv.reader(lines)
+    events = [RunEvent(float(time_s), level, text) for time_s, level, text in event_rows]
+    assert events == EVENTS
 
 
-def test_an_unknown_format_is_refused_with_those_there_are(run, tmp_path):
+def test_an_unknown_format_is_refused_with_a_list_of_the_known_formats(run, tmp_path):
     with pytest.raises(ConfigError, match=r"mdf5.*did you mean 'mdf4'.*csv, mat, mdf4"):
         export.write(run, "mdf5", tmp_path / "run.mdf5")
 
 
-def test_without_asammdf_the_message_says_how_to_install_it(run, tmp_path, monkeypatch):
+def test_without_asammdf_the_message_shows_how_to_install_it(run, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "asammdf", None)
     with pytest.raises(ConfigError, match=r"pip install 'rollerrig\[export\]'"):
         export.write(run, "mdf4", tmp_path / "run.mf4")
 
 
-def test_a_folder_that_is_no_run_is_refused(tmp_path):
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
-            "export",
-            str(tmp_path),
-            "--format",
-            "csv",
-        ],
+def export_to_csv(folder, *options, before=None):
+    """Run `rollerrig export` in a process, which calls `before` first; return its result."""
+    rollerrig = (sys.executable, "-m", "rollerrig.realtime.cli")
+    return subprocess.run(
+        [*rollerrig, "export", str(folder), "--format", "csv", *options],
         capture_output=True,
         text=True,
+        preexec_fn=before,
     )
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    done = export_to_csv(tmp_path)
     assert done.returncode == 2
     assert "not a run's folder" in done.stderr
 
 
-def test_a_full_disk_leaves_no_half_a_file(run, tmp_path):
+def limit_file_size():
+    """Let this process write files of at most 4 KiB, as on a disk that is almost full."""
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+
+
+def test_a_full_disk_leaves_no_incomplete_file(run, tmp_path):
     out = tmp_path / "full" / "run.csv"
-    full = lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # noqa: E731
-    done = subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
-            "export",
-            str(run.folder),
-            "--format",
-            "csv",
-            "--out",
-            str(out),
-        ],
-        capture_output=True,
-        text=True,
-        preexec_fn=full,
-    )
+    done = export_to_csv(run.folder, "--out", str(out), before=limit_file_size)
     assert done.returncode == 2
     assert "make room" in done.stderr
     assert list(out.parent.iterdir()) == []

@@ -1,6 +1,4 @@
-"""A run that is not valid is reported in its summary, in red, by the status and to later
-readers.
-"""
+"""A run that is not valid: the summary, the exit status, the last line and later commands show it."""
 
 import functools
 import json
@@ -10,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import bench_process
 import numpy as np
@@ -24,23 +23,39 @@ from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 from rollerrig.wsp_interface.signals import COLUMNS
 
-SHORT = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--set", "initial_speed_m_s=3")
+# a short stop, as words of the command line, without and with its verb and scenario
+SHORT_OPTIONS = ("--wsp", "none", "--pacing", "free", "--set", "initial_speed_m_s=3")
+SHORT = ("run", "dry_stop", *SHORT_OPTIONS)
+# sets a time limit within which the coach cannot stop
+NO_TIME_TO_STOP = ("--set", "duration_max_s=0.3")
+
 LOST = make(1.0, Code.UNIT_LOST, node=32, silent_s=0.2)
 
 
 def not_valid(bench, *parts):
-    """The run ended with status 4; its one reason has all parts, in summary.json too."""
+    """Check that the run is not valid and that one reason contains all parts; return its summary.
+
+    The exit status is 4, and summary.json and the printed result have the same reasons.
+    """
     assert bench.status == 4, bench.stderr
     assert "Traceback" not in bench.stderr
+
     recorded = records.summary(bench.out)
+    assert recorded["valid"] is False
+    assert bench.result["valid"] is False
+
     reasons = recorded["invalid_because"]
-    assert recorded["valid"] is bench.result["valid"] is False
     assert reasons == bench.result["invalid_because"]
-    assert any(all(part in reason for part in parts) for reason in reasons), reasons
+
+    def has_all_parts(reason):
+        return all(part in reason for part in parts)
+
+    assert any(map(has_all_parts, reasons)), reasons
     return recorded
 
 
-def gone(pid):
+def has_exited(pid):
+    """Return whether a process no longer exists or is a zombie."""
     try:
         with open(f"/proc/{pid}/status") as file:
             return "\nState:\tZ" in file.read()
@@ -52,11 +67,13 @@ def gone(pid):
 
 
 def test_a_run_that_stops_is_valid_and_one_that_does_not_is_not(tmp_path):
-    stops = bench_process.run(tmp_path / "stops", *SHORT[2:], scenario="dry_stop")
+    stops = bench_process.run(tmp_path / "stops", *SHORT_OPTIONS, scenario="dry_stop")
     assert stops.status == 0, stops.stderr
-    assert (stops.result["valid"], stops.result["invalid_because"]) == (True, [])
+    assert stops.result["valid"] is True
+    assert stops.result["invalid_because"] == []
+
     rolls = bench_process.run(
-        tmp_path / "rolls", *SHORT[2:], "--set", "duration_max_s=0.3", scenario="dry_stop"
+        tmp_path / "rolls", *SHORT_OPTIONS, *NO_TIME_TO_STOP, scenario="dry_stop"
     )
     not_valid(
         rolls,
@@ -66,32 +83,27 @@ def test_a_run_that_stops_is_valid_and_one_that_does_not_is_not(tmp_path):
 
 
 def test_the_last_line_of_a_run_that_is_not_valid_names_the_reasons_in_red(tmp_path):
-    words = (
-        sys.executable,
-        "-m",
-        "rollerrig.realtime.cli",
-        *SHORT,
-        "--set",
-        "duration_max_s=0.3",
-        "--out",
-    )
+    rollerrig = (sys.executable, "-m", "rollerrig.realtime.cli")
     done = subprocess.run(
-        [*words, tmp_path / "run"],
+        [*rollerrig, *SHORT, *NO_TIME_TO_STOP, "--out", tmp_path / "run"],
         capture_output=True,
         text=True,
         env=os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200"},
     )
     assert done.returncode == 4, done.stderr
-    last = done.stdout.splitlines()[-1]
-    assert "not valid: the coach did not stop within 0.3 s" in last
-    assert "\x1b[1;31m" in last
+
+    last_line = done.stdout.splitlines()[-1]
+    assert "not valid: the coach did not stop within 0.3 s" in last_line
+    bold_red = "\x1b[1;31m"
+    assert bold_red in last_line
 
 
-def test_a_units_process_that_ends_in_real_time_makes_the_run_not_valid(tmp_path):
+def test_a_units_process_that_exits_in_real_time_makes_the_run_not_valid(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", "initial_speed_m_s=4")
     bench.runs_for(0.3)
     os.kill(bench.child("wsp"), signal.SIGKILL)
     bench.finish()
+
     recorded = not_valid(bench, "the reference WSP unit exited with status -9", ", at ")
     assert recorded["stopped"]
     reasons = recorded["invalid_because"]
@@ -99,13 +111,13 @@ def test_a_units_process_that_ends_in_real_time_makes_the_run_not_valid(tmp_path
 
 
 def flickering(n):
-    """The answers of a unit that is silent for half a second now and then."""
+    """Return the answers of a unit that is silent for half a second at every hundredth SYNC."""
     if n % 100 == 50:
         time.sleep(0.5)
     return [(MAGNETS, b"\0"), (HEARTBEAT, b"\5")]
 
 
-def test_a_unit_that_is_lost_again_and_again_makes_the_run_not_valid_and_the_times_are_counted(
+def test_a_unit_that_is_lost_repeatedly_makes_the_run_not_valid_and_the_losses_are_counted(
     tmp_path,
 ):
     bench = BenchProcess(
@@ -114,12 +126,13 @@ def test_a_unit_that_is_lost_again_and_again_makes_the_run_not_valid_and_the_tim
     unit = SimpleUnit(bench.address(), flickering)
     bench.finish()
     unit.close()
-    times = len(bench.reported(Code.UNIT_LOST))
-    assert times > 1
-    not_valid(bench, f"the WSP unit was lost {times} times (no heartbeat), first at ")
+
+    losses = len(bench.reported(Code.UNIT_LOST))
+    assert losses > 1
+    not_valid(bench, f"the WSP unit was lost {losses} times (no heartbeat), first at ")
 
 
-def test_a_unit_that_a_fault_of_the_run_has_frozen_does_not_make_it_not_valid(tmp_path):
+def test_a_run_stays_valid_if_one_of_its_faults_freezes_the_unit(tmp_path):
     bench = bench_process.run(
         tmp_path / "run",
         "--pacing",
@@ -153,13 +166,20 @@ def test_a_lost_unit_is_excused_by_a_fault_that_reaches_it_and_by_no_other(fault
     fields = catalogue.parse(fault).event_fields
     begins = make(0.5, Code.FAULT_BEGINS, **fields)
     lifted = make(0.9, Code.FAULT_LIFTED, **fields, frames_met=None)
+
+    losses_soon_after = validity.losses([begins, lifted, LOST])
+    if reaches:
+        assert losses_soon_after == []
+    else:
+        assert losses_soon_after == [LOST.time_s]
+
+    # no fault excuses a loss long after it or before it
     late = LOST._replace(time_s=2.5)
-    assert validity.losses([begins, lifted, LOST]) == ([] if reaches else [1.0])
     assert validity.losses([begins, lifted, late]) == [2.5]
     assert validity.losses([LOST, begins]) == [1.0]
 
 
-def test_a_unit_that_a_held_rig_loses_and_finds_again_is_no_loss_of_the_run():
+def test_a_unit_that_is_lost_and_comes_back_while_the_rig_is_held_is_no_loss_of_the_run():
     lost = LOST._replace(time_s=0.0)
     back = make(0.0, Code.UNIT_BACK, node=32, state="OPERATIONAL")
     assert validity.losses([lost, back]) == []
@@ -193,11 +213,14 @@ def test_a_unit_that_a_held_rig_loses_and_finds_again_is_no_loss_of_the_run():
     ],
 )
 def test_how_a_run_ended_is_a_reason(ended, event, reason):
-    columns = dict.fromkeys(COLUMNS, np.zeros(3)) | {"vehicle_speed_m_s": np.full(3, 20.0)}
-    found = summary.of(columns, {"ended": ended}, {}, [event])
-    assert found["valid"] is False
-    assert reason in found["invalid_because"][0]
-    assert len(found["invalid_because"]) == 1
+    columns = dict.fromkeys(COLUMNS, np.zeros(3))
+    columns["vehicle_speed_m_s"] = np.full(3, 20.0)
+
+    recorded = summary.of(columns, {"ended": ended}, {}, [event])
+
+    assert recorded["valid"] is False
+    assert len(recorded["invalid_because"]) == 1
+    assert reason in recorded["invalid_because"][0]
 
 
 # --- interrupted ---
@@ -205,18 +228,23 @@ def test_how_a_run_ended_is_a_reason(ended, event, reason):
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
 @pytest.mark.parametrize("pacing", ["wall", "lockstep"])
-def test_a_signal_ends_a_run_with_its_record_and_without_its_children(name, pacing, tmp_path):
+def test_a_run_that_a_signal_stops_completes_its_record_and_leaves_no_process(
+    name, pacing, tmp_path
+):
     bench = BenchProcess(tmp_path / "run", "--pacing", pacing)
     bench.runs_for(0.5)
-    children = bench.child("wsp"), bench.child("rollerrig.realtime.telemetry.recorder")
+    unit = bench.child("wsp")
+    recorder = bench.child("rollerrig.realtime.telemetry.recorder")
     bench.process.send_signal(getattr(signal, name))
     bench.finish()
+
     recorded = not_valid(bench, f"the run is interrupted by {name}, at ")
     assert recorded["ended"] == "interrupted"
     assert bench.record.column("time_s")[-1] >= 0.5
     assert not (bench.out / "channels.tail").exists()
     assert (bench.out / "run.rrd").stat().st_size > 10_000
-    assert all(gone(pid) for pid in children)
+    assert has_exited(unit)
+    assert has_exited(recorder)
 
 
 def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
@@ -230,6 +258,7 @@ def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
         bench.interrupt()
         time.sleep(0.02)
     bench.finish()
+
     not_valid(bench, "the run is interrupted by SIGINT")
     assert not (bench.out / "channels.tail").exists()
     assert bench.record.column("time_s")[-1] >= 1.0
@@ -258,11 +287,13 @@ def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """A run that stops, and one that does not."""
-    place = tmp_path_factory.mktemp("read")
-    assert cli.main([*SHORT, "--out", str(place / "good")]) == 0
-    assert cli.main([*SHORT, "--set", "duration_max_s=0.3", "--out", str(place / "bad")]) == 4
-    return str(place / "good"), str(place / "bad")
+    """The folders of a run in which the coach stops, and of a run in which it does not."""
+    parent = tmp_path_factory.mktemp("read")
+    good = str(parent / "good")
+    bad = str(parent / "bad")
+    assert cli.main([*SHORT, "--out", good]) == 0
+    assert cli.main([*SHORT, *NO_TIME_TO_STOP, "--out", bad]) == 4
+    return good, bad
 
 
 def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, capsys):
@@ -273,7 +304,8 @@ def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, 
     assert printed["figures"][0]["values"][0] is not None
     (warning,) = printed["warnings"]
     assert f"{bad} is not valid: the coach did not stop within 0.3 s" in warning
-    # it equals the other run up to its end, but that is no reason to pass
+
+    # the invalid run equals the other run until it finishes, but the comparison must not pass
     assert cli.main(["compare", good, bad, "--tolerance", "m_s=0.1"]) == 4
     assert f"warning: {bad} is not valid" in capsys.readouterr().out
 
@@ -281,17 +313,22 @@ def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, 
 def test_view_warns_of_a_run_that_is_not_valid(folders, capsys, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    cli.main(["view", folders[1], "--size", "x"])
-    assert "is not valid: the coach did not stop" in " ".join(capsys.readouterr().out.split())
+    _, bad = folders
+    cli.main(["view", bad, "--size", "x"])
+    # the terminal may wrap the message
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "is not valid: the coach did not stop" in printed
 
 
 def test_explain_refuses_a_run_that_is_not_valid(folders, tmp_path, capsys):
+    _, bad = folders
     assert cli.main(["explain", *folders, "--out", str(tmp_path / "report")]) == 2
-    said = capsys.readouterr().err
-    assert f"{folders[1]} is not valid: the coach did not stop" in said
-    assert "leave it out" in said
+    message = capsys.readouterr().err
+    assert f"{bad} is not valid: the coach did not stop" in message
+    assert "leave it out" in message
 
 
+# a campaign of one run per maximum duration, some of which are too short
 PLAN = """title = "runs, of which some do not stop"
 scenario = "{scenario}"
 [vary]
@@ -301,37 +338,45 @@ SCENARIO = "initial_speed_m_s = 3.0\n[[demand]]\npressure_Pa = 3.8e5\n"
 
 
 @pytest.mark.parametrize(
-    ("durations", "bad"), [("0.3, 60.0, 0.4, 50.0", 2), ("0.3, 0.4", 2), ("50.0, 60.0", 0)]
+    ("durations_s", "bad_runs"),
+    [([0.3, 60.0, 0.4, 50.0], [0, 2]), ([0.3, 0.4], [0, 1]), ([50.0, 60.0], [])],
 )
-def test_a_campaign_counts_runs_that_are_not_valid_apart(durations, bad, tmp_path, capsys):
-    (tmp_path / "short.toml").write_text(SCENARIO)
-    (tmp_path / "plan.toml").write_text(
-        PLAN.format(scenario=tmp_path / "short.toml", durations=durations)
-    )
-    words = [
-        "campaign",
-        str(tmp_path / "plan.toml"),
-        "--workers",
-        "1",
-        "--out",
-        str(tmp_path / "out"),
-    ]
-    assert cli.main([*words, "--json"]) == (4 if bad else 0)
+def test_a_campaign_counts_runs_that_are_not_valid_separately(
+    durations_s, bad_runs, tmp_path, capsys
+):
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(SCENARIO)
+    plan = tmp_path / "plan.toml"
+    durations = ", ".join(map(str, durations_s))
+    plan.write_text(PLAN.format(scenario=scenario, durations=durations))
+    words = ["campaign", str(plan), "--workers", "1", "--out", str(tmp_path / "out")]
+    runs = len(durations_s)
+    bad = len(bad_runs)
+
+    status = cli.main([*words, "--json"])
+    if bad_runs:
+        assert status == 4
+    else:
+        assert status == 0
+
     printed = json.loads(capsys.readouterr().out)
-    count = len(durations.split(","))
-    worst, not_valid_runs = printed["worst"], printed["not_valid_runs"]
-    assert (printed["runs"], printed["not_valid"], len(worst)) == (count, bad, count - bad)
-    assert all(case["stop_distance_m"] is not None for case in worst)
-    if count > 2:
-        assert [one["run"] for one in not_valid_runs] == [0, 2][:bad]
-    assert all("did not stop within 0." in one["because"] for one in not_valid_runs)
+    assert printed["runs"] == runs
+    assert printed["not_valid"] == bad
+    assert len(printed["worst"]) == runs - bad
+    for case in printed["worst"]:
+        assert case["stop_distance_m"] is not None
+    assert [run["run"] for run in printed["not_valid_runs"]] == bad_runs
+    for run in printed["not_valid_runs"]:
+        assert "did not stop within 0." in run["because"]
+
     cli.main(words)
-    assert f"{count} runs, {bad} not valid" in capsys.readouterr().out
+    assert f"{runs} runs, {bad} not valid" in capsys.readouterr().out
     page = Path(printed["report"]).read_text()
-    assert f"Not valid: {bad} of {count} runs" in page
+    assert f"Not valid: {bad} of {runs} runs" in page
     assert page.count("did not stop within") == bad
 
 
+# a test sequence: one stop
 WALK = """title = "A stop from walking pace"
 criteria = "none"
 [start]
@@ -365,40 +410,58 @@ class Companion:
 
 
 def companion(answer):
+    """Return a function that makes the companion with these answers for a bus address."""
     return functools.partial(Companion, answer)
+
+
+def stops_answering(n):
+    """Return the answers of a unit that is silent from the 60th SYNC on."""
+    if n < 60:
+        return [(MAGNETS, b"\0")]
+    return None
 
 
 def test_a_sequence_whose_run_is_not_valid_is_an_error_and_neither_passed_nor_failed(
     walk, tmp_path
 ):
-    dies = companion(lambda n: [(MAGNETS, b"\0")] if n < 60 else None)
-    outcome = play.on_own_bench(walk, tmp_path / "run", "wall", wsp="external", companions=(dies,))
+    outcome = play.on_own_bench(
+        walk,
+        tmp_path / "run",
+        "wall",
+        wsp="external",
+        companions=(companion(stops_answering),),
+    )
     assert outcome.result is Result.ERROR
     assert "the run is not valid: the WSP unit was lost 1 time" in outcome.error
 
 
-def test_a_run_that_a_harness_ends_on_purpose_is_valid(walk, tmp_path):
+def test_a_run_that_a_harness_finishes_on_purpose_is_valid(walk, tmp_path):
     outcome = play.on_own_bench(walk, tmp_path / "run", wsp="none")
     assert outcome.result is Result.PASS, (outcome.error, outcome.verdicts)
     assert outcome.summary["valid"] is True
 
 
-OWN_TEST = """
-import contextlib
+# a test as a user writes it; {here} is the name of this module
+USER_TEST = """
 from rollerrig.wsp_interface.fixture import rollerrig_bench
-from {here} import companion, MAGNETS
+from {here} import companion, stops_answering
 
 def test_of_a_unit_that_dies(rollerrig_bench):
-    dies = companion(lambda n: [(MAGNETS, bytes(1))] if n < 60 else None)
-    rig = rollerrig_bench("dry_stop", initial_speed_m_s=3.0, wsp="external", pacing="wall", companions=(dies,))
+    rig = rollerrig_bench(
+        "dry_stop",
+        initial_speed_m_s=3.0,
+        wsp="external",
+        pacing="wall",
+        companions=(companion(stops_answering),),
+    )
     rig.wait(1.5)
 """
 
 
-def test_the_fixture_ends_a_test_with_an_error_where_the_run_was_not_valid(tmp_path):
-    (tmp_path / "test_own.py").write_text(OWN_TEST.format(here=Path(__file__).stem))
+def test_the_fixture_finishes_a_test_with_an_error_if_the_run_was_not_valid(tmp_path):
+    (tmp_path / "test_user.py").write_text(USER_TEST.format(here=Path(__file__).stem))
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "test_own.py"],
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "test_user.py"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -411,56 +474,40 @@ def test_the_fixture_ends_a_test_with_an_error_where_the_run_was_not_valid(tmp_p
 # --- the priority of the unit ---
 
 
-def policy(pacing, place):
-    bench = BenchProcess(place / pacing, "--pacing", pacing, "--set", "initial_speed_m_s=4")
+class Scheduling(NamedTuple):
+    """How the operating system schedules the reference unit of a run."""
+
+    policy: int
+    priority: int
+    refused: bool  # whether the unit logs that its requested priority was refused
+
+
+def scheduling_of_the_unit(pacing, parent):
+    """Run a bench with this pacing and return the scheduling of its reference unit."""
+    bench = BenchProcess(parent / pacing, "--pacing", pacing, "--set", "initial_speed_m_s=4")
     bench.runs_for(0.3)
     pid = bench.child("wsp")
-    found = os.sched_getscheduler(pid), os.sched_getparam(pid).sched_priority
+    policy = os.sched_getscheduler(pid)
+    priority = os.sched_getparam(pid).sched_priority
     bench.interrupt()
-    refused = "was refused" in (bench.finish().out / "wsp.log").read_text()
-    return found, refused
+    bench.finish()
+    log = (bench.out / "wsp.log").read_text()
+    return Scheduling(policy, priority, refused="was refused" in log)
 
 
-def test_the_reference_unit_asks_for_a_priority_below_the_loops_in_real_time_only(tmp_path):
-    (wall, priority), refused = policy("wall", tmp_path)
-    assert refused is (wall != os.SCHED_FIFO)
-    assert refused or 0 < priority < 80
-    assert policy("lockstep", tmp_path) == ((os.SCHED_OTHER, 0), False)
+def test_the_reference_unit_requests_a_priority_below_the_loops_in_real_time_only(tmp_path):
+    wall = scheduling_of_the_unit("wall", tmp_path)
+    if wall.policy == os.SCHED_FIFO:
+        assert not wall.refused
+        assert 0 < wall.priority < 80
+    else:
+        assert wall.refused
+
+    lockstep = scheduling_of_the_unit("lockstep", tmp_path)
+    assert lockstep == Scheduling(os.SCHED_OTHER, 0, refused=False)
 
 
-def test_a_unit_that_is_refused_its_priority_says_so_and_runs(tmp_path):
-    hub = BenchProcess(
-        tmp_path / "run",
-        "--pacing",
-        "lockstep",
-        "--wsp",
-        "external",
-        "--set",
-        "initial_speed_m_s=3",
-    )
-    # without the right to any priority, whichever user runs this test
-    unit = subprocess.Popen(
-        [
-            *WITHOUT_RIGHTS,
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
-            "wsp",
-            "--bus",
-            hub.address(),
-            "--priority",
-            "60",
-        ],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    hub.finish()
-    said, _ = unit.communicate(timeout=60)
-    assert hub.status == 0, hub.stderr
-    assert "SCHED_FIFO priority 60 was refused" in said
-
-
-# removes CAP_SYS_NICE for good, and the limit of real-time priorities
+# runs a program without CAP_SYS_NICE and with a limit of 0 for real-time priorities
 WITHOUT_RIGHTS = (
     sys.executable,
     "-c",
@@ -469,3 +516,26 @@ WITHOUT_RIGHTS = (
     "ctypes.CDLL(None).prctl(24, 23, 0, 0, 0)\n"  # PR_CAPBSET_DROP, CAP_SYS_NICE
     "os.execv(sys.argv[1], sys.argv[1:])",
 )
+
+
+def test_a_unit_that_is_refused_its_priority_reports_it_and_runs(tmp_path):
+    bench = BenchProcess(
+        tmp_path / "run",
+        "--pacing",
+        "lockstep",
+        "--wsp",
+        "external",
+        "--set",
+        "initial_speed_m_s=3",
+    )
+    # the unit has no right to any priority, no matter which user runs this test
+    rollerrig = (sys.executable, "-m", "rollerrig.realtime.cli")
+    unit = subprocess.Popen(
+        [*WITHOUT_RIGHTS, *rollerrig, "wsp", "--bus", bench.address(), "--priority", "60"],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    bench.finish()
+    printed, _ = unit.communicate(timeout=60)
+    assert bench.status == 0, bench.stderr
+    assert "SCHED_FIFO priority 60 was refused" in printed
