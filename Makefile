@@ -1,4 +1,4 @@
-# demo: brake the coach on the degraded track. docs: write the pages that are made from tables and tests,
+# demo: brake the coach on the degraded track, and compute the same stop without WSP. docs: write the pages that are made from tables and tests,
 # and the site of all pages in build/site. performance: measure the figures of docs/performance.md.
 # Each target works from nothing: it creates .venv and installs pinned versions when needed.
 
@@ -12,7 +12,7 @@ export PYTHONDONTWRITEBYTECODE :=
 .PHONY: demo test kernel-can check lint format docs bench performance clean
 
 demo: $(VENV)/ready
-	$(BIN)/rollerrig run velim_a1 --out runs/demo
+	$(BIN)/rollerrig run velim_a1 --also-without-wsp --out runs/demo
 
 # kernels are compiled before the workers start, each once; three workers on two cores, for tests wait as often as they
 # compute

@@ -428,6 +428,7 @@ def build_rollers(
         "k_sr": dry["k_s"],
         "tau_m_J": 0.0,
         "cleaning_creepage": math.inf,
+        "cleaning_half_speed_m_s": 0.0,
     }
     rollers = {
         **sections,

@@ -44,6 +44,9 @@ BENCHMARKS = {
     "hunting": _in_clone(
         "benchmarks.hunting", "the speed above which the coach in 3D hunts, by a sweep"
     ),
+    "protection": _in_clone(
+        "benchmarks.protection", "stops without WSP and at many slip bands, on low adhesion"
+    ),
     "discover": _in_clone(
         "benchmarks.discover", "how often discover solves a sealed rig (minutes per rig)"
     ),
@@ -153,6 +156,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="SECTION.KEY=VALUE",
         help="loop, hunting: change one value of the scenario, as in loop.priority=0",
+    )
+    parser.add_argument(
+        "--png", type=Path, metavar="FILE", help="protection: also draw the figures"
     )
     parser.add_argument(
         "--strict", action="store_true", help="exit status 1 when a target is missed"

@@ -64,6 +64,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--strict", action="store_true", help="return exit status 3 if a deadline is missed"
     )
     parser.add_argument(
+        "--also-without-wsp",
+        action="store_true",
+        help="after the run, compute the same stop without WSP in free pacing, and print its "
+        "distance",
+    )
+    parser.add_argument(
         "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
     )
     parser.add_argument(
@@ -125,7 +131,7 @@ def call(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
-    from rollerrig.realtime.bench import bench, scenario
+    from rollerrig.realtime.bench import bench, scenario, without_wsp
     from rollerrig.realtime.bench.options import Options
 
     plan = scenario.load(
@@ -155,7 +161,12 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
     progress_line.close()
 
     items = [] if options.json else _items(summary, out)
-    output.show(options, summary | {"folder": str(out)}, *items)
+    result = summary | {"folder": str(out)}
+    if options.also_without_wsp:
+        without = without_wsp.simulate(plan)
+        result["without_wsp"] = without._asdict()
+        items.append(without_wsp.sentence(without))
+    output.show(options, result, *items)
 
     if summary["invalid_because"]:
         return output.INVALID

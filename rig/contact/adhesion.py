@@ -14,12 +14,15 @@ lanes and the replay of measured runs all use this law.
 [A4] f_d, f_r: `polach` with (mu_cd, A_d, gamma_d), (mu_cr, A_r, gamma_r)   paper eqs. 11 to 13
 [A5] with D = f_r - f_d and k = tau N |e|:  f = f_r - D exp(-k f), paper eq. 15, solved by
      f = f_r + W0(-k D exp(-k f_r)) / k
-[A6] tau |e| -> tau |e| (1 - x^2 (3 - 2 x)), x = (|s / v| - e_c) / (1 - e_c), from 0 to 1. Up to a
-     creepage e_c this is the paper's law, to the bit. By the paper's law a locked wheel would
-     immediately have the whole recovered adhesion (0.26 on soap at 40 m/s). No rail gives that:
-     a turning wheel carries the loosened contaminant out of the contact on its tread, and a locked
-     wheel keeps it there. So cleaning fades as the turning does, and a locked wheel stays on f_d.
-     Reason, form and e_c: assumption; e_c of 1 or more, the default, is the paper's law throughout
+[A6] tau |e| -> tau |e| (1 - x^2 (3 - 2 x)), x = (|s / v| - e_v) / e_v, from 0 to 1, with
+     e_v = e_c v / (v + v_h): up to a creepage e_v this is the paper's law, to the bit; from 2 e_v
+     on nothing is cleaned. The paper's law alone gives a locked wheel the whole recovered adhesion
+     (0.26 on soap at 40 m/s), but it was validated only where a WSP held the sliding at 4 to 6 m/s.
+     On a rail a locked wheel keeps the low adhesion: a turning tread carries the loosened
+     contaminant out of the contact, a locked one leaves it there. At low speed the contaminant has
+     more time to flow back, so the limit falls there; v_h is the speed at which it is e_c / 2.
+     Form, reason, e_c and v_h: assumption (docs/paper.md has the evidence for it). e_c of 1 or
+     more, the default, is the paper's law throughout
 [A7] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), where an extended model gives recovery
      a memory L. lambda_0 is the transition of [A2], either for the work that [A5] has done or for
      the work that the f of the remembered lambda does: assumption
@@ -72,6 +75,7 @@ class Law(NamedTuple):
     k_sr: float
     tau_m_J: float  # recovery for each J/m of specific work
     cleaning_creepage: float = math.inf  # e_c of [A6]
+    cleaning_half_speed_m_s: float = 0.0  # v_h of [A6]
 
 
 @kernel_inlined
@@ -96,26 +100,27 @@ law_for_contaminant = tuple_builder(
 
 
 @kernel_inlined
-def cleaning_share(sliding_m_s, speed_m_s, cleaning_creepage):
+def cleaning_share(sliding_m_s, speed_m_s, law):
     """Return the share of the work that cleans, and its derivative to the sliding [A6].
 
     Parameters
     ----------
     sliding_m_s : magnitude of the sliding
     speed_m_s : speed of the surface, of either sign
-    cleaning_creepage : e_c of [A6]; from 1 on, cleaning never fades
+    law : `Law`; with `cleaning_creepage` from 1 on, cleaning never fades
 
     Returns
     -------
-    share : 1 up to e_c, 0 where the wheel is locked
+    share : 1 up to the creepage e_v, 0 from 2 e_v (or a locked wheel) on
     slope_s_m : d share / d sliding, in s/m, not above 0
     """
     speed = max(abs(speed_m_s), STILL_M_S)
-    fades = cleaning_creepage < 1.0
+    fades = law.cleaning_creepage < 1.0
+    limit = law.cleaning_creepage * (speed / (speed + law.cleaning_half_speed_m_s))  # e_v
 
-    # sliding at which the fading begins, and the sliding from there to a locked wheel
-    begin_m_s = cleaning_creepage * speed if fades else math.inf
-    range_m_s = (1.0 - cleaning_creepage) * speed if fades else 1.0
+    # sliding at which the fading begins, and the sliding from there to where nothing is cleaned
+    begin_m_s = limit * speed if fades else math.inf
+    range_m_s = min(limit, 1.0 - limit) * speed if fades else 1.0
 
     x = min(max(sliding_m_s - begin_m_s, 0.0) / range_m_s, 1.0)
     return 1.0 - x * x * (3.0 - 2.0 * x), -6.0 * x * (1.0 - x) / range_m_s
@@ -155,7 +160,7 @@ def curves(sliding_m_s, speed_m_s, load_N, eps1, law):
         sliding, creepage, eps_unit, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr
     )
 
-    share, share_slope = cleaning_share(sliding, speed_m_s, law.cleaning_creepage)
+    share, share_slope = cleaning_share(sliding, speed_m_s, law)
     work = law.tau_m_J * load_N
     return (
         f_d,

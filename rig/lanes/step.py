@@ -99,7 +99,7 @@ def contacts(w):
         eps_mu = law.eps_mu(size, surface, wheel_N, w[row.EPS1 + j])
         f_d = law.curve(size, eps_mu, here.mu_cd, here.A_d, here.gamma_d_s_m, here.k_ad, here.k_sd)
         f_r = law.curve(size, eps_mu, here.mu_cr, here.A_r, here.gamma_r_s_m, here.k_ar, here.k_sr)
-        share, _ = adhesion.cleaning_share(size, surface, here.cleaning_creepage)
+        share, _ = adhesion.cleaning_share(size, surface, here)
         creepage = size / max(abs(surface), law.SPEED_FLOOR_M_S)
         f, _, inside = law.recovered(f_d, f_r, here.tau_m_J * wheel_N * creepage * share)
         w[row.SLOPE + j] = f * load / size

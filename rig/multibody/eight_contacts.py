@@ -86,7 +86,7 @@ def contact(w, j, patches, law):
         patches.cells,
         w[SLIM + j],
     )
-    share = adhesion.cleaning_share(sliding, surface, law.cleaning_creepage)[0]
+    share = adhesion.cleaning_share(sliding, surface, law)[0]
     xi = sx * per_speed
     eta = sy * per_speed
     phi_1_m = w[SPIN + j] * per_speed

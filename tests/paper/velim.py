@@ -71,6 +71,8 @@ TABLE_4_MU_CD = 0.06
 SAMPLE_S = 0.01
 # speeds between which the deceleration of the first and of the second half of a stop is taken
 HALVES_M_S = ((40.0, 30.0), (20.0, 10.0))
+# a setting that cleans at every creepage, as the law of the paper does
+PAPERS_LAW = "adhesion.cleaning_creepage=inf"
 # a setting that turns recovery off: the classic model
 CLASSIC = "adhesion.tau_m_J=0.0"
 # contaminants that `over_contaminants` tries, and number of points of its curves
@@ -87,6 +89,8 @@ ROWS = (
     number("pressure_Pa", 3.8e5, 1e5, 5e5, _FIT),
     number("band_low_m_s", 5.2, 0.5, 15.0, _FIT),
     number("band_high_m_s", 6.2, 0.6, 16.0, _FIT),
+    number("band_low_fraction", 0.5, 0.0, 0.9, "assumption"),
+    number("band_high_fraction", 0.65, 0.0, 0.9, "assumption"),
     *(number(f"mu_cd_{test}", 0.03, 1e-3, 0.3, _FIT) for test in GROUP_A),
 )
 
@@ -131,14 +135,14 @@ def plan_of(test: str, found: dict[str, float], *law: str) -> scenario.Scenario:
     mu_cd = contaminant(found, test)
     return scenario.load(
         f"velim_{test}",
-        settings=("rig.mode=track", f"adhesion.mu_cd={mu_cd!r}", *law),
+        settings=("rig.mode=track", f"adhesion.mu_cd={mu_cd!r}", PAPERS_LAW, *law),
         tables={"demand": [{"from_s": 0.0, "pressure_Pa": found["pressure_Pa"]}]},
     )
 
 
 def unit_of(plan: scenario.Scenario, found: dict[str, float]) -> logic.Params:
     """Return the parameters of the reference WSP unit, with the band that was found."""
-    band = {name: found[name] for name in ("band_low_m_s", "band_high_m_s")}
+    band = {name: value for name, value in found.items() if name.startswith("band_")}
     return logic.load(plan["wsp_config"])._replace(**band)
 
 

@@ -97,6 +97,7 @@ def random_rig(rng, mode):
         "gamma_d_s_m": rng.uniform(0.0, 0.5),
         "tau_m_J": rng.choice([0.0, 1e-5, 1.9e-4, 1e-3]),
         "cleaning_creepage": rng.choice([0.05, 0.2, math.inf]),
+        "cleaning_half_speed_m_s": rng.choice([0.0, 9.0]),
     }
     return Rig(
         30.0,

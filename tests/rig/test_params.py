@@ -185,6 +185,7 @@ def test_the_papers_tables_are_the_defaults():
         "k_sr": 0.4,
         "tau_m_J": 1.9e-4,
         "cleaning_creepage": math.inf,
+        "cleaning_half_speed_m_s": 0.0,
     }
 
 

@@ -130,7 +130,7 @@ def contact(data: Dataset) -> ContactModel:
     return ContactModel(patch_of(data), params.law_of(data.sections["adhesion"]))
 
 
-def collect(design: Design, cleaning_creepage: float) -> Samples:
+def collect(design: Design, law: Law) -> Samples:
     """Return the samples of sliding braked wheels, thinned to independent samples [U1] [U2]."""
     samples_of_segment = np.diff(design.start)
     number_in_segment = np.concatenate([np.arange(count) for count in samples_of_segment])
@@ -140,7 +140,7 @@ def collect(design: Design, cleaning_creepage: float) -> Samples:
     creepage = design.sliding_m_s / design.speed_m_s
     cleaning_shares = np.array(
         [
-            adhesion.cleaning_share(sliding, speed, cleaning_creepage)[0]
+            adhesion.cleaning_share(sliding, speed, law)[0]
             for sliding, speed in zip(design.sliding_m_s, design.speed_m_s, strict=True)
         ]
     )
@@ -281,7 +281,7 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     runs = data.group("tune")
     design = prepare(data, runs)
     model = contact(data)
-    s = collect(design, model.law.cleaning_creepage)
+    s = collect(design, model.law)
     if s.run.size < LEAST_SAMPLES:
         raise ConfigError(
             f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "

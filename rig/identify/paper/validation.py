@@ -169,7 +169,7 @@ def _simulate(
 ) -> _Simulated:
     """Run one model free on the first samples of a run."""
     model = tuning.contact(data)
-    all_samples = tuning.collect(design, model.law.cleaning_creepage)
+    all_samples = tuning.collect(design, model.law)
     samples = tuning.Samples(*(column[all_samples.run == run] for column in all_samples))
     samples = samples._replace(run=np.zeros_like(samples.run))
     mu_cd, rmse = tuning.contaminant(samples, model, stated_mu_cd, tau_m_J)

@@ -178,8 +178,9 @@ def test_a_dataset_without_runs_to_judge_is_refused(data):
 
 def test_samples_are_those_in_which_wheels_slide(data):
     design = prepare(data, data.group("tune"))
-    unbounded = tuning.collect(design, np.inf)
-    bounded = tuning.collect(design, 0.1)
+    paper = tuning.contact(data).law._replace(cleaning_creepage=np.inf)
+    unbounded = tuning.collect(design, paper)
+    bounded = tuning.collect(design, paper._replace(cleaning_creepage=0.1))
     assert bounded.sliding_m_s.min() > tuning.LEAST_SLIDING_M_S
     assert bounded.speed_m_s.min() > tuning.LEAST_SPEED_M_S
 

@@ -52,8 +52,11 @@ def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) ->
         shear_Pa=8.0e10,
         poisson=0.3,
     )
-    for cleaning_creepage in (math.inf, 0.3):
-        model = WheelModel(*design.base)._replace(cleaning_creepage=cleaning_creepage)
+    for limit in (
+        {"cleaning_creepage": math.inf},
+        {"cleaning_creepage": 0.3, "cleaning_half_speed_m_s": 9.0},
+    ):
+        model = WheelModel(*design.base)._replace(**limit)
         law = adhesion.Law(*(getattr(model, name) for name in adhesion.Law._fields))
         for sliding in (0.01, 0.3, 2.0, 8.0, 15.0, 25.0, -1.0):
             f, slope, _ = replay.wheel_adhesion(

@@ -74,7 +74,7 @@ def force_of_model(contact, law):
     """Return the force (fx, fy, mz) of a contact by its model."""
     sliding_m_s = math.sqrt(contact.sx_m_s * contact.sx_m_s + contact.sy_m_s * contact.sy_m_s)
     per_speed = 1.0 / max(abs(contact.surface_m_s), SPEED_FLOOR_M_S)
-    share = cleaning_share(sliding_m_s, contact.surface_m_s, law.cleaning_creepage)[0]
+    share = cleaning_share(sliding_m_s, contact.surface_m_s, law)[0]
     return creep_force.creep_force(
         contact.patch.model,
         contact.sx_m_s * per_speed,

@@ -1,0 +1,138 @@
+"""A WSP is worth something: on every low adhesion the coach stops later without one.
+
+The law of adhesion beyond the sliding at which it was validated is [A6] of
+`rig/contact/adhesion.py`. Each requirement is tested on all packaged sets of low adhesion.
+"""
+
+import json
+import shlex
+import sys
+from pathlib import Path
+
+import pytest
+from benchmarks import protection
+
+from rollerrig.configs import store
+from rollerrig.realtime import cli
+from rollerrig.realtime.bench import scenario, without_wsp
+
+NEVER_VENTS = Path(__file__).parents[1] / "wsp_interface" / "never_vents.py"
+# slip bands that show the optimum
+BANDS = (0.02, 0.03, 0.08, 0.16, 0.20, 0.25, 0.40)
+
+STOPS = [(name, speed) for name in protection.LOW_SETS for speed in protection.SPEEDS_KM_H]
+
+
+@pytest.fixture(scope="module")
+def cases():
+    """The stops on all sets of low adhesion, from all speeds."""
+    return protection.cases(bands=BANDS)
+
+
+def test_every_packaged_set_of_adhesion_is_low_or_is_known_not_to_be():
+    packaged = set(store.names("adhesion"))
+    assert packaged == {*protection.LOW_SETS, *protection.OTHER_SETS}
+
+
+# --- the law ---
+
+
+@pytest.mark.parametrize("name", ["soap", "low"])
+@pytest.mark.parametrize("speed_m_s", protection.CURVE_SPEEDS_M_S)
+def test_adhesion_is_largest_at_a_creepage_of_5_to_30_percent(name, speed_m_s):
+    curve = protection.steady_curve(name, speed_m_s)
+    assert 0.05 <= protection.CREEPAGES[curve.argmax()] <= 0.30
+
+
+@pytest.mark.parametrize("name", protection.LOW_SETS)
+@pytest.mark.parametrize("speed_m_s", protection.CURVE_SPEEDS_M_S)
+def test_a_locked_wheel_has_no_more_than_the_initial_adhesion(name, speed_m_s):
+    curve = protection.steady_curve(name, speed_m_s)
+    assert protection.CREEPAGES[-1] == 1.0
+    assert curve[-1] <= protection.initial_adhesion(name, speed_m_s)
+
+
+# --- stops with an emergency demand ---
+
+
+@pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
+def test_without_wsp_wheels_lock_and_the_stop_is_longer(cases, name, speed_km_h):
+    case = cases[name, speed_km_h]
+    assert case.without.longest_lock_s > 5.0
+    assert case.reference.longest_lock_s <= 0.4
+
+    ratio = case.without.distance_m / case.reference.distance_m
+    if name == "soap" and speed_km_h in protection.SHORT_ON_SOAP_KM_H:
+        assert ratio > 1.0
+    else:
+        assert ratio >= protection.WITHOUT_OVER_REFERENCE
+
+
+@pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
+def test_the_best_slip_band_is_neither_the_narrowest_nor_the_widest(cases, name, speed_km_h):
+    case = cases[name, speed_km_h]
+    assert case.best_m < case.by_band[BANDS[0]].distance_m
+    assert case.best_m < case.by_band[BANDS[-1]].distance_m
+
+
+@pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
+def test_the_reference_wsp_needs_at_most_a_tenth_more_than_the_best_slip_band(
+    cases, name, speed_km_h
+):
+    case = cases[name, speed_km_h]
+    assert case.reference.distance_m <= protection.REFERENCE_OVER_BEST * case.best_m
+
+
+# --- the line of the demo ---
+
+
+def test_a_run_prints_the_same_stop_without_wsp(tmp_path, capsys):
+    words = ("run", "velim_a1", "--pacing", "free", "--also-without-wsp")
+    assert cli.main([*words, "--out", str(tmp_path / "run"), "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    without = result["without_wsp"]
+    assert without["stopped"] is True
+    assert without["longest_lock_s"] > 5.0
+    assert without["stop_distance_m"] > 1.1 * result["stop_distance_m"]
+
+    expected = without_wsp.simulate(scenario.load("velim_a1"))
+    assert expected._asdict() == without
+    distance = f"without WSP: {expected.stop_distance_m:,.0f} m"
+    assert without_wsp.sentence(expected).startswith(f"{distance}, wheels locked for ")
+
+
+@pytest.mark.parametrize(
+    ("stop", "text"),
+    [
+        (without_wsp.StopWithoutWsp(True, 415.2, 0.0), "without WSP: 415 m, no wheel locked"),
+        (
+            without_wsp.StopWithoutWsp(False, 3931.8, 118.6),
+            "without WSP: 3,932 m and still moving, wheels locked for 119 s",
+        ),
+    ],
+)
+def test_the_line_tells_whether_the_vehicle_stopped_and_wheels_locked(stop, text):
+    assert without_wsp.sentence(stop) == text
+
+
+# --- the library of sequences ---
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "emergency_080",
+        "service_120",
+        "very_low_080",
+        "sudden_rise_120",
+        "patches_one_side",
+        "drag_braking",
+    ],
+)
+def test_a_unit_that_never_vents_fails_a_sequence_on_low_adhesion(name, tmp_path, capsys):
+    unit = shlex.join([sys.executable, str(NEVER_VENTS)]) + " {host} {port}"
+    words = ("sequence", name, "--wsp", "external", "--unit", unit, "--out", str(tmp_path))
+    assert cli.main([*words, "--json"]) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["result"] == "fail"
+    assert result["fail"] == 1
