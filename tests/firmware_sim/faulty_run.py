@@ -1,7 +1,7 @@
-"""One lockstep run with every fault of the catalogue in turn, and a scripted WSP unit on its bus.
+"""Run one lockstep run with every fault of the catalogue and a scripted WSP unit on its bus.
 
-The unit answers each SYNC with magnets by its script, so that dead magnets have something to
-refuse.
+The unit answers each SYNC with the magnets of its script. The script commands hold and vent while
+magnets are dead, because a dead magnet shows only when it is commanded.
 """
 
 import asyncio
@@ -15,11 +15,24 @@ from rollerrig.realtime.bench import bench, options, scenario
 from rollerrig.realtime.record import records, run_folder
 from rollerrig.wsp_interface.bus.frames import Frame
 
-NODE_UNIT, SYNC, ANSWER = 0x720, 0x080, 0x211
-HOLD_ALL, VENT_ALL = 0x55, 0xFF
+# identifiers on the bus
+HEARTBEAT = 0x720  # of the WSP unit
+SYNC = 0x080
+ANSWER = 0x211  # the magnets that the WSP unit commands
+
+# states in a heartbeat
+BOOT_UP = 0
+OPERATIONAL = 5
+# the unit sends a heartbeat after this number of SYNCs
 HEARTBEAT_SYNCS = 5
 
-# kind, begin, end, parameters; axles are chosen so that an untouched one is beside each
+# magnets of all four axles, two bits an axle
+FILL_ALL = 0x00
+HOLD_ALL = 0x55
+VENT_ALL = 0xFF
+
+# (kind, begin in s, end in s, parameters). At any time another axle is free of this fault, for
+# comparison.
 PLAN = (
     ("speed_sensor_stuck", 0.5, 1.0, {"axle": 1}),
     ("speed_sensor_dropout", 0.5, 1.0, {"axle": 2}),
@@ -51,39 +64,47 @@ PLAN = (
     ("sander_late", 5.0, 6.0, {"axle": 2, "delay_s": 3.0}),
     ("sander_empty", 7.0, 8.0, {"axle": 2}),
 )
-# what the unit asks of the magnets
+# (begin in s, end in s, magnets that the unit commands); otherwise the unit commands FILL_ALL
 SCRIPT = ((2.1, 2.4, HOLD_ALL), (2.4, 2.7, VENT_ALL))
+# (begin in s, end in s, fault) of the fault that is injected and cleared without a plan
 BY_HAND = (8.6, 8.7, {"name": "speed_sensor_dropout", "axle": 4})
+# duration of the run
 END_S = 9.9
 
 
 @dataclass
 class Recorded:
-    """What a run has left. `frames`: (time_s, identifier, data), error frames as in candump."""
+    """The record of a run, with functions that select frames, samples and events."""
 
     run: records.Run
 
     @cached_property
     def frames(self):
+        """All frames as (time_s, identifier, data); an error frame's identifier is candump's."""
         lines = (self.run.folder / run_folder.CAN_LOG).read_text().splitlines()
-        found = []
+        frames = []
         for line in lines:
             time, _, body = line.split()
             can_id, data = body.split("#")
-            found.append((float(time.strip("()")), int(can_id, 16), bytes.fromhex(data)))
-        return found
+            frames.append((float(time.strip("()")), int(can_id, 16), bytes.fromhex(data)))
+        return frames
 
     def channel(self, name, from_s, to_s):
-        """Samples of a channel whose time is within an interval, shape (n,)."""
-        time = self.run.column("time_s")
-        return self.run.column(name)[(time >= from_s) & (time < to_s)]
+        """Return the samples of a channel within an interval, shape (n,)."""
+        time_s = self.run.column("time_s")
+        within = (time_s >= from_s) & (time_s < to_s)
+        return self.run.column(name)[within]
 
     def on_bus(self, can_id, from_s, to_s):
-        """Data of an identifier's frames within an interval."""
-        return [data for time, one, data in self.frames if one == can_id and from_s <= time < to_s]
+        """Return the data of the frames with this identifier within an interval."""
+        return [
+            data
+            for time_s, frame_id, data in self.frames
+            if frame_id == can_id and from_s <= time_s < to_s
+        ]
 
     def reported(self, code, **fields):
-        """The times of the events of a code with these fields."""
+        """Return the times in s of the events that have this code and these fields."""
         return [
             event.time_s
             for event in self.run.events
@@ -91,42 +112,69 @@ class Recorded:
         ]
 
 
-class ScriptedUnit:
-    """A WSP unit on a port of the bench's hub, which also injects and clears by hand."""
+class ManualFault:
+    """Injects the fault BY_HAND at its begin and clears it at its end, once each."""
 
     def __init__(self, rig):
-        self.rig, self.syncs, self.state = rig, 0, 0
+        self.rig = rig
+        self.injected = False
+        self.cleared = False
 
-    async def join(self):
-        while self.rig.bus is None:
-            await asyncio.sleep(0.01)
-        self.port = self.rig.hub.attach(self.take, "unit")
-        for state in (0, 5):
-            self.port.send(Frame(NODE_UNIT, bytes([state])))
-
-    def take(self, frame):
-        if frame.can_id != SYNC:
-            return
-        time_s = frame.time_ns / 1e9
-        self.by_hand(time_s)
-        self.syncs += 1
-        if self.syncs % HEARTBEAT_SYNCS == 0:
-            self.port.send(Frame(NODE_UNIT, b"\x05"))
-        magnets = next((what for begin, end, what in SCRIPT if begin <= time_s < end), 0)
-        self.port.send(Frame(ANSWER, bytes([magnets])))
-
-    def by_hand(self, time_s):
+    def poll(self, time_s):
+        """Inject or clear the fault if its time has come."""
         begin, end, values = BY_HAND
-        if self.state == 0 and time_s >= begin:
-            self.state = 1
-            self.rig.faults.inject(**values)
-        elif self.state == 1 and time_s >= end:
-            self.state = 2
+        if not self.injected:
+            if time_s >= begin:
+                self.injected = True
+                self.rig.faults.inject(**values)
+        elif not self.cleared and time_s >= end:
+            self.cleared = True
             self.rig.faults.clear(**values)
 
 
+def scripted_magnets(time_s):
+    """Return the magnets that the script commands at this time."""
+    for begin, end, magnets in SCRIPT:
+        if begin <= time_s < end:
+            return magnets
+    return FILL_ALL
+
+
+class ScriptedUnit:
+    """A WSP unit on a port of the bench's hub. It also drives the manual fault."""
+
+    def __init__(self, rig):
+        self.rig = rig
+        self.syncs = 0
+        self.manual_fault = ManualFault(rig)
+
+    async def join(self):
+        """Wait for the bench's bus, attach the unit to it and send the first heartbeats."""
+        while self.rig.bus is None:
+            await asyncio.sleep(0.01)
+        self.port = self.rig.hub.attach(self.take, "unit")
+        self.send_heartbeat(BOOT_UP)
+        self.send_heartbeat(OPERATIONAL)
+
+    def send_heartbeat(self, state):
+        """Send a heartbeat with this state."""
+        self.port.send(Frame(HEARTBEAT, bytes([state])))
+
+    def take(self, frame):
+        """Answer a SYNC and ignore every other frame."""
+        if frame.can_id != SYNC:
+            return
+        time_s = frame.time_ns / 1e9
+        self.manual_fault.poll(time_s)
+
+        self.syncs += 1
+        if self.syncs % HEARTBEAT_SYNCS == 0:
+            self.send_heartbeat(OPERATIONAL)
+        self.port.send(Frame(ANSWER, bytes([scripted_magnets(time_s)])))
+
+
 def scenario_file(folder: Path) -> Path:
-    """The scenario as a file."""
+    """Write the scenario with all faults of the plan to a file and return its path."""
     lines = [
         'title = "every fault in turn"',
         'adhesion = "dry"',
@@ -144,19 +192,24 @@ def scenario_file(folder: Path) -> Path:
         "pressure_Pa = 3.8e5",
     ]
     for kind, begin, end, values in PLAN:
-        lines += ["[[fault]]", f'kind = "{kind}"', f"at_s = {begin}", f"for_s = {end - begin:.6f}"]
-        lines += [f"{name} = {value}" for name, value in values.items()]
+        lines.append("[[fault]]")
+        lines.append(f'kind = "{kind}"')
+        lines.append(f"at_s = {begin}")
+        lines.append(f"for_s = {end - begin:.6f}")
+        for name, value in values.items():
+            lines.append(f"{name} = {value}")
+
     path = folder / "faults.toml"
     path.write_text("\n".join(lines) + "\n")
     return path
 
 
 def run(folder: Path) -> Recorded:
-    """Run it in lockstep and load the record."""
+    """Run the scenario in lockstep and return its record."""
     plan = scenario.load(str(scenario_file(folder)))
     out = folder / "run"
 
-    async def both():
+    async def run_with_unit():
         rig = bench.Bench(plan, options.Options("lockstep", "external", out), lambda progress: None)
         unit = asyncio.ensure_future(ScriptedUnit(rig.parts).join())
         try:
@@ -164,12 +217,15 @@ def run(folder: Path) -> Recorded:
         finally:
             unit.cancel()
 
-    asyncio.run(both())
+    asyncio.run(run_with_unit())
     return Recorded(records.load(out))
 
 
 def samples(recorded: Recorded, name: str, from_s: float, to_s: float) -> np.ndarray:
-    """The four axles' samples of a signal within an interval, shape (4, n)."""
+    """Return the four axles' samples of a signal within an interval, shape (4, n).
+
+    The name has a colon where the number of the axle belongs: `wheel_speed:_rad_s`.
+    """
     stem, unit = name.split(":")
     return np.array(
         [recorded.channel(f"{stem}_{axle}{unit}", from_s, to_s) for axle in (1, 2, 3, 4)]

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from typing import Any, NamedTuple
 
 import cantools
 import numpy as np
@@ -18,6 +19,7 @@ from rollerrig.realtime.loop import loop
 from rollerrig.rig import params
 from rollerrig.rig.contact.creep_force import MODELS
 from rollerrig.rig.multibody import coach, coach_state
+from rollerrig.rig.multibody.coordinates import BEFORE_WHEELSETS, PER_BODY, PITCH
 from rollerrig.wsp_interface import signals
 
 # what cyclictest prints: a histogram of latencies in us and their statistics
@@ -192,11 +194,14 @@ def test_a_wrong_benchmark_is_refused_with_status_2(wrong, capsys):
 
 # -- the coach
 
+# the rotation speeds of the wheelsets among the velocities of the coach
+WHEELSET_ROTATIONS = slice(BEFORE_WHEELSETS + PITCH, None, PER_BODY)
+
 
 class RecordedStop(NamedTuple):
     """A stop of the coach, and what is needed to repeat its steps with each contact model."""
 
-    stop: table8.Stop
+    stop: table8.Recorded
     law: Any  # the parameters of the adhesion law
     coaches: dict[str, Any]  # the coach with each contact model, by the name of the model
 

@@ -1,87 +1,183 @@
-"""The live view: on loopback, never in the way, and started again when it stands still."""
+"""The live view listens on loopback only, never delays the run, and is replaced if it stalls."""
 
-import contextlib
+import functools
 import os
 import signal
 import socket
 import subprocess
 import time
 from pathlib import Path
+from typing import Any, NamedTuple
 
+import bench_process
 import numpy as np
 import paced_writer
 import pytest
 from rerun.experimental import ViewerClient
 
 from rollerrig.realtime.loop import ring
-from rollerrig.realtime.telemetry import live, recorder, viewer
+from rollerrig.realtime.telemetry import live, recorder, viewer, views
 from rollerrig.wsp_interface import signals
+
+until = functools.partial(bench_process.until, timeout_s=120.0)
+
+# the time that a process may take to exit after a signal
+EXIT_S = 60.0
+
+# fields of a line of /proc/net/tcp, and the state of a socket that listens
+LOCAL_ADDRESS = 1
+STATE = 3
+INODE = 9
+LISTENS = "0A"
+
+# 127.0.0.1 in /proc/net/tcp
+LOOPBACK = "0100007F"
+
+
+class Listener(NamedTuple):
+    """A TCP address on which a process listens."""
+
+    host: str  # hexadecimal, as in /proc/net/tcp
+    port: int
 
 
 def children(process):
-    """Processes that a process has started."""
+    """Return the processes that a process has started, the first one first."""
     text = Path(f"/proc/{process}/task/{process}/children").read_text()
     return [int(number) for number in text.split()]
 
 
-def listening(process):
-    """Addresses (hexadecimal, as in /proc/net/tcp) on which a process listens."""
-    sockets = set()
+def listeners(process):
+    """Return the addresses on which a process listens."""
+    sockets = sockets_of(process)
+    addresses = []
+    for table in ("/proc/net/tcp", "/proc/net/tcp6"):
+        for line in Path(table).read_text().splitlines()[1:]:
+            fields = line.split()
+            if fields[STATE] == LISTENS and fields[INODE] in sockets:
+                host, _, port = fields[LOCAL_ADDRESS].partition(":")
+                addresses.append(Listener(host, int(port, 16)))
+    return addresses
+
+
+def sockets_of(process):
+    """Return the inodes of the sockets that a process has open, as text."""
+    inodes = set()
     for link in Path(f"/proc/{process}/fd").iterdir():
         try:
-            sockets.add(os.readlink(link).removeprefix("socket:[").removesuffix("]"))
+            target = os.readlink(link)
         except OSError:
+            # the process has closed the file since the folder was listed
             continue
-    found = []
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            fields = line.split()
-            if fields[3] == "0A" and fields[9] in sockets:
-                found.append(fields[1])
-    return found
+        if target.startswith("socket:["):
+            inodes.add(target.removeprefix("socket:[").removesuffix("]"))
+    return inodes
 
 
-def until(condition, timeout_s=120.0):
-    end = time.monotonic() + timeout_s
-    while not (found := condition()):
-        assert time.monotonic() < end, "waited in vain"
-        time.sleep(0.05)
-    return found
+def has_exited(process):
+    return not Path(f"/proc/{process}").exists()
+
+
+class LiveRun(NamedTuple):
+    """A run that the test writes, and the live view of it.
+
+    The live view is a watcher process. Its first child is the worker, which serves the run. Its
+    second child is a viewer, which serves a page.
+    """
+
+    rings: tuple[Any, Any, Any]  # rows, frames, events
+    watcher: subprocess.Popen
+
+    @property
+    def header(self):
+        """The header of the ring of rows, in which bench and live view exchange their states."""
+        rows, _, _ = self.rings
+        return rows.header
+
+    @property
+    def children(self):
+        """The process numbers of the worker and of the viewer, as far as they run."""
+        return children(self.watcher.pid)
+
+    @property
+    def worker(self):
+        return self.children[0]
+
+    def worker_listeners(self):
+        """Wait until the worker listens, and return its addresses."""
+        worker = self.worker
+        return until(lambda: listeners(worker), "the worker to listen")
+
+    def server_port(self):
+        """Return the port on which the worker serves the run."""
+        return self.worker_listeners()[0].port
+
+    def wait_for_heartbeat(self):
+        until(lambda: self.header[ring.READER_BEAT_NS], "a heartbeat of the worker")
+
+    def finish(self):
+        """Close the rings, as the bench does at the end of a run."""
+        for each in self.rings:
+            each.close()
 
 
 @pytest.fixture
 def run(tmp_path, monkeypatch):
-    """Rings that this process writes, and a live view of them."""
+    """A run without rows so far, and a live view of it on a machine without a display."""
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     (tmp_path / "scenario.toml").write_text(paced_writer.SCENARIO)
-    to = paced_writer.rings()
-    process = live.start(tmp_path, to[0], to[2])
-    until(lambda: to[0].header[ring.READER_BEAT_NS])
-    yield to, process
-    for one in to:
-        one.close()
-    process.kill() if process.poll() is None else None
-    process.wait()
-    for one in to:
-        one.unlink()
+    rings = paced_writer.rings()
+    rows, _, events = rings
+    live_run = LiveRun(rings, live.start(tmp_path, rows, events))
+    live_run.wait_for_heartbeat()
+
+    yield live_run
+
+    live_run.finish()
+    if live_run.watcher.poll() is None:
+        live_run.watcher.kill()
+    live_run.watcher.wait()
+    for each in rings:
+        each.unlink()
+
+
+# --- serving ---
 
 
 def test_the_live_view_is_served_on_loopback_only(run):
-    _, process = run
-    worker = children(process.pid)[0]
-    addresses = until(lambda: listening(worker))
-    assert [address.split(":")[0] for address in addresses] == ["0100007F"]
+    (listener,) = run.worker_listeners()
+    assert listener.host == LOOPBACK
 
 
-def test_a_viewer_sees_the_run_under_the_recorders_name(run, tmp_path):
-    to, process = run
-    worker = children(process.pid)[0]
-    server = int(until(lambda: listening(worker))[0].split(":")[1], 16)
+def latest_times_ns(port):
+    """Return the recordings that a viewer has, with the latest time of each.
+
+    Empty while the viewer is not ready.
+    """
+    try:
+        client = ViewerClient.connect(viewer.server_address(port))
+        found = set()
+        for recording in client.get_state().recordings:
+            for timeline in recording.timelines:
+                if timeline.name == views.TIMELINE:
+                    found.add((recording.store_id, timeline.end))
+        return found
+    except Exception:
+        # Rerun does not document the exception of its client
+        return set()
+
+
+def test_a_viewer_sees_the_run_under_the_name_of_the_recorders_recording(run, tmp_path):
+    rows, _, _ = run.rings
     port = viewer.free_port()
-    shown = subprocess.Popen(
+    window = subprocess.Popen(
         viewer.command(
-            "--headless", "--port", str(port), "--connect", f"rerun+http://127.0.0.1:{server}/proxy"
+            "--headless",
+            "--port",
+            str(port),
+            "--connect",
+            viewer.server_address(run.server_port()),
         ),
         env=viewer.environment(),
         start_new_session=True,
@@ -89,116 +185,130 @@ def test_a_viewer_sees_the_run_under_the_recorders_name(run, tmp_path):
     )
     try:
         for number in range(100):
-            paced_writer.write(to, number)
+            paced_writer.write(run.rings, number)
 
-        def seen():
-            if shown.poll() is not None:
+        name = f"Recording:rollerrig:{recorder.recording_id(tmp_path, rows)}"
+        last_row_ns = 990_000_000
+
+        def shows_the_run():
+            if window.poll() is not None:
                 pytest.skip("no graphics driver for the viewer")
-            try:
-                client = ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
-                return {
-                    (one.store_id, line.end)
-                    for one in client.get_state().recordings
-                    for line in one.timelines
-                    if line.name == "t"
-                }
-            except Exception:
-                return set()  # not up yet
+            return (name, last_row_ns) in latest_times_ns(port)
 
-        name = f"Recording:rollerrig:{recorder.recording_id(tmp_path, to[0])}"
-        until(lambda: (name, 990_000_000) in seen())
+        until(shows_the_run, "the viewer to show the last row")
     finally:
-        with contextlib.suppress(ProcessLookupError):
-            os.killpg(shown.pid, signal.SIGTERM)
-        shown.wait(60)
+        viewer.terminate(window)
+        window.wait(EXIT_S)
 
 
-def test_a_live_view_that_stands_still_is_replaced_and_the_rows_go_on(run):
-    to, process = run
-    worker = children(process.pid)[0]
-    os.kill(worker, signal.SIGSTOP)
-    number, begun = 0, time.monotonic()
-    while worker in children(process.pid):
-        paced_writer.write(to, number)
+def test_without_a_display_a_page_is_served_on_loopback_and_a_client_is_noticed(run):
+    # the watcher starts the viewer after the first heartbeat of the worker
+    until(lambda: len(run.children) > 1, "the viewer")
+    _, page_server = run.children
+    (page,) = until(lambda: listeners(page_server), "the viewer to listen")
+    assert page.host == LOOPBACK
+    assert not run.header[ring.VIEWED]
+
+    with socket.create_connection(("127.0.0.1", run.server_port())):
+        until(lambda: run.header[ring.VIEWED], "the live view to notice its client")
+
+    run.watcher.terminate()
+    assert run.watcher.wait(EXIT_S) == 0
+    until(lambda: has_exited(page_server), "the exit of the viewer")
+
+
+# --- stalled, terminated and finished ---
+
+
+def test_a_live_view_that_stalls_is_replaced_and_the_rows_go_on(run):
+    stalled = run.worker
+    os.kill(stalled, signal.SIGSTOP)
+    number = 0
+    begun_s = time.monotonic()
+    while stalled in run.children:
+        paced_writer.write(run.rings, number)
         number += 1
-        assert time.monotonic() - begun < 120.0
+        assert time.monotonic() - begun_s < 120.0
         time.sleep(0.01)
-    assert to[0].header[ring.WRITTEN] == number
-    until(lambda: children(process.pid))
-    until(lambda: to[0].header[ring.READER_BEAT_NS])
+
+    assert run.header[ring.WRITTEN] == number
+    until(lambda: run.children, "a new worker")
+    run.wait_for_heartbeat()
 
 
-def test_a_live_view_that_is_told_to_end_leaves_no_process(run):
-    _, process = run
-    worker = children(process.pid)[0]
-    process.terminate()
-    assert process.wait(60) == 0
-    until(lambda: not Path(f"/proc/{worker}").exists())
+def test_a_live_view_that_is_terminated_leaves_no_process(run):
+    worker = run.worker
+    run.watcher.terminate()
+    assert run.watcher.wait(EXIT_S) == 0
+    until(lambda: has_exited(worker), "the exit of the worker")
 
 
-def test_the_live_view_ends_by_itself_after_the_run(run):
-    to, process = run
-    for one in to:
-        one.close()
-    process.terminate()  # as a bench does at once; the viewer may still be fetching
-    assert process.wait(60) == 0
+def test_the_live_view_exits_by_itself_after_the_run(run):
+    run.finish()
+    # A bench does this immediately. It has no effect after the run, because a viewer may still
+    # load the last rows.
+    run.watcher.terminate()
+    assert run.watcher.wait(EXIT_S) == 0
 
 
-def test_without_a_screen_the_page_is_served_on_loopback_and_whoever_joins_is_seen(run):
-    to, process = run
-    worker, shown = until(lambda: len(found := children(process.pid)) > 1 and found)
-    page = until(lambda: listening(shown))
-    assert [address.split(":")[0] for address in page] == ["0100007F"]
-    assert not to[0].header[ring.VIEWED]
-    server = int(until(lambda: listening(worker))[0].split(":")[1], 16)
-    with socket.create_connection(("127.0.0.1", server)):
-        until(lambda: to[0].header[ring.VIEWED])
-    process.terminate()
-    assert process.wait(60) == 0
-    until(lambda: not Path(f"/proc/{shown}").exists())
+# --- what the worker sends ---
 
 
-def test_a_feed_drops_the_oldest_rows_when_it_has_fallen_behind(tmp_path):
-    to = paced_writer.rings(8192)
+def test_a_feed_drops_the_oldest_rows_when_too_many_have_accumulated():
+    rings = paced_writer.rings(8192)
+    rows, _, events = rings
     try:
-        feed = live.Feed(to[0], to[2], record_hz=100.0)
+        feed = live.Feed(rows, events, record_hz=100.0)
         for number in range(3000):
-            paced_writer.write(to, number)
-        rows, events = feed.take()
-        assert rows[:, signals.column("time")].tolist() == [n / 100.0 for n in range(2000, 3000)]
-        assert len(events) == 120
-        assert len(feed.take()[0]) == 0
+            paced_writer.write(rings, number)
+
+        new_rows, new_events = feed.take()
+        # the last ten seconds
+        times_s = new_rows[:, signals.column("time")].tolist()
+        assert times_s == [number / 100.0 for number in range(2000, 3000)]
+        assert len(new_events) == 120
+
+        later_rows, _ = feed.take()
+        assert len(later_rows) == 0
     finally:
-        for one in to:
-            one.unlink()
+        for each in rings:
+            each.unlink()
 
 
 def test_thinned_rows_keep_every_spike():
     rows = np.zeros((10_000, 3))
     rows[:, 0] = np.arange(10_000)
-    rows[4321, 1], rows[777, 2] = 5.0, -3.0
+    rows[4321, 1] = 5.0
+    rows[777, 2] = -3.0
+
     thinned = live.thin(rows, 100)
+
     assert len(thinned) == 100
-    assert (thinned[:, 1].max(), thinned[:, 2].min()) == (5.0, -3.0)
-    assert (thinned[0, 0], thinned[-1, 0]) == (0.0, 9999.0)
-    assert np.all(np.diff(thinned[:, 0]) > 0)
+    rising, with_peak, with_trough = thinned.T
+    assert with_peak.max() == 5.0
+    assert with_trough.min() == -3.0
+    assert rising[0] == 0.0
+    assert rising[-1] == 9999.0
+    assert np.all(np.diff(rising) > 0)
 
 
 def test_few_rows_are_not_thinned():
     rows = np.random.default_rng(0).normal(size=(99, 2))
-    assert live.thin(rows, 100) is rows or np.array_equal(live.thin(rows, 100), rows)
+    assert np.array_equal(live.thin(rows, 100), rows)
 
 
 @pytest.mark.parametrize(
     ("beat_s", "begun_s", "now_s", "expected"),
     [
+        # the last heartbeat is 4.9 s or 5.1 s old
         (100.0, 0.0, 104.9, True),
         (100.0, 0.0, 105.1, False),
+        # there is no heartbeat yet, and the worker started 10 s or 30 s ago
         (0.0, 90.0, 100.0, True),
         (0.0, 70.0, 100.0, False),
     ],
 )
-def test_a_heart_that_has_stopped_is_told_from_one_that_has_yet_to_beat(
+def test_a_worker_is_alive_if_its_heartbeat_is_recent_or_it_has_just_started(
     beat_s, begun_s, now_s, expected
 ):
     assert live.is_alive(beat_s, begun_s, now_s) is expected

@@ -1,4 +1,4 @@
-"""Reading a run's folder, also an incomplete one, and writing channels while a run goes on."""
+"""A run's folder is read, also an incomplete one; channels are written while a run goes on."""
 
 import json
 
@@ -9,36 +9,52 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import channels, records
 from rollerrig.realtime.record.channels import Channels
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, Event, make
 from rollerrig.wsp_interface.signals import COLUMNS
 
-FIRST = make(1.5, Code.UNIT_LOST, node=32, silent_s=0.2)
+RECORD_HZ = 100.0
+UNIT_LOST = make(1.5, Code.UNIT_LOST, node=32, silent_s=0.2)
 
 
 def some_rows(first, count):
+    """Return rows `first` to `first + count - 1` of a run: rising times and random values."""
     rows = np.random.default_rng(first).normal(size=(count, len(COLUMNS)))
-    rows[:, 0] = np.arange(first, first + count) / 100.0
+    rows[:, signals.column("time")] = np.arange(first, first + count) / RECORD_HZ
     return rows
+
+
+def rows_in_file(folder):
+    """Return how many rows channels.parquet has, without those of the tail."""
+    return len(pq.read_table(folder / "channels.parquet"))
+
+
+def rows_read_from(folder):
+    """Return the rows of the file and of the tail, shape (n, columns)."""
+    return records.rows(channels.load(folder))
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """A run of 300 rows."""
-    written = Channels(tmp_path)
-    written.add(some_rows(0, 300))
-    written.finish()
+    """The folder of a run with 300 rows and one event."""
+    writer = Channels(tmp_path)
+    writer.add(some_rows(0, 300))
+    writer.finish()
     (tmp_path / "scenario.toml").write_text('title = "a run"\n[loop]\ntick_hz = 1000\n')
-    (tmp_path / "events.jsonl").write_text(json.dumps(FIRST._asdict()) + "\n")
+    (tmp_path / "events.jsonl").write_text(json.dumps(UNIT_LOST._asdict()) + "\n")
     return tmp_path
 
 
 def test_a_run_reads_back_as_it_was_written(folder):
     run = records.load(folder)
     assert np.array_equal(records.rows(run.table), some_rows(0, 300))
-    assert run.scenario["loop"]["tick_hz"] == 1000
-    assert run.events == [FIRST]
-    assert run.summary == {}
     assert run.column("time_s")[-1] == 2.99
+    assert run.scenario["loop"]["tick_hz"] == 1000
+    assert run.events == [UNIT_LOST]
+    assert run.summary == {}
+
+
+# --- channels while a run goes on ---
 
 
 def test_channels_are_readable_from_the_first_moment(tmp_path):
@@ -47,120 +63,151 @@ def test_channels_are_readable_from_the_first_moment(tmp_path):
 
 
 def test_rows_that_are_only_in_the_tail_are_read_too(tmp_path):
-    written = Channels(tmp_path)
-    written.add(some_rows(0, 10))
-    written.write()
-    written.add(some_rows(10, 7))
-    written.add(some_rows(17, 3))
+    writer = Channels(tmp_path)
+    writer.add(some_rows(0, 10))
+    writer.write()
+    writer.add(some_rows(10, 7))
+    writer.add(some_rows(17, 3))
+
     expected = np.vstack([some_rows(0, 10), some_rows(10, 7), some_rows(17, 3)])
-    assert len(pq.read_table(tmp_path / "channels.parquet")) == 10
-    assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
+    assert rows_in_file(tmp_path) == 10
+    assert np.array_equal(rows_read_from(tmp_path), expected)
 
 
 def test_rows_in_both_file_and_tail_are_read_once(tmp_path):
-    written = Channels(tmp_path)
-    written.add(some_rows(0, 10))
+    writer = Channels(tmp_path)
+    writer.add(some_rows(0, 10))
     tail = (tmp_path / "channels.tail").read_bytes()
-    written.write()
-    (tmp_path / "channels.tail").write_bytes(tail)  # killed before the tail was emptied
-    assert channels.load(tmp_path)["time_s"].to_pylist() == [n / 100 for n in range(10)]
+    writer.write()
+    # a recorder that is killed now leaves the old tail next to the new file
+    (tmp_path / "channels.tail").write_bytes(tail)
+
+    times_s = channels.load(tmp_path)["time_s"].to_pylist()
+    assert times_s == [number / RECORD_HZ for number in range(10)]
 
 
-def test_a_row_of_the_tail_that_was_cut_off_is_left_out(tmp_path):
-    written = Channels(tmp_path)
-    written.add(some_rows(0, 10))
+def test_an_incomplete_last_row_of_the_tail_is_left_out(tmp_path):
+    writer = Channels(tmp_path)
+    writer.add(some_rows(0, 10))
     tail = tmp_path / "channels.tail"
     tail.write_bytes(tail.read_bytes()[:-100])
-    assert np.array_equal(records.rows(channels.load(tmp_path)), some_rows(0, 10)[:9])
+    assert np.array_equal(rows_read_from(tmp_path), some_rows(0, 10)[:9])
 
 
 def test_many_small_blocks_are_read_as_one_table(tmp_path):
-    written = Channels(tmp_path)
+    writer = Channels(tmp_path)
     for number in range(500):
-        written.add(some_rows(number, 1))
+        writer.add(some_rows(number, 1))
+    writer.finish()
+
     expected = np.vstack([some_rows(number, 1) for number in range(500)])
-    written.finish()
-    assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
+    assert np.array_equal(rows_read_from(tmp_path), expected)
 
 
-def test_channels_are_written_again_when_a_second_has_not_yet_passed(tmp_path):
-    written = Channels(tmp_path)
-    written._due_s += 1000.0
-    written.add(some_rows(0, 10))
-    written.write_if_due()
-    assert len(pq.read_table(tmp_path / "channels.parquet")) == 0
-    written._due_s -= 1001.0
-    written.write_if_due()
-    assert len(pq.read_table(tmp_path / "channels.parquet")) == 10
+def test_channels_are_not_written_before_they_are_due(tmp_path):
+    writer = Channels(tmp_path)
+    writer._due_s += 1000.0
+    writer.add(some_rows(0, 10))
+    writer.write_if_due()
+    assert rows_in_file(tmp_path) == 0
+
+    writer._due_s -= 1001.0
+    writer.write_if_due()
+    assert rows_in_file(tmp_path) == 10
 
 
-def test_rows_are_taken_in_while_a_long_file_is_written_part_by_part(tmp_path, monkeypatch):
+def test_rows_can_be_added_while_a_long_file_is_written_block_by_block(tmp_path, monkeypatch):
+    # each call of write_if_due writes one block of 100 rows
     monkeypatch.setattr(channels, "_STEP_S", 0.0)
     monkeypatch.setattr(channels, "_BLOCK_BYTES", 100 * 8 * len(COLUMNS))
-    written = Channels(tmp_path)
-    written.add(some_rows(0, 250))
-    written._due_s -= 1.0
-    written.write_if_due()
-    written.add(some_rows(250, 50))
+    writer = Channels(tmp_path)
+    writer.add(some_rows(0, 250))
+    writer._due_s -= 1.0
+    writer.write_if_due()
+    writer.add(some_rows(250, 50))
+
+    # blocks two and three; the old file stays until the new one is complete
     for _ in range(2):
-        assert len(pq.read_table(tmp_path / "channels.parquet")) == 0
+        assert rows_in_file(tmp_path) == 0
         assert len(channels.load(tmp_path)) == 300
-        written.write_if_due()
-    written.write_if_due()
-    assert len(pq.read_table(tmp_path / "channels.parquet")) == 250
+        writer.write_if_due()
+
+    # this call completes the new file, with the rows that were there when its write began
+    writer.write_if_due()
     expected = np.vstack([some_rows(0, 250), some_rows(250, 50)])
-    assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
-    written.finish()
-    assert np.array_equal(records.rows(channels.load(tmp_path)), expected)
+    assert rows_in_file(tmp_path) == 250
+    assert np.array_equal(rows_read_from(tmp_path), expected)
+
+    writer.finish()
+    assert np.array_equal(rows_read_from(tmp_path), expected)
+
+
+# --- missing and damaged files ---
 
 
 @pytest.mark.parametrize(
-    ("spoil", "message"),
+    ("name", "message"),
     [
-        (lambda f: (f / "channels.parquet").unlink(), "channels.parquet: no such file"),
-        (lambda f: (f / "channels.parquet").write_bytes(b"PAR1 not"), "channels.parquet: damaged"),
-        (lambda f: (f / "scenario.toml").unlink(), "not a run's folder"),
-        (lambda f: (f / "scenario.toml").write_text("= ="), "scenario.toml: not valid TOML"),
-        (
-            lambda f: (f / "events.jsonl").write_text("x\n{}\n"),
-            "events.jsonl, line 1: not an event",
-        ),
-        (lambda f: (f / "summary.json").write_text("{"), "summary.json: not valid JSON"),
-        (lambda f: (f / "summary.json").write_text("[]"), "summary.json: an object is wanted"),
+        ("channels.parquet", "channels.parquet: no such file"),
+        ("scenario.toml", "not a run's folder"),
     ],
 )
-def test_what_is_missing_or_damaged_is_named(folder, spoil, message):
-    spoil(folder)
+def test_a_missing_file_is_reported(folder, name, message):
+    (folder / name).unlink()
+    with pytest.raises(ConfigError, match=message):
+        records.load(folder)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("channels.parquet", "PAR1 not", "channels.parquet: damaged"),
+        ("scenario.toml", "= =", "scenario.toml: not valid TOML"),
+        ("events.jsonl", "x\n{}\n", "events.jsonl, line 1: not an event"),
+        ("summary.json", "{", "summary.json: not valid JSON"),
+        ("summary.json", "[]", "summary.json: an object is wanted"),
+    ],
+)
+def test_a_damaged_file_is_reported(folder, name, content, message):
+    (folder / name).write_text(content)
     with pytest.raises(ConfigError, match=message):
         records.load(folder)
 
 
 def test_a_parquet_file_that_is_no_run_is_refused(folder):
-    pq.write_table(channels.load(folder).select(["position_m"]), folder / "channels.parquet")
+    without_times = channels.load(folder).select(["position_m"])
+    pq.write_table(without_times, folder / "channels.parquet")
     with pytest.raises(ConfigError, match="has no column time_s"):
         records.load(folder)
 
 
-def test_a_folder_that_does_not_exist_is_named(tmp_path):
+def test_a_folder_that_does_not_exist_is_reported(tmp_path):
     with pytest.raises(ConfigError, match="nowhere: no such folder"):
         records.load(tmp_path / "nowhere")
 
 
-def test_a_channel_that_does_not_exist_is_named(folder):
+def test_a_channel_that_does_not_exist_is_reported(folder):
+    run = records.load(folder)
     with pytest.raises(ConfigError, match="no channel is called 'speed'"):
-        records.load(folder).column("speed")
+        run.column("speed")
 
 
-def test_an_event_that_a_kill_cut_off_is_left_out(folder):
+# --- events and summary ---
+
+
+def test_an_incomplete_last_event_of_a_killed_run_is_left_out(folder):
     with open(folder / "events.jsonl", "a") as file:
         file.write('{"time_s": 2.0, "lev')
-    assert records.load(folder).events == [FIRST]
+    assert records.load(folder).events == [UNIT_LOST]
 
 
-def test_events_from_before_there_were_codes_are_read_without_one(folder):
-    old = {"time_s": 1.5, "level": "info", "text": "first"}
-    new = old | {"code": "of.tomorrow", "fields": {"at_m": 2.0}}
-    (folder / "events.jsonl").write_text(f"{json.dumps(old)}\n{json.dumps(new)}\n")
+def test_events_without_a_known_code_are_read(folder):
+    # older versions wrote no codes, later versions may write further codes
+    without_code = {"time_s": 1.5, "level": "info", "text": "first"}
+    with_unknown_code = without_code | {"code": "of.tomorrow", "fields": {"at_m": 2.0}}
+    lines = [json.dumps(without_code), json.dumps(with_unknown_code)]
+    (folder / "events.jsonl").write_text("\n".join(lines) + "\n")
+
     assert records.load(folder).events == [
         Event(1.5, "info", "first", None, {}),
         Event(1.5, "info", "first", None, {"at_m": 2.0}),
@@ -171,4 +218,5 @@ def test_a_summary_is_replaced_in_one_step(folder):
     records.write_summary(folder, {"stopped": True})
     records.write_summary(folder, {"stopped": False})
     assert records.load(folder).summary == {"stopped": False}
+    # no temporary file is left
     assert not list(folder.glob(".*"))

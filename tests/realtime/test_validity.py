@@ -1,4 +1,4 @@
-"""A run that is not valid: the summary, the exit status, the last line and later commands show it."""
+"""Summary, exit status, last line and later commands show that a run is not valid."""
 
 import functools
 import json

@@ -1,9 +1,11 @@
-"""What is drawn of a run: every signal, in one colour an axle, and nothing that is not recorded."""
+"""A recording shows every signal, with one colour for each axle, and shows only recorded values."""
 
+import itertools
 import os
 import shutil
 import subprocess
 import sys
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -19,14 +21,38 @@ from rollerrig.realtime.telemetry import drawing, scene, viewer, views
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS
 
+TIME = signals.column("time")
+GROUPS = sorted({signal.group for signal in SIGNALS if signal.group})
+
+# Signals that are an entity of scalars in a group. The valves are states, not scalars.
+SCALARS_OF_GROUPS = [signal for signal in SIGNALS if signal.group and signal.name != "valve"]
+
+# components of entities
+SCALARS = "Scalars:scalars"
+STATE = "StateChange:state"
+QUATERNION = "Transform3D:quaternion"
+SPOKE_COLOURS = "LineStrips3D:colors"
+TEXT = "TextLog:text"
+LEVEL = "TextLog:level"
+AGGREGATION = "SeriesLines:aggregation_policy"
+
+
+class Sample(NamedTuple):
+    """A value of a component; Rerun returns each value as a list."""
+
+    time_s: float
+    value: Any
+
 
 @pytest.fixture(autouse=True)
 def strict():
+    """Let Rerun raise its errors; by default it only logs them."""
     rr.set_strict_mode(True)
 
 
 @pytest.fixture(scope="module")
 def stop():
+    """The rows of a stop in which axle 1 locks, shape (n, columns)."""
     return synthetic_stop.stop(speed_m_s=20.0, lock_axle=1)
 
 
@@ -35,93 +61,137 @@ def folder(tmp_path_factory, stop):
     """The folder of a recorded run."""
     path = tmp_path_factory.mktemp("runs") / "first"
     path.mkdir()
-    written = channels.Channels(path)
-    written.add(stop)
-    written.finish()
+    writer = channels.Channels(path)
+    writer.add(stop)
+    writer.finish()
     (path / "scenario.toml").write_text('title = "a run"\n[contact]\nroller_radius_m = 0.75\n')
     return path
 
 
 @pytest.fixture(scope="module")
 def drawn(tmp_path_factory, stop):
-    """The chunks of a run drawn in blocks, by entity: (times in s, record batch)."""
+    """The entities of a run that is drawn in blocks of rows, see `entities`."""
     path = tmp_path_factory.mktemp("drawn") / "run.rrd"
     stream = rr.RecordingStream(views.APPLICATION)
     stream.set_sinks(rr.FileSink(path), default_blueprint=views.blueprint())
-    one = drawing.Drawing(stream, {})
-    for first in range(0, len(stop), 70):
-        one.rows(stop[first : first + 70])
-    one.events(synthetic_stop.EVENTS)
+    run = drawing.Drawing(stream, {})
+    block_rows = 70
+    for first in range(0, len(stop), block_rows):
+        run.rows(stop[first : first + block_rows])
+    run.events(synthetic_stop.EVENTS)
     stream.disconnect()
     return entities(path)
 
 
 def entities(path):
-    """Everything in a .rrd that has times: entity -> component -> list of (time in s, value)."""
-    found = {}
+    """Return the samples of each component of each entity in a .rrd file, in the order of time.
+
+    The result is a dict of dicts: path of the entity -> name of the component -> samples. Static
+    data have no time and are left out.
+    """
+    samples_of = {}
     for chunk in RrdReader(path).stream():
         if chunk.is_static:
             continue
         batch = chunk.to_record_batch()
-        times = np.array(batch["t"].cast("int64").to_pylist()) / 1e9
+        times_s = np.array(batch[views.TIMELINE].cast("int64").to_pylist()) / 1e9
+        components = samples_of.setdefault(str(chunk.entity_path), {})
         for name in batch.schema.names:
-            if ":" in name:
-                values = found.setdefault(str(chunk.entity_path), {}).setdefault(name, [])
-                values += zip(times, batch[name].to_pylist(), strict=True)
-    for components in found.values():
-        for values in components.values():
-            values.sort(key=lambda pair: pair[0])
-    return found
+            # the names of components have a colon, those of timelines do not
+            if ":" not in name:
+                continue
+            samples = components.setdefault(name, [])
+            for time_s, value in zip(times_s, batch[name].to_pylist(), strict=True):
+                samples.append(Sample(time_s, value))
+
+    for components in samples_of.values():
+        for samples in components.values():
+            samples.sort(key=lambda sample: sample.time_s)
+    return samples_of
 
 
-def every_view(container):
+def times_of(samples):
+    """Return the times of samples in s, shape (n,)."""
+    return np.array([sample.time_s for sample in samples])
+
+
+def values_of(samples):
+    return [sample.value for sample in samples]
+
+
+def lines_with(column):
+    """Return the entities of scalars that show a column of a row."""
+    return [line for line in views.lines() if column in line.columns]
+
+
+# --- entities and layout ---
+
+
+def test_every_recorded_column_is_drawn_exactly_once():
+    columns = [TIME, *range(len(signals.COLUMNS))[signals.span("valve")]]
+    for line in views.lines():
+        columns += line.columns
+    assert sorted(columns) == list(range(len(signals.COLUMNS)))
+
+
+@pytest.mark.parametrize("signal", SCALARS_OF_GROUPS, ids=lambda signal: signal.name)
+def test_a_signal_of_a_group_has_a_path_of_its_group_and_name(signal):
+    (line,) = lines_with(signals.column(signal.name))
+    assert line.path.startswith(f"/{signal.group}/{signal.name}")
+
+
+def views_in(container):
+    """Yield all views of a container of the layout, also those in nested containers."""
     for part in container.contents:
-        if hasattr(part, "class_identifier"):
+        is_view = hasattr(part, "class_identifier")
+        if is_view:
             yield part
         else:
-            yield from every_view(part)
+            yield from views_in(part)
 
 
-def test_every_recorded_column_is_drawn_once():
-    drawn = [column for one in views.lines() for column in one.columns]
-    valves = range(*signals.span("valve").indices(len(signals.COLUMNS)))
-    assert sorted([*drawn, *valves, signals.column("time")]) == list(range(len(signals.COLUMNS)))
+def paths_shown_by(view):
+    if view.contents == "$origin/**":
+        return [view.origin]
+    return view.contents
 
 
-@pytest.mark.parametrize("signal", [s for s in SIGNALS if s.group], ids=lambda s: s.name)
-def test_a_signal_of_a_group_has_a_path_of_its_group_and_name(signal):
-    if signal.name == "valve":
-        return
-    paths = [one.path for one in views.lines() if signals.column(signal.name) in one.columns]
-    assert len(paths) == 1
-    assert paths[0].startswith(f"/{signal.group}/{signal.name}")
-
-
-@pytest.mark.parametrize("group", sorted({s.group for s in SIGNALS if s.group}))
+@pytest.mark.parametrize("group", GROUPS)
 def test_every_group_is_shown_by_a_view(group):
-    shown = [
-        expression
-        for view in every_view(views.blueprint().root_container)
-        for expression in ([view.origin] if view.contents == "$origin/**" else view.contents)
-    ]
-    assert any(str(path).startswith(f"/{group}") for path in shown)
+    paths = []
+    for view in views_in(views.blueprint().root_container):
+        paths += paths_shown_by(view)
+    assert any(str(path).startswith(f"/{group}") for path in paths)
+
+
+def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
+    file = tmp_path / "run.rrd"
+    stream = rr.RecordingStream(views.APPLICATION)
+    stream.set_sinks(rr.FileSink(file))
+    drawing.Drawing(stream, {}, everything=False).rows(stop[:10])
+    stream.disconnect()
+    assert not [path for path in entities(file) if path.startswith("/more")]
+
+
+# --- styles ---
 
 
 def test_one_colour_means_one_axle_in_every_view():
     for signal in SIGNALS:
-        if signal.axles == 1 or signal.name in ("valve", *views.COLOUR_OF_SIGNAL):
+        has_axle_colours = signal.axles > 1 and signal.name not in views.COLOUR_OF_SIGNAL
+        if not has_axle_colours or signal.name == "valve":
             continue
         for axle in range(1, signal.axles + 1):
-            place = signals.column(signal.name, axle)
-            one = next(one for one in views.lines() if place in one.columns)
-            assert one.colours[one.columns.index(place)] == colours.AXLES[axle - 1]
+            column = signals.column(signal.name, axle)
+            line = lines_with(column)[0]
+            series = line.columns.index(column)
+            assert line.colours[series] == colours.AXLES[axle - 1]
 
 
 def test_the_colours_of_axles_and_limits_differ():
-    others = (colours.VEHICLE, colours.REFERENCE, colours.LIMIT)
-    shades = np.array([*colours.AXLES, *others])
-    apart = [np.abs(one - other).sum() for i, one in enumerate(shades) for other in shades[:i]]
-    assert min(apart) > 60
+    shades = np.array([*colours.AXLES, colours.VEHICLE, colours.REFERENCE, colours.LIMIT])
+    for first, second in itertools.combinations(shades, 2):
+        assert np.abs(first - second).sum() > 60
 
 
 def test_a_spike_of_one_sample_is_drawn_at_its_full_height(tmp_path):
@@ -129,109 +199,108 @@ def test_a_spike_of_one_sample_is_drawn_at_its_full_height(tmp_path):
     stream.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
     views.log_styles(stream)
     stream.disconnect()
+
     policies = {}
     for chunk in RrdReader(tmp_path / "run.rrd").stream():
         batch = chunk.to_record_batch()
-        if "SeriesLines:aggregation_policy" in batch.schema.names:
-            policies[str(chunk.entity_path)] = batch["SeriesLines:aggregation_policy"].to_pylist()
-    wanted = rr.components.AggregationPolicy.MinMax.value
-    assert policies == {one.path: [[wanted]] for one in views.lines()}
+        if AGGREGATION in batch.schema.names:
+            policies[str(chunk.entity_path)] = batch[AGGREGATION].to_pylist()
+
+    min_and_max = rr.components.AggregationPolicy.MinMax.value
+    assert policies == {line.path: [[min_and_max]] for line in views.lines()}
 
 
-def test_what_is_drawn_are_the_recorded_values(drawn, stop):
-    for one in views.lines():
-        values = drawn[one.path]["Scalars:scalars"]
-        assert np.array_equal([time for time, _ in values], np.rint(stop[:, 0] * 1e9) / 1e9)
-        assert np.array_equal(
-            [row for _, row in values], one.factor * stop[:, one.columns], equal_nan=True
-        )
+# --- what is drawn of a run ---
+
+
+def test_the_drawn_values_are_the_recorded_values(drawn, stop):
+    # the timeline holds whole nanoseconds
+    times_s = np.rint(stop[:, TIME] * 1e9) / 1e9
+    for line in views.lines():
+        samples = drawn[line.path][SCALARS]
+        expected = line.factor * stop[:, line.columns]
+        assert np.array_equal(times_of(samples), times_s)
+        assert np.array_equal(values_of(samples), expected, equal_nan=True)
 
 
 def test_slip_is_drawn_in_percent_of_the_reference(drawn, stop):
-    reference, rim = (
-        stop[:, signals.column(name)]
-        for name in ("wsp_reference_speed", "wheel_circumferential_speed")
-    )
-    found = np.array([row[0] for _, row in drawn["/slip/axle_1"]["Scalars:scalars"]])
-    fast = reference >= 1.0
-    assert np.allclose(found[fast], 100.0 * (1.0 - rim[fast] / reference[fast]))
-    assert np.isnan(found[~fast]).all()
-    assert found[fast].max() > 95.0, "the stop of this test locks axle 1"
+    reference_m_s = stop[:, signals.column("wsp_reference_speed")]
+    rim_m_s = stop[:, signals.column("wheel_circumferential_speed", 1)]
+    samples = drawn["/slip/axle_1"][SCALARS]
+    slip_percent = np.array([value[0] for value in values_of(samples)])
+
+    is_fast = reference_m_s >= 1.0
+    expected = 100.0 * (1.0 - rim_m_s[is_fast] / reference_m_s[is_fast])
+    assert np.allclose(slip_percent[is_fast], expected)
+    assert np.isnan(slip_percent[~is_fast]).all()
+    assert slip_percent[is_fast].max() > 95.0, "axle 1 locks in the stop of this test"
 
 
-def test_a_fault_is_marked_across_the_plots_of_speeds(drawn):
-    marks = drawn["/speeds/marks"]["Scalars:scalars"]
-    told = {event.time_s for event in synthetic_stop.EVENTS if event.level != "info"}
-    assert {round(time, 6) for time, _ in marks} == told
+def test_a_fault_is_marked_in_the_plots_of_speeds(drawn):
+    marks = drawn["/speeds/marks"][SCALARS]
+    faults_s = {event.time_s for event in synthetic_stop.EVENTS if event.level != "info"}
+    # a mark has a third point, one nanosecond later
+    assert {round(mark.time_s, 6) for mark in marks} == faults_s
 
 
-def test_a_valve_is_drawn_where_it_changes_and_nowhere_else(drawn, stop):
-    for axle in range(1, 5):
-        column = signals.column("valve", axle)
-        changes = np.flatnonzero(np.diff(stop[:, column], prepend=-1))
-        names = ("fill", "hold", "vent")
-        expected = [(stop[at, 0], [names[int(stop[at, column])]]) for at in changes]
-        found = drawn[views.valve(axle)]["StateChange:state"]
-        assert [value for _, value in found] == [value for _, value in expected]
-        assert np.allclose([time for time, _ in found], [time for time, _ in expected])
+@pytest.mark.parametrize("axle", range(1, 5))
+def test_a_valve_is_drawn_only_where_it_changes(drawn, stop, axle):
+    states = stop[:, signals.column("valve", axle)].astype(int)
+    changes = np.flatnonzero(np.diff(states, prepend=-1))
+    names = ("fill", "hold", "vent")
+
+    samples = drawn[views.valve(axle)][STATE]
+    assert values_of(samples) == [[names[state]] for state in states[changes]]
+    assert np.allclose(times_of(samples), stop[changes, TIME])
 
 
-def test_wheels_turn_by_their_recorded_angle_geared_down(drawn, stop):
-    turned = drawn["/rig/axle_2/wheels"]["Transform3D:quaternion"]
-    times = np.array([time for time, _ in turned])
-    assert np.all(np.diff(times) > 0.039)
-    angle = np.interp(times, stop[:, 0], stop[:, signals.column("wheel_angle", 2)]) / scene.GEARING
-    expected = np.column_stack([0 * angle, np.sin(angle / 2), 0 * angle, np.cos(angle / 2)])
-    assert np.allclose([value[0] for _, value in turned], expected, atol=1e-6)
+def test_wheels_turn_by_their_recorded_angle_slowed_down(drawn, stop):
+    samples = drawn["/rig/axle_2/wheels"][QUATERNION]
+    times_s = times_of(samples)
+    # at most 25 pictures in a second
+    assert np.all(np.diff(times_s) > 0.039)
+
+    recorded_rad = stop[:, signals.column("wheel_angle", 2)]
+    angle_rad = np.interp(times_s, stop[:, TIME], recorded_rad) / scene.GEARING
+    zero = np.zeros_like(angle_rad)
+    # a rotation about the y axis, as x, y, z, w
+    expected = np.column_stack([zero, np.sin(angle_rad / 2), zero, np.cos(angle_rad / 2)])
+    quaternions = [value[0] for value in values_of(samples)]
+    assert np.allclose(quaternions, expected, atol=1e-6)
 
 
 def test_rollers_turn_against_their_wheels(drawn):
-    last = {
-        part: drawn[f"/rig/axle_4/{part}"]["Transform3D:quaternion"][3][1][0]
-        for part in ("wheels", "rollers")
-    }
-    assert last["wheels"][1] > 0.0 > last["rollers"][1]
+    # a short time after the begin, before half a revolution
+    picture = 3
+    (wheels,) = drawn["/rig/axle_4/wheels"][QUATERNION][picture].value
+    (rollers,) = drawn["/rig/axle_4/rollers"][QUATERNION][picture].value
+    _, wheels_y, _, _ = wheels
+    _, rollers_y, _, _ = rollers
+    assert wheels_y > 0.0
+    assert rollers_y < 0.0
 
 
-def test_spokes_turn_red_while_a_wheel_is_locked(drawn, stop):
-    speed = stop[:, signals.column("vehicle_speed")]
-    rim = stop[:, signals.column("wheel_circumferential_speed", 1)]
-    locked = (speed > 0.5) & (rim < 0.1 * speed)
-    assert locked.any(), "the stop of this test locks axle 1"
-    red = int.from_bytes(bytes([*scene.LOCKED, 255]))
-    reds = [
-        time
-        for time, colour in drawn["/rig/axle_1/wheels/spokes"]["LineStrips3D:colors"]
-        if colour == [red]
-    ]
-    begins = stop[np.flatnonzero(np.diff(locked.astype(int), prepend=0) == 1), 0]
-    assert np.allclose(reds, begins)
+def test_spokes_become_red_when_a_wheel_locks(drawn, stop):
+    vehicle_m_s = stop[:, signals.column("vehicle_speed")]
+    rim_m_s = stop[:, signals.column("wheel_circumferential_speed", 1)]
+    is_locked = (vehicle_m_s > 0.5) & (rim_m_s < 0.1 * vehicle_m_s)
+    assert is_locked.any(), "axle 1 locks in the stop of this test"
+    locks = np.flatnonzero(np.diff(is_locked.astype(int), prepend=0) == 1)
+
+    opaque = 255
+    red = int.from_bytes(bytes([*scene.LOCKED, opaque]))
+    samples = drawn["/rig/axle_1/wheels/spokes"][SPOKE_COLOURS]
+    becomes_red_s = [sample.time_s for sample in samples if sample.value == [red]]
+    assert np.allclose(becomes_red_s, stop[locks, TIME])
 
 
-def test_events_are_drawn_with_level_and_time(drawn):
-    events = drawn[views.EVENTS]
-    assert [value for _, value in events["TextLog:level"]] == [
-        ["INFO"],
-        ["INFO"],
-        ["INFO"],
-        ["WARN"],
-        ["ERROR"],
-    ]
-    assert [time for time, _ in events["TextLog:text"]] == [
-        event.time_s for event in synthetic_stop.EVENTS
-    ]
-    assert all(
-        event.text in value[0]
-        for event, (_, value) in zip(synthetic_stop.EVENTS, events["TextLog:text"], strict=True)
-    )
-
-
-def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
-    stream = rr.RecordingStream(views.APPLICATION)
-    stream.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
-    drawing.Drawing(stream, {}, everything=False).rows(stop[:10])
-    stream.disconnect()
-    assert not [path for path in entities(tmp_path / "run.rrd") if path.startswith("/more")]
+def test_events_are_drawn_with_level_time_and_text(drawn):
+    texts = drawn[views.EVENTS][TEXT]
+    levels = drawn[views.EVENTS][LEVEL]
+    assert values_of(levels) == [["INFO"], ["INFO"], ["INFO"], ["WARN"], ["ERROR"]]
+    for event, text in zip(synthetic_stop.EVENTS, texts, strict=True):
+        assert text.time_s == event.time_s
+        assert event.text in text.value[0]
 
 
 @pytest.mark.parametrize(
@@ -246,54 +315,68 @@ def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
 )
 def test_the_rig_of_any_scenario_can_be_drawn(scenario):
     place = scene.geometry(scenario)
-    radius = place.roller_radius_m if np.isfinite(place.roller_radius_m) else 0.0
-    assert np.allclose(place.wheels[:, 2], radius + place.wheel_radius_m)  # wheels stand on rollers
-    assert np.all(np.diff(place.wheels[:, 0]) < 0.0)  # axle 1 leads
+    ahead_m, _, height_m = place.wheels.T
+
+    # the wheels are on the rollers, or on rails at height 0
+    top_m = place.roller_radius_m
+    if np.isinf(top_m):
+        top_m = 0.0
+    assert np.allclose(height_m, top_m + place.wheel_radius_m)
+
+    # axle 1 leads
+    assert np.all(np.diff(ahead_m) < 0.0)
+
     stream = rr.RecordingStream(views.APPLICATION)
     memory = stream.memory_recording()
     scene.draw(stream, place)
     assert memory.num_msgs() > 10
 
 
-def test_runs_are_laid_over_one_another_under_their_names(folder, tmp_path):
-    other = tmp_path / "second run"
-    shutil.copytree(folder, other)
-    found = entities(viewer.overlay([folder, other, other], tmp_path / "both.rrd"))
-    assert {
-        "/sliding/sliding",
-        "/ref/second_run/sliding/sliding",
-        "/ref/second_run_2/sliding/sliding",
-    } <= set(found)
-    assert found["/sliding/sliding"] == found["/ref/second_run/sliding/sliding"]
+# --- the viewer ---
 
 
-def test_without_a_display_the_command_for_a_browser_is_told(folder, monkeypatch):
+def test_several_runs_are_drawn_in_one_recording_under_their_names(folder, tmp_path):
+    second = tmp_path / "second run"
+    shutil.copytree(folder, second)
+    overlay = entities(viewer.overlay([folder, second, second], tmp_path / "both.rrd"))
+
+    of_first = "/sliding/sliding"
+    of_second = "/ref/second_run/sliding/sliding"
+    of_third = "/ref/second_run_2/sliding/sliding"
+    assert set(overlay) >= {of_first, of_second, of_third}
+    assert overlay[of_first] == overlay[of_second]
+
+
+def test_without_a_display_the_result_is_a_command_for_a_browser(folder, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
-    opened = viewer.open_run([folder])
-    assert opened["opened"] is False
-    assert opened["file"] == str(folder / "run.rrd")  # drawn anew, since this run had none
-    assert opened["command"].startswith("rerun --serve-web --bind 127.0.0.1 ")
-    assert opened["command"].endswith(opened["file"])
+    result = viewer.open_run([folder])
+    assert result["opened"] is False
+    # this run had no recording, so there is a new one
+    assert result["file"] == str(folder / "run.rrd")
+    assert result["command"].startswith("rerun --serve-web --bind 127.0.0.1 ")
+    assert result["command"].endswith(result["file"])
 
 
-def test_what_is_no_run_is_refused(tmp_path):
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="not a run's folder"):
         viewer.open_run([tmp_path])
 
 
-def test_the_viewer_is_told_not_to_report_its_use():
-    told = subprocess.run(
+def test_the_viewer_does_not_report_its_use():
+    process = subprocess.run(
         [sys.executable, "-m", "rerun_cli", "analytics", "config"],
         text=True,
         env=viewer.environment(),
         capture_output=True,
         check=True,
-    ).stdout
-    assert '"analytics_enabled": false' in told
+    )
+    assert '"analytics_enabled": false' in process.stdout
 
 
-def test_without_a_graphics_driver_the_message_says_what_to_install(folder, tmp_path, monkeypatch):
+def test_without_a_graphics_driver_the_message_has_the_packages_to_install(
+    folder, tmp_path, monkeypatch
+):
     for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
         monkeypatch.setenv(name, os.devnull)
     with pytest.raises(RollerrigError, match="mesa-vulkan-drivers libvulkan1"):
@@ -301,14 +384,16 @@ def test_without_a_graphics_driver_the_message_says_what_to_install(folder, tmp_
 
 
 def test_a_picture_shows_every_axle_in_its_colour(folder, tmp_path):
+    png = tmp_path / "run.png"
     try:
-        viewer.picture([folder], tmp_path / "run.png", (1200, 800), 5.0)
+        viewer.picture([folder], png, size=(1200, 800), time_s=5.0)
     except RollerrigError as error:
         if "Vulkan" in str(error):
             pytest.skip(str(error))
         raise
-    image = np.asarray(Image.open(tmp_path / "run.png").convert("RGB")).astype(int)
+
+    image = np.asarray(Image.open(png).convert("RGB")).astype(int)
     assert image.shape == (800, 1200, 3)
     for colour in colours.AXLES:
-        near = np.abs(image - colour).sum(axis=2) < 40
-        assert near.sum() > 200
+        difference = np.abs(image - colour).sum(axis=2)
+        assert (difference < 40).sum() > 200
