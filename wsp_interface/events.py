@@ -78,6 +78,7 @@ class Code(StrEnum):
     SANDERS_STOPPED = "sanders.stopped"
     BUS_PLACE = "bus.place"
     BUS_PORT = "bus.port"
+    BUS_PORT_IN_USE = "bus.port_in_use"
     BUS_FRAMES_LOST = "bus.frames_lost"
     BUS_CONTROLLER = "bus.controller"
     HUB_FULL = "hub.full"
@@ -333,6 +334,12 @@ TABLE: dict[Code, Row] = {
     Code.BUS_PLACE: Row(INFO, {"address": str}, "the rig is on the bus {address}"),
     Code.BUS_PORT: Row(
         INFO, {"protocol": str, "port": int}, "the bus speaks {protocol} on port {port}"
+    ),
+    Code.BUS_PORT_IN_USE: Row(
+        WARNING,
+        {"port": int, "address": str},
+        "port {port} is in use by another program: programs reach this bench on {address}",
+        "choose a port with --set bus.socketcand_port=N",
     ),
     Code.BUS_FRAMES_LOST: Row(
         WARNING, {"bus": str, "reason": str}, "{bus}: frames are lost: {reason}"

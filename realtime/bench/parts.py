@@ -214,11 +214,13 @@ class Parts:
         """Open the bus of the scenario with the rig on it, and return it. Raises BusError."""
         wall = self.options.pacing == "wall"
         self.hub, self.place = await rig_bus.open_bus(
-            self.plan, clock_ns, self._lose_bus, self.event, wall
+            self.plan, clock_ns, self._lose_bus, self.event, wall, self._awaits_others
         )
         rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
 
-        self.ports = await rig_bus.open_others(self.hub, self.place, self.plan)
+        self.ports = await rig_bus.open_others(
+            self.hub, self.place, self.plan, self.event, self._awaits_others
+        )
         for protocol, port in self.ports.items():
             self.event(Code.BUS_PORT, protocol=protocol, port=port)
 
@@ -246,6 +248,12 @@ class Parts:
         self.bus = bus
         self.event(Code.BUS_PLACE, address=self.place)
         return bus
+
+    @property
+    def _awaits_others(self) -> bool:
+        """Whether the run waits for an outside program on the bus: unit, harness or master."""
+        has_outside_master = not self.plan["bus"]["master"] or self.plan["rig"]["drives"] == "bus"
+        return self.options.unit == "external" or self.options.harness or has_outside_master
 
     def _post(self, command: np.ndarray) -> None:
         """Hand a command row of the bus to the tick, with the brake demand that counts."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.errors import BusError
+from rollerrig.configs.errors import BusError, PortInUseError
 from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401
 from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.cia301.node import Node
@@ -22,7 +22,7 @@ from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.faults.panel import Site
 from rollerrig.firmware_sim.nmt_master import NmtMaster
 from rollerrig.firmware_sim.rack import Rack
-from rollerrig.realtime.bench.scenario import Scenario
+from rollerrig.realtime.bench.scenario import AUTOMATIC_PORT, Scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import REFERENCE
@@ -48,22 +48,24 @@ from rollerrig.wsp_interface.rig_objects import (
     unit_lost_after_ms,
 )
 
+HUB = "hub"  # the interface in [bus] that is the bench's own hub
 KERNEL_CHANNEL = "vcan0"
 # how long to listen for foreign nodes: longer than the heartbeat time of any bench, 100 ms
 _LISTEN_S = 0.25
 _SENT_BY_NODES = (EMERGENCY, *TPDO, SDO_REPLY, HEARTBEAT)
 
 
-def address(scenario: Scenario) -> str:
-    """Return the address of the bus in [bus]: kernel CAN where it is up, else the hub."""
-    bus = scenario["bus"]
-    interface = bus["interface"]
-    if interface == "auto":
-        kernel_is_up = KERNEL_CHANNEL in kernel.available().up
-        interface = f"socketcan:{KERNEL_CHANNEL}" if kernel_is_up else "hub"
-    if interface == "hub":
-        return f"socketcand://{bus['host']}:{bus['socketcand_port']}/{signals.BUS_CHANNEL}"
-    return str(interface)
+def interface(scenario: Scenario) -> str:
+    """Return what [bus] interface means here: `hub`, or the address of another bus.
+
+    With `auto` it is kernel CAN where it is up, else the hub.
+    """
+    given = scenario["bus"]["interface"]
+    if given != "auto":
+        return str(given)
+    if KERNEL_CHANNEL in kernel.available().up:
+        return f"socketcan:{KERNEL_CHANNEL}"
+    return HUB
 
 
 async def open_bus(
@@ -72,13 +74,18 @@ async def open_bus(
     on_lost: Callable[[BusError], None],
     on_event: OnEvent,
     wall: bool,
+    awaits_others: bool,
 ) -> tuple[Hub, str]:
     """Return the bus of a scenario, and the address at which others reach it. Raises BusError.
 
-    `wall`: clock_ns runs as the wall clock does.
+    `wall`: clock_ns runs as the wall clock does. `awaits_others`: as in `_listen`.
     """
-    place = address(scenario)
+    place = interface(scenario)
     bitrate = scenario["bus"]["bitrate"]
+    if place == HUB:
+        hub = Hub(clock_ns, bitrate, signals.BUS_CHANNEL, on_event=on_event)
+        port = await _listen(hub, "socketcand", scenario, on_event, awaits_others)
+        return hub, _hub_address(scenario, port)
     if not place.startswith("socketcand:"):
         hub = await buses.open_hub(place, clock_ns, bitrate, on_lost, on_event, wall)
         await _refuse_foreign_nodes(hub, place)
@@ -87,6 +94,37 @@ async def open_bus(
     hub = Hub(clock_ns, bitrate, name, on_event=on_event)
     port = await hub.listen("socketcand", host, port)
     return hub, f"socketcand://{host}:{port}/{name}"
+
+
+def _hub_address(scenario: Scenario, port: int) -> str:
+    return f"socketcand://{scenario['bus']['host']}:{port}/{signals.BUS_CHANNEL}"
+
+
+async def _listen(
+    hub: Hub, protocol: str, scenario: Scenario, on_event: OnEvent, awaits_others: bool
+) -> int:
+    """Listen for a protocol on its port in [bus] and return the port. Raises BusError.
+
+    Where nobody has chosen a port, it is the usual one. If another program has the usual port, the
+    bench takes a free one and reports it. With `awaits_others`, the run waits for an outside
+    program. That looks for the bench on the usual port, and would join another bench there, so a
+    usual port in use is then an error.
+    """
+    bus = scenario["bus"]
+    host = bus["host"]
+    key = f"{protocol}_port"
+    chosen = bus[key]
+    if chosen != AUTOMATIC_PORT:
+        return await hub.listen(protocol, host, chosen, f"bus.{key}")
+    try:
+        return await hub.listen(protocol, host, None, f"bus.{key}")
+    except PortInUseError:
+        if awaits_others:
+            raise
+    port = await hub.listen(protocol, host, 0)
+    usual_port = CODECS[protocol].port
+    on_event(Code.BUS_PORT_IN_USE, port=usual_port, address=_hub_address(scenario, port))
+    return port
 
 
 async def _refuse_foreign_nodes(hub: Hub, place: str) -> None:
@@ -111,18 +149,22 @@ async def _refuse_foreign_nodes(hub: Hub, place: str) -> None:
             )
 
 
-async def open_others(hub: Hub, place: str, scenario: Scenario) -> dict[str, int]:
+async def open_others(
+    hub: Hub, place: str, scenario: Scenario, on_event: OnEvent, awaits_others: bool
+) -> dict[str, int]:
     """Listen for the other protocols that have a port in [bus]; return the ports by protocol.
 
-    On a bus of the kernel that includes socketcand. Raises BusError for a port that cannot be used.
+    On a bus of the kernel that includes socketcand. `awaits_others`: as in `_listen`. Raises
+    BusError for a port that cannot be used.
     """
-    bus = scenario["bus"]
     ports: dict[str, int] = {}
     for protocol in CODECS:
-        is_open = protocol == "socketcand" and place.startswith("socketcand:")
-        port = bus[f"{protocol}_port"]
-        if port >= 0 and not is_open:
-            ports[protocol] = await hub.listen(protocol, bus["host"], port)
+        if protocol == "socketcand":
+            is_required = not place.startswith("socketcand:")
+        else:
+            is_required = scenario["bus"][f"{protocol}_port"] >= 0
+        if is_required:
+            ports[protocol] = await _listen(hub, protocol, scenario, on_event, awaits_others)
     return ports
 
 

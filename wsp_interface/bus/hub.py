@@ -27,7 +27,7 @@ from collections.abc import Callable, Hashable
 from functools import partial
 from typing import Any
 
-from rollerrig.configs.errors import BusError
+from rollerrig.configs.errors import BusError, PortInUseError
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
@@ -115,6 +115,7 @@ class Hub:
     clock_ns: returns the time that every frame is stamped with.
     bitrate: in bit/s, for the load and for the wire.
     name: what clients call the bus.
+    other_names: further names by which clients may open it.
     buffer_bytes: how much may wait for one client.
     on_event: called as on_event(code, **fields) for clients that the hub refuses and for addresses
         that other machines can reach.
@@ -137,8 +138,10 @@ class Hub:
         name: str = "rig0",
         buffer_bytes: int = BUFFER_BYTES,
         on_event: OnEvent = log_event,
+        other_names: tuple[str, ...] = (),
     ) -> None:
         self.name = name
+        self.names = (name, *other_names)
         self.buffer_bytes = buffer_bytes
         self.load = BusLoad(bitrate, clock_ns())
         self.wire: Wire | None = None
@@ -179,12 +182,18 @@ class Hub:
         self._taps = (*self._taps, callback)
 
     async def listen(
-        self, codec: str = "socketcand", host: str = "127.0.0.1", port: int | None = None
+        self,
+        codec: str = "socketcand",
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        port_key: str = "",
     ) -> int:
         """Accept TCP clients of a protocol of `codecs.CODECS`; return the port number.
 
-        Port 0 takes a free port, None the usual one of the protocol. Raises BusError when the
-        protocol is unknown or the address cannot be used.
+        Port 0 takes a free port, None the usual one of the protocol. `port_key` is the key of the
+        configuration that gives the port, for messages; without one it is part of an address.
+        Raises PortInUseError when another program has the port, and BusError when the protocol is
+        unknown or the address cannot be used otherwise.
         """
         if codec not in CODECS:
             raise BusError(
@@ -199,7 +208,10 @@ class Hub:
         try:
             server = await loop.create_server(lambda: Client(self, codec, row), address, port)
         except (OSError, OverflowError) as error:
-            raise BusError(_listen_error(self.name, codec, host, port, error)) from error
+            place = f"CAN hub {self.name}: cannot listen for {codec} on {host}:{port}"
+            if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+                raise PortInUseError(f"{place}: {_port_in_use(port, port_key)}") from error
+            raise BusError(f"{place}: {_no_address(error)}") from error
         self._servers.append(server)
         bound_host, bound_port = server.sockets[0].getsockname()[:2]
         if beyond_loopback(bound_host):
@@ -453,21 +465,21 @@ def _is_service(frame: Frame) -> bool:
     return frame.extended or not SYNC <= frame.can_id < SDO_REPLY
 
 
-def _listen_error(
-    name: str, codec: str, host: str, port: int, error: OSError | OverflowError
-) -> str:
-    """Return the message for a server that could not be opened."""
-    code = error.errno if isinstance(error, OSError) else None
+def _port_in_use(port: int, port_key: str) -> str:
+    """Return what is wrong where another program has the port, and how to correct it."""
+    another_port = "choose another port in the bus address (0 takes any free one)"
+    if port_key:
+        another_port = f"give this bench another one: --set {port_key}=N (0 takes any free one)"
+    return (
+        "the port is already in use, perhaps by another bench; stop its owner "
+        f"(ss -ltnp 'sport = :{port}' shows the program) or {another_port}"
+    )
+
+
+def _no_address(error: OSError | OverflowError) -> str:
+    """Return why a server cannot have an address, and how to correct it."""
     if isinstance(error, OverflowError):
-        why = "allowed ports are 0 (any free one) to 65535"
-    elif code == errno.EADDRINUSE:
-        why = (
-            "the port is already in use, perhaps by another bench; stop its owner "
-            f"(ss -ltnp 'sport = :{port}' shows the program) or choose another port in the bus "
-            "address (0 takes any free one)"
-        )
-    elif code == errno.EACCES:
-        why = "ports below 1024 need special rights; choose one from 1024 to 65535"
-    else:
-        why = f"{error}; allowed is an address of this machine, 127.0.0.1 for local programs"
-    return f"CAN hub {name}: cannot listen for {codec} on {host}:{port}: {why}"
+        return "allowed ports are 0 (any free one) to 65535"
+    if error.errno == errno.EACCES:
+        return "ports below 1024 need special rights; choose one from 1024 to 65535"
+    return f"{error}; allowed is an address of this machine, 127.0.0.1 for local programs"
