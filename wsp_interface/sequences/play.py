@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
-from rollerrig.wsp_interface import events, own_bench
+from rollerrig.wsp_interface import events, own_bench, unit_choice
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import verdict
@@ -26,6 +26,7 @@ from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.sequences.measures import Record
 from rollerrig.wsp_interface.sequences.sequence import Sequence, Step
 from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 TRACE = "harness.csv"
 SETTLED_S = 0.05  # after the last step, so that the record also has its last rows
@@ -88,6 +89,7 @@ def on_own_bench(
     companions: tuple[own_bench.Companion, ...] = (),
     on_event: Callable[[Event], None] = lambda event: None,
     arguments: tuple[str, ...] = (),
+    allowed: AllowList = unit_choice.NOTHING,
 ) -> Outcome:
     """Start a bench for a sequence, play and judge it. A failure of the run is in the outcome.
 
@@ -96,6 +98,7 @@ def on_own_bench(
     companions: programs that run as long as the bench.
     on_event: called with each event.
     arguments: further options of `rollerrig run`.
+    allowed: the FMUs that the sequence may choose as its unit.
     """
     outcome = Outcome(sequence, folder)
     harness: Harness | None = None
@@ -103,7 +106,7 @@ def on_own_bench(
         with own_bench.start(
             folder,
             sequence.scenario,
-            wsp=wsp or sequence.wsp,
+            wsp=wsp or sequence.allowed_unit(allowed),
             pacing=pacing,
             seed=seed,
             initial_speed_m_s=sequence.speed_m_s,
