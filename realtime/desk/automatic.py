@@ -48,12 +48,12 @@ def _sequences(desk: Desk) -> None:
     async def play() -> None:
         chosen = list(names.value or [])
         report = chosen[0] if len(chosen) == 1 else "sequences"
-        words = ["sequence", *chosen, "--steps"]
+        words = ["sequence", "--steps"]
         words += ["--out", f"reports/{report}"]
         words += ["--pacing", str(pacing.value)]
         if unit.value:
             words += ["--wsp", str(unit.value)]
-        await carry_out(_start(desk, words), "started")
+        await carry_out(_start(desk, [*words, "--", *chosen]), "started")
 
     ui.button("Play", on_click=play).props("color=primary").classes("w-full").mark("play")
 

@@ -1,11 +1,16 @@
 """The desk, shared by all pages: it has a bench that it follows, alarms, and started programs.
 
+A desk belongs to one bench. It follows this bench until it ends, so that a command always reaches
+the bench that the page names. Afterwards it follows the next bench that it starts itself; the user
+chooses any other one.
+
 `work` runs as long as the desk does. It reads the rings ten times a second and the registers twice
-a second. While no bench runs, it looks for a bench every second.
+a second. While it follows no bench, it looks for benches every second.
 """
 
 import asyncio
 import math
+import os
 import shlex
 import time
 from collections import deque
@@ -52,13 +57,18 @@ class Alarm:
 class Desk:
     """`folder` holds runs, reports and campaigns; programs are started there.
 
-    `own`: the desk follows only benches that it has started. Otherwise it follows the newest bench
-    of this machine, and prefers those that it has started.
+    `own`: the desk follows only benches that it has started. Otherwise its first bench may be one
+    that runs on this machine already, if it is the only one.
+
+    `choices` are the running benches that the user may choose, empty while the desk follows a
+    running one. `stops` counts the emergency stops that were requested here.
     """
 
     def __init__(self, folder: Path, own: bool = False) -> None:
         self.folder = folder
         self.own = own
+        self.choices: list[reader.Bench] = []
+        self.stops = 0
         self.bench: reader.Bench | None = None
         self.doors: Doors | None = None
         self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
@@ -89,17 +99,45 @@ class Desk:
             await asyncio.sleep(_READ_S)
 
     def find(self) -> None:
-        """Follow the newest running bench, if the desk does not follow it already."""
-        started_here = [program.pid for program in self._running_benches()]
-        among = started_here if started_here or self.own else None
-        followed = self.bench.key if self.bench else ""
-        bench = reader.find(followed, among)
-        if bench is None:
+        """Follow a running bench if there is no doubt which; else list the benches in `choices`."""
+        started_here = reader.running(self._is_started_here)
+        if len(started_here) == 1:
+            self._follow(started_here[0])
             return
+        self.choices = started_here
+        if self.own or started_here:
+            return
+        self.choices = reader.running()
+        if len(self.choices) == 1 and self.bench is None:
+            self._follow(self.choices[0])
+
+    def _is_started_here(self, pid: int) -> bool:
+        """Whether a process belongs to a program of this desk, which share a session."""
+        try:
+            session = os.getsid(pid)
+        except OSError:
+            return False
+        return any(program.pid == session for program in self.programs)
+
+    def follow(self, key: str) -> None:
+        """Follow the bench with this key. Raises ConfigError if it cannot be chosen."""
+        if self.bench and self.running():
+            raise ConfigError(
+                f"this desk belongs to the bench of {self.bench.name}; wait until it has ended, or "
+                "start another desk with --port 0 for the other bench"
+            )
+        for bench in self.choices:
+            if bench.key == key and not bench.ended:
+                self._follow(bench)
+                return
+        raise ConfigError("this bench has ended; choose another one")
+
+    def _follow(self, bench: reader.Bench) -> None:
         if self.doors:
             self.doors.close()
         self.bench = bench
         self.doors = Doors(bench)
+        self.choices = []
 
     def _running_benches(self) -> list[Program]:
         """The benches that the desk has started and that still run."""
@@ -150,6 +188,29 @@ class Desk:
         """Whether there is a bench that has not ended."""
         return bool(self.bench and not self.bench.ended)
 
+    @property
+    def stopped(self) -> bool:
+        """Whether the emergency stop of the bench is set."""
+        return bool(self.doors and self.doors.values.get("emergency_stop"))
+
+    async def emergency_stop(self) -> None:
+        """Request the emergency stop; it stays requested if it is already. Raises BusError."""
+        self.stops += 1
+        await self.door().write("emergency_stop", 1.0)
+
+    async def reset_emergency_stop(self, confirmed_stops: int) -> None:
+        """Reset the emergency stop, which an operator has confirmed (ISO 13850: deliberately).
+
+        `confirmed_stops` is the value of `stops` when the operator was asked. Raises BusError if
+        another stop was requested since then, or if the bench refuses.
+        """
+        if self.stops != confirmed_stops:
+            raise BusError(
+                "the emergency stop is not reset, because it was requested again in the meantime; "
+                "reset it once more"
+            )
+        await self.door().write("emergency_stop", 0.0)
+
     async def prepare(
         self, scenario: str, unit: str, settings: Mapping[str, str], more: str = ""
     ) -> None:
@@ -158,17 +219,17 @@ class Desk:
         `settings` are keys and values of the scenario; empty values are left out. `more` has
         further ones, as in "adhesion.mu_cd=0.05".
         """
-        if self.running() or self._running_benches():
+        if self.running() or self.choices or self._running_benches():
             raise ConfigError(
                 "a bench runs already on this machine: stop it first, or wait until it has ended"
             )
-        words = ["run", scenario, "--start", "modbus", "--pacing", "wall", "--wsp", unit]
+        words = ["run", "--start", "modbus", "--pacing", "wall", f"--wsp={unit}"]
         for key, value in settings.items():
             if value:
-                words += ["--set", f"{key}={value}"]
-        for setting in shlex.split(more):
-            words += ["--set", setting]
-        self.start(words)
+                words.append(f"--set={key}={value}")
+        words += [f"--set={setting}" for setting in _settings_of(more)]
+        # behind `--` nothing is an option, so a typed name cannot become one
+        self.start([*words, "--", scenario])
 
     def start(self, words: list[str]) -> Program:
         """Start a `rollerrig` command line. Raises ConfigError if it cannot start."""
@@ -178,9 +239,16 @@ class Desk:
 
     def door(self) -> Doors:
         """The ways into the bench. Raises BusError if none runs."""
-        if not self.doors or not self.running():
-            raise BusError("no bench runs here: prepare one first")
-        return self.doors
+        if self.doors and self.running():
+            return self.doors
+        if self.choices:
+            count = len(self.choices)
+            benches = "1 bench runs" if count == 1 else f"{count} benches run"
+            raise BusError(
+                f"{benches} on this machine that this desk does not follow: choose the bench of "
+                "this desk first"
+            )
+        raise BusError("no bench runs here: prepare one first")
 
     def free_door(self) -> Doors:
         """The ways into a bench on which no sequence plays. Raises BusError if one does."""
@@ -224,3 +292,14 @@ class Desk:
             self.doors.close()
         if self._viewer:
             viewer.terminate(self._viewer)
+
+
+def _settings_of(text: str) -> list[str]:
+    """Return the settings in a text such as "adhesion.mu_cd=0.05 stand_s=2". Raises ConfigError."""
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise ConfigError(
+            f"further values: {text!r} cannot be read ({error}); close each quotation mark, as in "
+            "adhesion.mu_cd=0.05"
+        ) from None

@@ -16,7 +16,6 @@ from rollerrig.realtime.record.channels import Channels
 from rollerrig.wsp_interface.signals import COLUMNS, column
 
 
-
 class RunEvent(NamedTuple):
     """The fields of an event that every format holds."""
 
