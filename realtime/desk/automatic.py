@@ -9,7 +9,7 @@ from nicegui import ui
 
 from rollerrig.configs import store
 from rollerrig.realtime.desk.desk import Desk
-from rollerrig.realtime.desk.manual import UNITS, carry_out
+from rollerrig.realtime.desk.manual import carry_out
 from rollerrig.realtime.desk.programs import Program
 
 _LINES_SHOWN = 14
@@ -40,7 +40,7 @@ def _sequences(desk: Desk) -> None:
         label="sequences (none: the whole library)",
     )
     names.classes("w-full").props("use-chips").mark("sequences")
-    unit = ui.select(["", *UNITS], value="", label="WSP unit (empty: as in the sequence)")
+    unit = ui.select(["", *desk.units], value="", label="WSP unit (empty: as in the sequence)")
     unit.classes("w-full")
     pacing = ui.select(["lockstep", "wall"], value="lockstep", label="pacing")
     pacing.classes("w-full").mark("pacing")
@@ -52,7 +52,7 @@ def _sequences(desk: Desk) -> None:
         words += ["--out", f"reports/{report}"]
         words += ["--pacing", str(pacing.value)]
         if unit.value:
-            words += ["--wsp", str(unit.value)]
+            words.append(f"--wsp={unit.value}")
         await carry_out(_start(desk, [*words, "--", *chosen]), "started")
 
     ui.button("Play", on_click=play).props("color=primary").classes("w-full").mark("play")

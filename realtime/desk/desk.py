@@ -14,7 +14,7 @@ import os
 import shlex
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,9 @@ from rollerrig.realtime.desk import reader
 from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.telemetry import viewer
+from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 _READ_S = 0.1
 _REGISTERS_S = 0.5
@@ -60,13 +62,24 @@ class Desk:
     `own`: the desk follows only benches that it has started. Otherwise its first bench may be one
     that runs on this machine already, if it is the only one.
 
+    `allowed` are the FMUs that may be chosen as a unit. Scenario files may be in `folder`, and in
+    the folders `scenario_folders`.
+
     `choices` are the running benches that the user may choose, empty while the desk follows a
     running one. `stops` counts the emergency stops that were requested here.
     """
 
-    def __init__(self, folder: Path, own: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        own: bool = False,
+        allowed: AllowList = unit_choice.NOTHING,
+        scenario_folders: Sequence[Path] = (),
+    ) -> None:
         self.folder = folder
         self.own = own
+        self.allowed = allowed
+        self.scenario_folders = tuple(place.resolve() for place in (folder, *scenario_folders))
         self.choices: list[reader.Bench] = []
         self.stops = 0
         self.bench: reader.Bench | None = None
@@ -214,22 +227,54 @@ class Desk:
     async def prepare(
         self, scenario: str, unit: str, settings: Mapping[str, str], more: str = ""
     ) -> None:
-        """Start a bench that is held. Raises ConfigError if a bench runs already.
+        """Start a bench that is held.
 
         `settings` are keys and values of the scenario; empty values are left out. `more` has
-        further ones, as in "adhesion.mu_cd=0.05".
+        further ones, as in "adhesion.mu_cd=0.05". Raises ConfigError if a bench runs already, or if
+        the scenario or the unit may not be chosen here.
         """
+        for text in (scenario, unit, more, *settings.values()):
+            if not text.isprintable():
+                raise ConfigError(f"{text!r} contains a control character; remove it")
         if self.running() or self.choices or self._running_benches():
             raise ConfigError(
                 "a bench runs already on this machine: stop it first, or wait until it has ended"
             )
-        words = ["run", "--start", "modbus", "--pacing", "wall", f"--wsp={unit}"]
+        self._check_scenario(scenario)
+        words = ["run", "--start", "modbus", "--pacing", "wall", f"--wsp={self.checked(unit)}"]
         for key, value in settings.items():
             if value:
                 words.append(f"--set={key}={value}")
         words += [f"--set={setting}" for setting in _settings_of(more)]
         # behind `--` nothing is an option, so a typed name cannot become one
         self.start([*words, "--", scenario])
+
+    @property
+    def units(self) -> list[str]:
+        """The units that the page offers: those that run no foreign code, and the allowed FMUs."""
+        fmus = [f"{unit_choice.FMU}{file}" for file in self.allowed.files]
+        return [*unit_choice.NAMES, *fmus]
+
+    def checked(self, unit: str) -> str:
+        """Return the text of a unit with absolute paths.
+
+        Raises ConfigError if the unit needs an FMU that is not allowed.
+        """
+        # a program resolves a path in the folder in which it is started
+        files = [(self.folder / file).resolve() for file in unit_choice.fmus_of(unit)]
+        absolute = ",".join(f"{unit_choice.FMU}{file}" for file in files)
+        return self.allowed.check(absolute or unit, "WSP unit")
+
+    def _check_scenario(self, scenario: str) -> None:
+        """Raise ConfigError if a scenario is a file outside the folders for scenarios."""
+        path = (self.folder / scenario).resolve()
+        if any(path.is_relative_to(folder) for folder in self.scenario_folders):
+            return
+        folders = ", ".join(map(str, self.scenario_folders))
+        raise ConfigError(
+            f"scenario {scenario}: this desk starts the scenarios of the library and files below "
+            f"{folders}; to allow another folder, start the desk with --allow-folder DIR"
+        )
 
     def start(self, words: list[str]) -> Program:
         """Start a `rollerrig` command line. Raises ConfigError if it cannot start."""

@@ -17,6 +17,7 @@ from rollerrig.firmware_sim.modbus.map import State
 from rollerrig.realtime.loop import ring
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 pytest.importorskip("nicegui", reason="the desk needs nicegui")
 
@@ -218,6 +219,93 @@ def test_the_page_names_the_benches_and_follows_the_chosen_one(machine, tmp_path
 
     simulated(one, play)
     assert one.bench.pid == second.pid
+
+
+# -- what may be started
+
+
+def prepared(one, scenario="velim_a1", unit="none", more=""):
+    """Prepare a bench as the page does, and return the words of the program that was started."""
+    try:
+        asyncio.run(one.prepare(scenario, unit, {}, more))
+        return one.programs[-1].words
+    finally:
+        for program in one.programs:
+            program.stop()
+
+
+@pytest.fixture
+def fmu(tmp_path):
+    """A file that counts as an FMU until somebody opens it."""
+    (tmp_path / "units").mkdir()
+    file = tmp_path / "units/unit.fmu"
+    file.write_bytes(b"no archive")
+    return file
+
+
+def test_a_unit_that_the_command_line_does_not_allow_is_not_started(tmp_path, fmu):
+    other = tmp_path / "other.fmu"
+    one = desk.Desk(tmp_path, own=True, allowed=AllowList.of([fmu]))
+    (tmp_path / "link.fmu").symlink_to(other)
+    for unit in (
+        f"fmu:{other}",
+        "fmu:other.fmu",
+        "fmu:link.fmu",
+        f"fmu:{fmu},fmu:{other}",
+        "fmu:",
+        "elsewhere",
+        f"none --wsp=fmu:{other}",
+        "fmu:a\0b",
+        "",
+    ):
+        with pytest.raises(ConfigError):
+            prepared(one, unit=unit)
+    with pytest.raises(
+        ConfigError, match=f"allow it on the command line with --allow-unit {other}"
+    ):
+        prepared(one, unit=f"fmu:{other}")
+    assert one.programs == []
+    assert f"fmu:{fmu}" in one.units
+
+
+@pytest.mark.parametrize("unit", ["fmu:{fmu}", "fmu:units/unit.fmu"])
+def test_an_allowed_unit_is_started_by_its_absolute_path(tmp_path, fmu, unit):
+    one = desk.Desk(tmp_path, own=True, allowed=AllowList.of([fmu]))
+    assert f"--wsp=fmu:{fmu}" in prepared(one, unit=unit.format(fmu=fmu))
+
+
+def test_scenario_files_are_in_the_folder_of_the_desk_or_in_an_allowed_one(tmp_path):
+    for name in ("here", "allowed", "elsewhere"):
+        (tmp_path / name).mkdir()
+    one = desk.Desk(tmp_path / "here", own=True, scenario_folders=[tmp_path / "allowed"])
+    for scenario in (f"{tmp_path}/elsewhere/a.toml", "../elsewhere/a.toml", "/etc/hostname"):
+        with pytest.raises(ConfigError, match="start the desk with --allow-folder DIR"):
+            prepared(one, scenario)
+    assert one.programs == []
+    allowed = f"{tmp_path}/allowed/a.toml"
+    assert prepared(one, allowed)[-1] == allowed
+
+
+def test_text_of_the_page_cannot_become_an_option(tmp_path):
+    one = desk.Desk(tmp_path, own=True)
+
+    async def play(user):
+        await one.prepare("--allow-unit=evil.fmu", "none", {"rig": "--live"}, "--wsp=fmu:evil.fmu")
+        await user.should_see(marker="acknowledge", retries=PATIENCE)
+
+    simulated(one, play)
+    assert one.programs[-1].status == 2
+    assert "no scenario is called '--allow-unit=evil.fmu'" in one.programs[-1].error
+    with pytest.raises(ConfigError, match="close each quotation mark"):
+        prepared(one, more="adhesion.mu_cd='0.05")
+
+
+def test_the_options_that_allow_units_name_files_and_folders_that_exist(tmp_path):
+    for option in ("--allow-unit", "--allow-folder"):
+        command = [sys.executable, "-m", "rollerrig.realtime.cli", "desk", option, "nowhere"]
+        refused = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
+        assert refused.returncode == 2
+        assert f"{option} nowhere: there is no such" in refused.stderr
 
 
 # -- the library
