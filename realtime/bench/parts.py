@@ -156,8 +156,8 @@ class Parts:
         self.data.control[STOP] = 1
         if self.bus:
             # the code that waits for an answer must notice
-            self.bus.answered.set()
-            self.bus.harness_answered.set()
+            self.bus.unit_partner.answered.set()
+            self.bus.harness_partner.answered.set()
 
     def report_stall(self) -> None:
         """Record where the loop has stood still since the last call: the clocks diverge there."""
@@ -239,7 +239,8 @@ class Parts:
             end=self._end_by_harness,
             inject=self._inject,
             lift=self._lift,
-            left=bus.harness_answered.set,
+            joined=bus.seat_harness,
+            left=bus.dismiss_harness,
         )
         bus.own_unit = self.options.own_unit
         # an FMU answers when it has the pressures, the reference unit when it has the speeds

@@ -28,6 +28,7 @@ from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import REFERENCE
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses, kernel, plugin
+from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import (
     EMERGENCY,
@@ -38,13 +39,15 @@ from rollerrig.wsp_interface.bus.connection_set import (
     TPDO,
 )
 from rollerrig.wsp_interface.bus.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
-from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.bus.hub import Hub, Port
+from rollerrig.wsp_interface.bus.turns import Carry, Partner
 from rollerrig.wsp_interface.bus.wire import Alarm
 from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.rig_objects import (
     HARNESS_ANSWER_ID,
     MAGNETS_ID,
     SPEEDS,
+    UNIT_HEARTBEAT_ID,
     unit_lost_after_ms,
 )
 
@@ -201,9 +204,9 @@ class RigBus:
 
         # answers of the unit: SYNCs that it still has to answer; a frozen unit answers all of them
         # when it continues
-        self.answered = asyncio.Event()
-        self.answered.set()
-        self.harness_answered = asyncio.Event()
+        self.unit_partner = Partner(arbitrates=True)
+        self.harness_partner = Partner(arbitrates=False)
+        self._turns_taken_by: tuple[Partner, ...] = ()
         self.owed = 0
         self.frozen = False
         # the unit of the bench answers every SYNC, also foreign ones; if the frame `awaited` that
@@ -235,7 +238,7 @@ class RigBus:
             self.rack.add(member)
         self._port = hub.attach(self._from_bus, "rig")
         self.gate = Gate(Controllers(hub.destroy))
-        hub.on_submitted = self._note_answer
+        hub.order = self._order
         self.rack.start(self._port.send, clock_ns())
         hub.attach(self._listen, "bench")
         self._on_command = on_command
@@ -282,31 +285,80 @@ class RigBus:
             return
         self._look_at_answers()
 
-    def _note_answer(self, frame: Frame, sender: Any) -> None:
-        """Count an answer when it is sent, even if the bus carries it later or a fault loses it."""
+    def take_turns(self, unit_answers: bool) -> None:
+        """From now on unit and harness send in turns; the bench gives each its turn.
+
+        `unit_answers`: whether the bench waits for a unit.
+        """
+        self._turns_taken_by = (self.harness_partner,)
+        if unit_answers:
+            self._turns_taken_by = (self.unit_partner, self.harness_partner)
+
+    def seat_harness(self) -> None:
+        """The sender of the present frame is the harness, which has joined."""
+        sender = self.hub.carries_from
+        if isinstance(sender, Client):
+            self.harness_partner.members = {sender}
+            self.harness_partner.speaker = sender
+
+    def dismiss_harness(self) -> None:
+        """The harness has left; nothing waits for it any more."""
+        self.harness_partner.answered.set()
+        self.harness_partner.leave()
+
+    def _order(self, sender: Port | Client, frame: Frame, carry: Carry) -> bool:
+        """Count answers, and let the frames of unit and harness wait for their turns."""
         if sender is self._port:
-            return
-        if frame.can_id == MAGNETS_ID:
-            self.owed = max(self.owed - 1, 0)
+            return True
+        answers = self._count_answer(frame)
+        if not isinstance(sender, Client):
+            return True
+        if frame.can_id in (MAGNETS_ID, UNIT_HEARTBEAT_ID):
+            self._note_unit(frame, sender)
+        partners = [one for one in self._turns_taken_by if sender in one.members]
+        if len(partners) != 1:
+            # not a partner, or a program that is unit and harness: its frames have an order
+            return True
+        partners[0].take(frame, carry, answers)
+        return False
+
+    def _count_answer(self, frame: Frame) -> bool:
+        """Count an answer when it is sent, even if the bus carries it later or a fault loses it.
+
+        Return whether the frame is an answer that was owed.
+        """
+        if frame.can_id == MAGNETS_ID and self.owed:
+            self.owed -= 1
             self._look_at_answers()
-        elif frame.can_id == HARNESS_ANSWER_ID:
-            self.harness_answered.set()
+            return True
+        harness = self.harness_partner
+        if frame.can_id == HARNESS_ANSWER_ID and not harness.answered.is_set():
+            harness.answered.set()
+            return True
+        return False
+
+    def _note_unit(self, frame: Frame, sender: Client) -> None:
+        """Note a connection of the unit; the one that sends the magnets has to answer."""
+        unit = self.unit_partner
+        unit.members.add(sender)
+        if frame.can_id == MAGNETS_ID or unit.speaker is None or unit.gone:
+            unit.speaker = sender
 
     def _look_at_answers(self) -> None:
         if self.owed <= self._may_wait:
-            self.answered.set()
+            self.unit_partner.answered.set()
         else:
-            self.answered.clear()
+            self.unit_partner.answered.clear()
 
     @property
     def late(self) -> bool:
         """Whether the bench's unit still has to answer: a fault or a busy wire may delay speeds."""
-        return self.own_unit and not self.frozen and not self.answered.is_set()
+        return self.own_unit and not self.frozen and not self.unit_partner.answered.is_set()
 
     def forgive(self) -> None:
         """No longer wait for the answers that are owed."""
         self.owed = 0
-        self.answered.set()
+        self.unit_partner.answered.set()
 
     # -- faults
 
@@ -318,6 +370,10 @@ class RigBus:
 
         def freeze_unit(on: bool) -> bool:
             self.frozen = freeze(on) and on
+            if self.frozen:
+                self.unit_partner.answered.set()  # nothing waits for a frozen unit
+            elif not on:
+                self._look_at_answers()
             return self.frozen
 
         return Site(
@@ -355,9 +411,9 @@ class RigBus:
         """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
         # a harness that joins between two SYNCs answers from the next one on
         if self.harness.joined:
-            self.harness_answered.clear()
+            self.harness_partner.answered.clear()
         else:
-            self.harness_answered.set()
+            self.harness_partner.answered.set()
         self.set_time()
         if not self.own_unit:
             self.forgive()
@@ -366,7 +422,7 @@ class RigBus:
             self._look_at_answers()
             self.master.sync()
         else:
-            self.answered.clear()
+            self.unit_partner.answered.clear()
         self.hub.flush()
 
     def set_time(self) -> None:

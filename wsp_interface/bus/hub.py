@@ -31,7 +31,7 @@ from rollerrig.configs.errors import BusError, PortInUseError
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
-from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SYNC
+from rollerrig.wsp_interface.bus.connection_set import is_service
 from rollerrig.wsp_interface.bus.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
 from rollerrig.wsp_interface.bus.wire import Alarm, Wire
 from rollerrig.wsp_interface.events import Code, OnEvent
@@ -125,10 +125,13 @@ class Hub:
     services_bypass_wire: NMT, SDO, heartbeats and LSS do not wait for the wire. The bench sets it
         while simulated time stands still. A client that uses a service before it answers would
         otherwise wait for ever.
-    on_submitted: called with every frame and its sender, even if the bus will not carry the frame.
+    order: called with every frame that a member sends, before the gate. It decides whether the
+        frame goes on now, and may let it go on later.
     gate: decides whether a frame goes on now, and may let it go on later.
     timestamping_port: frames of this port already carry the time at which they arrived. No frame is
         stamped before an earlier one.
+
+    carries_from: the sender of the frame that the bus carries now, or carried last.
     """
 
     def __init__(
@@ -146,9 +149,10 @@ class Hub:
         self.load = BusLoad(bitrate, clock_ns())
         self.wire: Wire | None = None
         self.services_bypass_wire = False
-        self.on_submitted: Callable[[Frame, Port | Client], None] | None = None
+        self.order: Gate | None = None
         self.gate: Gate | None = None
         self.timestamping_port: Port | None = None
+        self.carries_from: Port | Client | None = None
         self._clock_ns = clock_ns
         self._on_event = on_event
         self._warned: set[tuple[Code, str]] = set()
@@ -249,9 +253,12 @@ class Hub:
     def submit(
         self, frame: Frame, sender: Port | Client, then: Then = None, origin: Hashable = None
     ) -> None:
-        """Put a frame of a member on the bus, unless the gate stops it."""
-        if self.on_submitted is not None:
-            self.on_submitted(frame, sender)
+        """Put a frame of a member on the bus, when its turn has come and the gate lets it pass."""
+        go_on = partial(self._pass_gate, frame, sender, then, origin)
+        if self.order is None or self.order(sender, frame, go_on):
+            go_on()
+
+    def _pass_gate(self, frame: Frame, sender: Port | Client, then: Then, origin: Hashable) -> None:
         if self.gate is None:
             self._queue(frame, sender, then, origin)
             return
@@ -298,7 +305,7 @@ class Hub:
         A receiver may answer within its call. Its answer waits here until all other receivers have
         the frame, so an answer never overtakes its question.
         """
-        bypasses_wire = self.services_bypass_wire and _is_service(frame)
+        bypasses_wire = self.services_bypass_wire and is_service(frame)
         if self.wire is not None and not bypasses_wire:
             self._offer(self.wire, frame, sender, then, origin)
             return
@@ -319,6 +326,7 @@ class Hub:
             if sender is self.timestamping_port:
                 now_ns = max(frame.time_ns, self._latest_ns)
             self._latest_ns = now_ns
+        self.carries_from = sender
         stamped = Frame(frame.can_id, frame.data, frame.extended, frame.remote, frame.dlc, now_ns)
         self.load.carry(stamped, now_ns)
         for tap in self._taps:
@@ -458,11 +466,6 @@ class Hub:
         for server in self._servers:
             await server.wait_closed()
         self._servers.clear()
-
-
-def _is_service(frame: Frame) -> bool:
-    """Return whether a frame is NMT, SDO, heartbeat or LSS; those of other programs count too."""
-    return frame.extended or not SYNC <= frame.can_id < SDO_REPLY
 
 
 def _port_in_use(port: int, port_key: str) -> str:
