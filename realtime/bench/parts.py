@@ -274,7 +274,8 @@ class Parts:
 
     def _inject(self, text: str) -> None:
         fault = catalogue.parse(text)
-        self.faults.inject(fault.kind.name, for_s=fault.for_s, **fault.values)
+        at_s = max(fault.at_s, self.faults.now_s)
+        self.faults.inject(fault.kind.name, at_s=at_s, for_s=fault.for_s, **fault.values)
 
     def _lift(self, text: str) -> None:
         """Lift the faults of a name, and of the parameters that the text gives."""

@@ -151,11 +151,21 @@ def call(options: argparse.Namespace) -> int:
             **counts,
             "report": str(paths[0]),
             "sequences": {outcome.sequence.name: outcome.result for outcome in outcomes},
+            "warnings": _warnings(outcomes),
         },
         f"{result}: {counts['pass']} passed, {counts['fail']} failed, "
         f"{counts['error']} with an error; report in {paths[0]} (not a certification)",
     )
     return output.PASS if result == "pass" else output.FAILED
+
+
+def _warnings(outcomes: "list[Outcome]") -> list[str]:
+    """Return what was planned but did not happen, with the names of the sequences."""
+    warnings = []
+    for outcome in outcomes:
+        for text in outcome.summary.get("warnings", ()):
+            warnings.append(f"{outcome.sequence.name}: {text}")
+    return warnings
 
 
 def _parse_about(text: str) -> tuple[str, str]:

@@ -143,6 +143,7 @@ def on_running_bench(
         with harness:
             _check_start(sequence, harness)
             play(sequence, harness, outcome)
+        _check_unit(harness)
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
     _conclude(outcome, harness, dry_m, scenario)
@@ -199,6 +200,13 @@ def _check_start(sequence: Sequence, harness: Harness) -> None:
             f"pre-condition: the sequence begins at {wanted_m_s:.2f} m/s, the bench runs at "
             f"{actual_m_s:.2f} m/s; start it with initial_speed_m_s={wanted_m_s:.3f} and --harness"
         )
+
+
+def _check_unit(harness: Harness) -> None:
+    """Raise UnitError if the unit has reported that it has failed."""
+    for event in harness.events:
+        if event.code == Code.UNIT_FAILED:
+            raise UnitError(f"{event.text}, at {event.time_s:.2f} s; the run is not valid")
 
 
 def play(sequence: Sequence, harness: Harness, outcome: Outcome) -> None:
@@ -374,7 +382,7 @@ def _record_of(
     if scenario is None:
         scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
     faults_s = [
-        event.time_s
+        _acts_s(event)
         for event in harness.events
         if event.code in (Code.TEST_FAULT, Code.TEST_FAULT_LIFTED)
     ]
@@ -384,8 +392,17 @@ def _record_of(
         demands=tuple(harness.demands),
         finals=finals,
         scenario=scenario,
-        fault_s=faults_s[0] if faults_s else math.nan,
+        fault_s=min(faults_s, default=math.nan),
     )
+
+
+def _acts_s(event: Event) -> float:
+    """Return when a fault that the harness has commanded begins or is lifted."""
+    for word in event.fields["fault"].split():
+        key, _, value = word.partition("=")
+        if key in ("at", "at_s"):
+            return max(event.time_s, float(value))
+    return event.time_s
 
 
 def _save_trace(folder: Path, harness: Harness) -> None:
