@@ -1,4 +1,4 @@
-"""A run that is not valid: the summary, the exit status, the last line and later commands show it."""
+"""A run that is not valid: summary, exit status, last line and later commands show it."""
 
 import functools
 import json
