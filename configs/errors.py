@@ -17,5 +17,9 @@ class BusError(RollerrigError):
     """A bus, interface or port cannot be used."""
 
 
+class PortInUseError(BusError):
+    """Another program listens on the port that a server is to have."""
+
+
 class UnitError(RollerrigError):
     """The WSP unit, or another external partner, did not do what the run needs."""

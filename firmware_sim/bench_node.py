@@ -136,7 +136,10 @@ class BenchNode:
         node.on_poll.append(lambda _: self._start())
 
     def wire(self, **actions: Callable[..., Any]) -> None:
-        """Set the calls of commands: end(), inject(text), lift(text), and left() at the end."""
+        """Set the calls of commands: end(), inject(text), lift(text).
+
+        And of a harness that comes and goes: joined(), left().
+        """
         self._actions = actions
 
     def _start(self) -> None:
@@ -146,6 +149,9 @@ class BenchNode:
 
     def _join(self, value: int) -> None:
         joined = bool(value)
+        if joined and "joined" in self._actions:
+            # also if one has joined already: the harness may have a new connection
+            self._actions["joined"]()
         if joined == self.joined:
             return
         self.joined = joined

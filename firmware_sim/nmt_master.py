@@ -17,7 +17,11 @@ from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code, OnEvent
-from rollerrig.wsp_interface.rig_objects import REFERENCE_SPEED, UNIT_LOST_AFTER_MS
+from rollerrig.wsp_interface.rig_objects import (
+    REFERENCE_SPEED,
+    UNIT_LOST_AFTER_MS,
+    emergency_event,
+)
 from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODE
 
 LOST_AFTER_MS = 500  # silence after which a node of the rig counts as lost
@@ -169,7 +173,7 @@ class NmtMaster:
             return
         node = frame.can_id - EMERGENCY
         self.on_event(
-            Code.UNIT_EMERGENCY if node == WSP_NODE else Code.NODE_EMERGENCY,
+            emergency_event(node, error_code),
             node=node,
             error_code=error_code,
             error_register=frame.data[2],

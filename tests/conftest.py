@@ -45,6 +45,7 @@ LONG_FILES = (
     "tests/realtime/test_fmu.py",
     "tests/realtime/test_fmu_can.py",
     "tests/realtime/test_live.py",
+    "tests/realtime/test_protection.py",
     "tests/realtime/test_lockstep_under_load.py",
     "tests/realtime/test_timers_on_a_bench.py",
     "tests/realtime/test_validity.py",

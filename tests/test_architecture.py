@@ -42,7 +42,7 @@ FLOORS = {
         "paper next_stops",
     ),
     "wsp_interface": (
-        "events",
+        "events unit_choice",
         "bus magnets signals",
         "descriptions rig_objects",
         "harness_client",

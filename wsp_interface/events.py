@@ -46,12 +46,14 @@ class Code(StrEnum):
     FAULT_BEGINS = "fault.begins"
     FAULT_LIFTED = "fault.lifted"
     FAULT_REFUSED = "fault.refused"
+    FAULT_NEVER_BEGAN = "fault.never_began"
     UNIT_APPEARED = "unit.appeared"
     UNIT_STATE = "unit.state"
     UNIT_READY = "unit.ready"
     UNIT_LOST = "unit.lost"
     UNIT_BACK = "unit.back"
     UNIT_EMERGENCY = "unit.emergency"
+    UNIT_FAILED = "unit.failed"
     UNIT_UNANSWERED = "unit.unanswered"
     UNIT_ENDED = "unit.ended"
     NODE_LOST = "node.lost"
@@ -78,6 +80,7 @@ class Code(StrEnum):
     SANDERS_STOPPED = "sanders.stopped"
     BUS_PLACE = "bus.place"
     BUS_PORT = "bus.port"
+    BUS_PORT_IN_USE = "bus.port_in_use"
     BUS_FRAMES_LOST = "bus.frames_lost"
     BUS_CONTROLLER = "bus.controller"
     HUB_FULL = "hub.full"
@@ -216,6 +219,12 @@ TABLE: dict[Code, Row] = {
         INFO, _FAULT | {"frames_met": int}, "fault {fault} is lifted[, it met {frames_met} frames]"
     ),
     Code.FAULT_REFUSED: Row(WARNING, _REASON, "a fault requested over Modbus is refused: {reason}"),
+    Code.FAULT_NEVER_BEGAN: Row(
+        WARNING,
+        {"fault": str, "kind": str, "at_s": float},
+        "fault {fault} never began: it was planned for {at_s:g} s, and the run did not last so long",
+        "plan it earlier, or check that the run lasts long enough",
+    ),
     # the WSP unit
     Code.UNIT_APPEARED: Row(
         INFO, _NODE | {"state": str}, "the WSP unit (node {node}) appears: {state}"
@@ -234,6 +243,11 @@ TABLE: dict[Code, Row] = {
         WARNING,
         _EMERGENCY,
         "the WSP unit (node {node}): EMCY {error_code:04X}h, error register {error_register:02X}h",
+    ),
+    Code.UNIT_FAILED: Row(
+        ERROR,
+        _EMERGENCY,
+        "the WSP unit (node {node}) reports that it has failed: EMCY {error_code:04X}h",
     ),
     Code.UNIT_UNANSWERED: Row(
         WARNING, {"syncs": int}, "the WSP unit left {syncs} SYNCs unanswered"
@@ -333,6 +347,12 @@ TABLE: dict[Code, Row] = {
     Code.BUS_PLACE: Row(INFO, {"address": str}, "the rig is on the bus {address}"),
     Code.BUS_PORT: Row(
         INFO, {"protocol": str, "port": int}, "the bus speaks {protocol} on port {port}"
+    ),
+    Code.BUS_PORT_IN_USE: Row(
+        WARNING,
+        {"port": int, "address": str},
+        "port {port} is in use by another program: programs reach this bench on {address}",
+        "choose a port with --set bus.socketcand_port=N",
     ),
     Code.BUS_FRAMES_LOST: Row(
         WARNING, {"bus": str, "reason": str}, "{bus}: frames are lost: {reason}"

@@ -22,7 +22,7 @@ from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, TPD
 from rollerrig.wsp_interface.bus.sdo_client import SdoClient
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import layout
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE, WSP_NODE
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE
 
 # How long the harness waits for a silent bench. Before the first cycle other programs may still be
 # starting or compiling; later the bench itself waits for a slow unit.
@@ -378,7 +378,7 @@ class Harness:
             return  # the error is over
         self.record(
             f"node {node}",
-            Code.UNIT_EMERGENCY if node == WSP_NODE else Code.NODE_EMERGENCY,
+            rig_objects.emergency_event(node, error_code),
             node=node,
             error_code=error_code,
             error_register=data[2],

@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import tomli_w
 
@@ -137,14 +137,14 @@ def start(
             address = _address(process, Path(log.name))
             harness = Harness(buses.open_client(address, 60.0))
             with contextlib.ExitStack() as stack:
-                programs: list[Program] = []
-                for companion in companions:
-                    started = stack.enter_context(companion(address))
-                    if isinstance(started, Program):
-                        programs.append(started)
+                started = [stack.enter_context(companion(address)) for companion in companions]
+                programs = [one for one in started if isinstance(one, Program)]
                 harness.on_silence = partial(_check, programs)
                 try:
                     yield harness.join()
+                    for one in started:
+                        if isinstance(one, Failing) and one.failure:
+                            harness.log("unit", one.failure)
                 except BusError as error:
                     causes = _last_words(process, Path(log.name))
                     for program in programs:
@@ -154,6 +154,13 @@ def start(
             if harness:
                 harness.close()
             _end(process)
+
+
+@runtime_checkable
+class Failing(Protocol):
+    """A companion that knows why its unit has failed; `failure` is "" as long as it has not."""
+
+    failure: str
 
 
 class Program(NamedTuple):

@@ -19,6 +19,7 @@ from rollerrig.wsp_interface.bus.connection_set import (
     SYNC,
     TPDO,
 )
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.signals import (
     BENCH_NODE,
     BRAKE_NODE,
@@ -96,6 +97,10 @@ SAND_ID = RPDO[0] + SANDER_NODE  # 212h, one byte: bit 2j commands the sander of
 ALL_SANDERS = 0b01_01_01_01
 UNIT_HEARTBEAT_ID = HEARTBEAT + WSP_NODE  # 720h
 UNIT_EMERGENCY_ID = EMERGENCY + WSP_NODE  # 0A0h
+# error code in an EMCY of the unit (CiA 301 Table 26: device specific): it has failed, for example
+# because its outputs are no numbers
+UNIT_HAS_FAILED = 0xFF02
+GENERIC_ERROR = 0x01  # bit 0 of the error register in an EMCY
 # every frame that the unit receives or sends
 UNIT_FRAMES = (
     NMT,
@@ -106,6 +111,17 @@ UNIT_FRAMES = (
     UNIT_HEARTBEAT_ID,
     UNIT_EMERGENCY_ID,
 )
+
+
+def emergency_event(node: int, error_code: int) -> Code:
+    """Return the code of the event for an EMCY of a node."""
+    if node != WSP_NODE:
+        return Code.NODE_EMERGENCY
+    if error_code == UNIT_HAS_FAILED:
+        return Code.UNIT_FAILED
+    return Code.UNIT_EMERGENCY
+
+
 # 27Fh, one byte of any value: a harness on a bench in lockstep has processed this cycle
 HARNESS_ANSWER_ID = RPDO[0] + BENCH_NODE
 

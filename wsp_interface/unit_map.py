@@ -4,8 +4,10 @@ A gateway translates between the unit and the rig. After each SYNC it waits for 
 node 16 and sends the unit its messages, encoded as in the DBC. It turns the unit's answer into the
 magnets of node 17, the unit's reference speed and the heartbeat of node 32. So such a unit runs the
 same sequences. In lockstep it must answer the last message of each cycle; a unit that keeps its own
-time is for real time only. If the unit is silent, its heartbeat stops and the brakes apply. Before
-the first SYNC the gateway sends the speeds of a standing train until the unit answers.
+time is for real time only. If the unit is silent, its heartbeat stops and the brakes apply. If a
+signal of the unit is no finite number, the unit has failed: the gateway sends its EMCY FF02h, its
+heartbeat stops for the rest of the run, and no magnet is energised. Before the first SYNC the
+gateway sends the speeds of a standing train until the unit answers.
 
     dbc = "unit.dbc"
     [[to_unit]]
@@ -25,6 +27,8 @@ Source: cantools for the DBC.
 """
 
 import contextlib
+import math
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -51,10 +55,13 @@ from rollerrig.wsp_interface.bus.connection_set import (
     TIME,
 )
 from rollerrig.wsp_interface.rig_objects import (
+    GENERIC_ERROR,
     MAGNETS_ID,
     PRESSURES,
     REFERENCE_SPEED,
     SPEEDS,
+    UNIT_EMERGENCY_ID,
+    UNIT_HAS_FAILED,
     UNIT_HEARTBEAT_ID,
 )
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, WSP_NODE
@@ -62,6 +69,10 @@ from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, WSP_NODE
 OPERATIONAL = 5  # NMT state in a heartbeat
 HEARTBEAT_SYNCS = 5  # SYNCs between two heartbeats
 QUIET_S = 0.1
+
+# data of frames for a unit that has failed: magnets that are all off, and the EMCY
+_NO_MAGNETS = bytes([magnets.ALL_OFF])
+_FAILED = struct.pack("<HB5x", UNIT_HAS_FAILED, GENERIC_ERROR)
 
 _NODES = (*signals.RIG_NODES, WSP_NODE, BENCH_NODE)
 # the service codes of nodes in the predefined connection set: EMCY to SDO, and heartbeat
@@ -276,6 +287,7 @@ class Gateway:
     """Translates between the rig and a unit on the same bus. `run` returns when the bus ends.
 
     `values` holds the quantities of the rig by source, `answers` counts the unit's answers.
+    `failure` is the reason why the unit has failed; it is empty as long as it has not.
     """
 
     def __init__(self, bus: can.BusABC, mapping: UnitMap) -> None:
@@ -283,6 +295,7 @@ class Gateway:
         self.mapping = mapping
         self.values = dict.fromkeys(SOURCES, 0.0)
         self.answers = 0
+        self.failure = ""
         self._syncs = 0
         self._stopping = False
         self._alive = False  # the unit has answered since the last heartbeat
@@ -353,6 +366,11 @@ class Gateway:
             content: Any = mapping.incoming.decode(data, decode_choices=False)
         except (cantools.Error, ValueError):
             return  # too short: the rig treats it as no answer
+        if not self.failure:
+            self._check(content)
+        if self.failure:
+            self._send(MAGNETS_ID, _NO_MAGNETS)
+            return
         self._alive = True
 
         if mapping.reference:
@@ -367,6 +385,19 @@ class Gateway:
             pairs.append(magnets.pair(bool(content[hold]), bool(content[vent])))
         self._send(MAGNETS_ID, bytes([magnets.pack(pairs)]))
         self.answers += 1
+
+    def _check(self, content: Mapping[str, Any]) -> None:
+        """Notice, and report by an EMCY, a signal of the unit that is no finite number."""
+        mapping = self.mapping
+        names = (*mapping.hold, *mapping.vent, *filter(None, (mapping.reference,)))
+        for name in names:
+            if not math.isfinite(content[name]):
+                self.failure = (
+                    f"the unit has failed: its signal {name} in {mapping.incoming.name} is "
+                    f"{content[name]}; allowed are finite numbers"
+                )
+                self._send(UNIT_EMERGENCY_ID, _FAILED)
+                return
 
     def _send_heartbeat(self) -> None:
         self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))

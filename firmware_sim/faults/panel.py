@@ -120,14 +120,28 @@ class Panel:
         }
 
     def inject(self, name: str, **values: Any) -> Fault:
-        """Let a fault begin now; it lasts for `for_s`, and replaces a fault with the same target.
+        """Let a fault begin now, or plan it if its `at_s` is still to come.
 
-        Raises ConfigError.
+        It lasts for `for_s`, and replaces a fault with the same target. Raises ConfigError.
         """
         fault = catalogue.make({"kind": name, "at_s": self.now_s} | values, f"fault {name}")
         check_pacing((fault,), "lockstep" if self.site.nodes else "free")
-        self._begin(fault)
+        if fault.at_s > self.now_s:
+            self.schedule((*self.waiting, fault))
+        else:
+            self._begin(fault)
         return fault
+
+    def report_waiting(self) -> None:
+        """Report, at the end of a run, the planned faults that have not begun."""
+        for fault in self.waiting:
+            if fault.reported:
+                self._on_event(
+                    Code.FAULT_NEVER_BEGAN,
+                    fault=fault.title,
+                    kind=fault.kind.name,
+                    at_s=fault.at_s,
+                )
 
     def clear(self, name: str = "", **aim: Any) -> int:
         """Lift the active faults with a name (empty: any) and an aim; returns how many."""
@@ -284,11 +298,19 @@ class Panel:
         return self.site.nodes[DRIVE_NODES[values["axle"] - 1]].device
 
 
+def check_without_bus(planned: Iterable[Fault], place: str, remedy: str) -> None:
+    """Raise ConfigError for a fault that acts on the bus, because `place` has no bus.
+
+    `remedy` states what the user can do there.
+    """
+    for fault in planned:
+        if fault.kind.acts != TICK:
+            raise ConfigError(
+                f"fault {fault.kind.name} acts on the bus, and {place} has none; {remedy}"
+            )
+
+
 def check_pacing(planned: Iterable[Fault], pacing: str) -> None:
     """Raise ConfigError for faults of the bus in a pacing without a bus."""
-    for fault in planned:
-        if pacing == "free" and fault.kind.acts != TICK:
-            raise ConfigError(
-                f"fault {fault.kind.name} acts on the bus, and --pacing free has none; "
-                "use --pacing lockstep or wall"
-            )
+    if pacing == "free":
+        check_without_bus(planned, "--pacing free", "use --pacing lockstep or wall")

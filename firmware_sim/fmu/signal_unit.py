@@ -1,14 +1,16 @@
 """A WSP unit that is an FMU with signals: extracted, compiled if it has sources only, and stepped
 once a SYNC.
 
-A failure of the FMU stops the process of the unit, and the bench notices that as with any unit. A
-watching thread stops the process if a step does not return. What the FMU prints goes to the
-standard output of this process.
+A failure of the FMU stops the process of the unit, and the bench notices that as with any unit. An
+output that is no finite number is a failure, because no magnet can be read from it. A watching
+thread stops the process if a step does not return. What the FMU prints goes to the standard output
+of this process.
 Source: FMI 2.0.4 and 3.0.2, co-simulation; FMPy 0.3.
 """
 
 import contextlib
 import ctypes
+import math
 import os
 import subprocess
 import sys
@@ -205,6 +207,12 @@ class Fmu:
             get_values = getattr(self._fmu, f"get{type_name}")
             values = get_values([port.reference for port in ports])
             for port, value in zip(ports, values, strict=True):
+                if not math.isfinite(value):
+                    time_s = self._steps * self._period_s
+                    raise UnitError(
+                        f"the FMU has failed at {time_s:.3f} s: its output for {port.quantity} is "
+                        f"{value}; allowed are finite numbers"
+                    )
                 outputs[port.quantity] = float(value) / port.factor
         return outputs
 

@@ -40,7 +40,6 @@ from rollerrig.wsp_interface.signals import AXLES, DEFAULT_ADDRESS, WSP_NODE
 log = logging.getLogger(__name__)
 
 SENSOR_STUCK = 0xFF01  # error code, CiA 301 Table 26: device specific
-GENERIC_ERROR = 0x01  # bit 0 of the error register
 
 HEARTBEAT_SYNCS = 5  # SYNCs between heartbeats
 HEARTBEAT_S = 0.1  # at most; shorter than the time after which the rig counts the unit as lost
@@ -263,7 +262,7 @@ class Unit:
         self._stuck = axles
         log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
         error_code = SENSOR_STUCK if axles else 0
-        error_register = GENERIC_ERROR if axles else 0
+        error_register = rig.GENERIC_ERROR if axles else 0
         self._send(rig.UNIT_EMERGENCY_ID, struct.pack("<HBB4x", error_code, error_register, axles))
 
     def _switch_sanders(self) -> None:

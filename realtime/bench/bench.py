@@ -126,6 +126,9 @@ class Bench:
         """Close bus, unit and recorder, write the summary and return it."""
         parts = self.parts
         parts.derailment.look(parts.data.buffer)
+        has_begun = bool(parts.data.control[TICK])
+        if has_begun:
+            parts.faults.report_waiting()
         bus_counts = self._bus_counts()
         if parts.options.start == "modbus":
             self._rewrite_scenario()

@@ -4,18 +4,22 @@ The compiled loop calls the reference WSP unit where its SYNC would come. Withou
 samples are collected in memory, and are the same as those of a recorded run.
 """
 
+import math
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
+from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import tick_data
-from rollerrig.realtime.bench.parts import Parts
+from rollerrig.realtime.bench import derailment, tick_data
+from rollerrig.realtime.bench.parts import ENDED_BY, Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring, tick
-from rollerrig.realtime.loop.tick import AXLES, DONE, TICK, TickData
+from rollerrig.realtime.loop.tick import AXLES, DONE, STOP, TICK, TickData
 from rollerrig.wsp_interface import events, magnets, signals
+from rollerrig.wsp_interface.events import Code, Event
 
 # an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 (8,), to the byte
 # of magnets (wsp_interface.magnets)
@@ -23,7 +27,7 @@ UnitCall = Callable[[np.ndarray], int]
 # "reference", "none", a reference unit with other parameters, or an outside unit
 Unit = str | logic.Params | UnitCall
 _MOST_TICKS = 1 << 20
-# a recorded run looks at recorder and faults so often
+# a run looks at recorder, faults and derailment so often
 _TICKS_BETWEEN_LOOKS = 500
 # with no fault to come, ticks are run for at most this time
 _LONGEST_S = 3600.0
@@ -32,7 +36,10 @@ _STANDSTILL_M_S = 0.01
 
 
 class Stop:
-    """A stop of `plan` on its `data`, with a unit and faults (default: those of the plan)."""
+    """A stop of `plan` on its `data`, with a unit and faults (default: those of the plan).
+
+    `events` holds what happened in a stop in memory, and `ended` how it ended, as in a summary.
+    """
 
     def __init__(
         self,
@@ -43,7 +50,9 @@ class Stop:
     ) -> None:
         self.plan = plan
         self.data = data
-        self.faults = faults or panel.Panel(plan.faults, events.ignore)
+        self.events: list[Event] = []
+        self.ended = "finished"
+        self.faults = faults or panel.Panel(plan.faults, self._record)
         self.faults.connect(panel.Site(data.commands.values[tick.FAULTS :], lambda: None))
         self._call: UnitCall | None = unit if callable(unit) else None
         self.reference_unit: logic.Unit | None = None
@@ -53,6 +62,33 @@ class Stop:
             self.reference_unit = logic.new_unit(logic.load(plan["wsp_config"]))
         self._inputs = np.zeros(2 * AXLES, dtype=np.int64)
         self._ticks = None if self.reference_unit else tick.Ticks(data)
+
+    def _record(self, code: Code, /, **fields: Any) -> None:
+        """Record an event at the present simulated time."""
+        time_s = int(self.data.control[TICK]) / self.plan["loop"]["tick_hz"]
+        self.events.append(events.make(time_s, code, **fields))
+
+    def _derail(self) -> None:
+        """End the stop because the coach is derailed."""
+        self.data.control[STOP] = 1
+        self.ended = ENDED_BY[Code.RUN_DERAILED]
+        self._record(Code.RUN_DERAILED)
+
+    def fail(self, error: UnitError) -> None:
+        """Record that the stop has ended with an error."""
+        self.ended = "error"
+        self._record(Code.RUN_FAILED, reason=str(error))
+
+    def run(self) -> None:
+        """Run a stop in memory to its end, with the events of a recorded run. Raises UnitError."""
+        control = self.data.control
+        watch = derailment.Watch(self._record, self._derail)
+        while not control[DONE] and not control[STOP]:
+            next_look = control[TICK] + _TICKS_BETWEEN_LOOKS
+            while control[TICK] < next_look and not control[DONE]:
+                self.advance(int(next_look - control[TICK]))
+            watch.look(self.data.buffer)
+        self.faults.report_waiting()
 
     def advance(self, most: int = _MOST_TICKS) -> None:
         """Run `most` ticks, or fewer to the next change of a fault, unit call, or the end."""
@@ -79,8 +115,14 @@ class Stop:
             place = signals.BY_NAME[name].places[0]
             values = self.data.row[signals.span(name)]
             self._inputs[at : at + AXLES] = [signals.count(value, place) for value in values]
-        byte = int(call(self._inputs))
-        self.data.commands.values[:AXLES] = magnets.unpack(byte)
+        byte = call(self._inputs)
+        if not math.isfinite(byte):
+            time_s = int(self.data.control[TICK]) / self.plan["loop"]["tick_hz"]
+            raise UnitError(
+                f"the unit has failed at {time_s:.3f} s: it returns {byte}; allowed is the byte of "
+                "the magnets, 0 to 255"
+            )
+        self.data.commands.values[:AXLES] = magnets.unpack(int(byte))
 
 
 def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Memory]:
@@ -90,15 +132,23 @@ def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Mem
     return Stop(plan, tick_data.build(plan, memory), unit), memory
 
 
+def check(plan: Scenario) -> None:
+    """Refuse what a stop in memory cannot simulate. Raises ConfigError."""
+    panel.check_without_bus(
+        plan.faults,
+        "a stop that is only computed",
+        f"remove it from {plan.name}, or use 'rollerrig run {plan.name} --pacing lockstep'",
+    )
+
+
 def simulate(plan: Scenario, unit: Unit = "reference") -> np.ndarray:
     """Run a scenario to its end; return its samples, shape (samples, columns).
 
-    Raises ConfigError.
+    Raises ConfigError, UnitError.
     """
-    panel.check_pacing(plan.faults, "free")
+    check(plan)
     stop, memory = remembered(plan, unit)
-    while not stop.data.control[DONE]:
-        stop.advance()
+    stop.run()
     return memory.written
 
 

@@ -5,6 +5,7 @@ The wall clock has one effect only: it ends a run whose unit or harness no longe
 
 import asyncio
 import contextlib
+from enum import Enum
 
 from rollerrig.configs.errors import UnitError
 from rollerrig.realtime.bench.parts import Parts
@@ -12,10 +13,13 @@ from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.loop import clock, mailbox, tick
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.bus.turns import Partner
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import HARNESS, HARNESS_ANSWER_ID, MAGNETS_ID
 
 _LOOK_S = 0.1
+# looks until the unit of the bench, whose connection is closed, should have exited
+_LOOKS_AFTER_END = 20
 # a partner that is there but may be slow gets so many times --answer-wait: a unit whose process
 # runs, a harness at a breakpoint
 _PATIENCE = 6
@@ -29,6 +33,14 @@ _HARNESS_RULE = (
 )
 
 
+class _Answer(Enum):
+    """How a wait for an answer has ended."""
+
+    HERE = 1
+    MISSING = 2
+    GONE = 3  # the partner has closed its connection
+
+
 async def run(parts: Parts) -> None:
     """Run bus cycles until the run is done. Raises UnitError when an answer does not come."""
     # the same as parts.simulated_ns(), faster: the bus calls it for each frame
@@ -37,6 +49,7 @@ async def run(parts: Parts) -> None:
     bus = await parts.open_bus(lambda: slot(tick.TICK) * tick_ns)
     await parts.await_unit(bus)
     bus.start_wire(timed=False)
+    bus.take_turns(unit_answers=parts.options.unit != "none")
     ticks = tick.Ticks(parts.data)
     while not parts.stopping:
         mailbox.fetch(parts.data.published, bus.row)
@@ -77,45 +90,65 @@ async def _run_ticks(parts: Parts, bus: RigBus, ticks: tick.Ticks) -> None:
 
 
 async def _await_answers(parts: Parts, bus: RigBus) -> None:
-    """Wait for the answers of unit and harness to this SYNC.
+    """Wait for the answers of the unit and then of the harness to this SYNC.
 
-    Simulated time stands still meanwhile.
+    Simulated time stands still meanwhile. Each sends in its turn, so the frames of the harness
+    (faults, demands, friction) take effect after the answer of the unit, whichever came first.
     """
     if parts.options.unit != "none" and not bus.frozen:
         patience = _PATIENCE if bus.own_unit else 1
-        await _await_answer(parts, bus.answered, "WSP unit", patience, _UNIT_RULE)
+        await _await_answer(parts, bus, bus.unit_partner, "WSP unit", patience, _UNIT_RULE)
     else:
         await asyncio.sleep(0)
-    await _await_answer(parts, bus.harness_answered, "harness", _PATIENCE, _HARNESS_RULE)
+    await _await_answer(parts, bus, bus.harness_partner, "harness", _PATIENCE, _HARNESS_RULE)
 
 
 async def _await_answer(
-    parts: Parts, answered: asyncio.Event, partner: str, patience: int, rule: str
+    parts: Parts, bus: RigBus, partner: Partner, name: str, patience: int, rule: str
 ) -> None:
-    """Wait for one answer. Raises UnitError when it does not come in time."""
+    """Wait for the answer of one partner.
+
+    Raises UnitError when it does not come in time, or when it cannot come any more.
+    """
     wait_s = patience * parts.options.answer_wait_s
-    if not await _comes(parts, answered, wait_s):
+    with partner.turn():
+        answer = await _wait(parts, bus, partner, wait_s)
+    if answer is _Answer.HERE:
+        return
+    at = f"at {parts.simulated_ns() / clock.SECOND_NS:.3f} s"
+    if answer is _Answer.GONE:
         raise UnitError(
-            f"the {partner} has not answered SYNC within {wait_s:g} s at "
-            f"{parts.simulated_ns() / clock.SECOND_NS:.3f} s: in lockstep {rule}; give a slower "
-            "partner more time with --answer-wait"
+            f"the {name} has closed its connection {at}, before it answered SYNC: its program has "
+            "perhaps failed, look at its output, correct it and run again"
         )
+    raise UnitError(
+        f"the {name} has not answered SYNC within {wait_s:g} s {at}: in lockstep {rule}; give a "
+        "slower partner more time with --answer-wait"
+    )
 
 
-async def _comes(parts: Parts, answered: asyncio.Event, wait_s: float) -> bool:
-    """Wait for an answer; False if none came. Raises UnitError when the bench's unit has exited.
+async def _wait(parts: Parts, bus: RigBus, partner: Partner, wait_s: float) -> _Answer:
+    """Wait for an answer. Raises UnitError when the unit of the bench has exited.
 
     The wait is counted in looks, not by the clock: a bench that was stopped itself has not waited.
     """
+    looks_after_end = 0
     for _ in range(max(round(wait_s / _LOOK_S), 1)):
-        if answered.is_set() or parts.stopping:
-            return True
+        if partner.answered.is_set() or parts.stopping:
+            return _Answer.HERE
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_LOOK_S):
-                await answered.wait()
-        if not answered.is_set():
-            parts.processes.watch(starting=True)
-    return answered.is_set()
+                await partner.answered.wait()
+        if partner.answered.is_set():
+            return _Answer.HERE
+        parts.processes.watch(starting=True)
+        if partner.gone:
+            looks_after_end += 1
+            # the exit of a process tells more than the end of its connection
+            may_exit = bus.own_unit and partner is bus.unit_partner
+            if not may_exit or looks_after_end > _LOOKS_AFTER_END:
+                return _Answer.GONE
+    return _Answer.MISSING
 
 
 async def _cycle_on_wire(parts: Parts, bus: RigBus, hub: Hub, ticks: tick.Ticks) -> None:
@@ -148,9 +181,11 @@ async def _await_answers_in_standstill(parts: Parts, bus: RigBus, hub: Hub) -> N
 async def _catch_up(parts: Parts, bus: RigBus) -> None:
     """Let a unit that was frozen answer the SYNCs that it has missed; no time passes meanwhile."""
     owed = -1
-    while bus.owed != owed and not bus.answered.is_set():
-        owed = bus.owed
-        await _comes(parts, bus.answered, parts.options.answer_wait_s)
-    if not bus.answered.is_set():  # its connection had no room for more frames
+    unit = bus.unit_partner
+    with unit.turn():
+        while bus.owed != owed and not unit.answered.is_set():
+            owed = bus.owed
+            await _wait(parts, bus, unit, parts.options.answer_wait_s)
+    if not unit.answered.is_set():  # its connection had no room for more frames
         parts.event(Code.UNIT_UNANSWERED, syncs=owed)
         bus.forgive()

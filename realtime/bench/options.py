@@ -7,7 +7,6 @@ own, and wait for their arguments on standard input.
 import contextlib
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -17,6 +16,7 @@ from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
+from rollerrig.wsp_interface import unit_choice
 
 _RECORDER = "rollerrig.realtime.telemetry.recorder"
 # Rerun logs an error because run.rrd has no index while the run goes on; that is intended
@@ -47,17 +47,12 @@ class Options(NamedTuple):
     @property
     def fmus(self) -> tuple[Path, ...]:
         """The files of a unit that is one FMU or several."""
-        return fmus_of(self.unit)
+        return unit_choice.fmus_of(self.unit)
 
     @property
     def own_unit(self) -> bool:
         """Whether the bench starts the unit."""
         return self.unit not in ("external", "none")
-
-
-def fmus_of(unit: str) -> tuple[Path, ...]:
-    """Return the files of fmu:FILE,fmu:FILE; none for another unit."""
-    return tuple(map(Path, re.split("(?:^|,)fmu:", unit)[1:]))
 
 
 class Progress(NamedTuple):

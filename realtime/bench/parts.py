@@ -156,8 +156,8 @@ class Parts:
         self.data.control[STOP] = 1
         if self.bus:
             # the code that waits for an answer must notice
-            self.bus.answered.set()
-            self.bus.harness_answered.set()
+            self.bus.unit_partner.answered.set()
+            self.bus.harness_partner.answered.set()
 
     def report_stall(self) -> None:
         """Record where the loop has stood still since the last call: the clocks diverge there."""
@@ -214,11 +214,13 @@ class Parts:
         """Open the bus of the scenario with the rig on it, and return it. Raises BusError."""
         wall = self.options.pacing == "wall"
         self.hub, self.place = await rig_bus.open_bus(
-            self.plan, clock_ns, self._lose_bus, self.event, wall
+            self.plan, clock_ns, self._lose_bus, self.event, wall, self._awaits_others
         )
         rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
 
-        self.ports = await rig_bus.open_others(self.hub, self.place, self.plan)
+        self.ports = await rig_bus.open_others(
+            self.hub, self.place, self.plan, self.event, self._awaits_others
+        )
         for protocol, port in self.ports.items():
             self.event(Code.BUS_PORT, protocol=protocol, port=port)
 
@@ -237,7 +239,8 @@ class Parts:
             end=self._end_by_harness,
             inject=self._inject,
             lift=self._lift,
-            left=bus.harness_answered.set,
+            joined=bus.seat_harness,
+            left=bus.dismiss_harness,
         )
         bus.own_unit = self.options.own_unit
         # an FMU answers when it has the pressures, the reference unit when it has the speeds
@@ -246,6 +249,12 @@ class Parts:
         self.bus = bus
         self.event(Code.BUS_PLACE, address=self.place)
         return bus
+
+    @property
+    def _awaits_others(self) -> bool:
+        """Whether the run waits for an outside program on the bus: unit, harness or master."""
+        has_outside_master = not self.plan["bus"]["master"] or self.plan["rig"]["drives"] == "bus"
+        return self.options.unit == "external" or self.options.harness or has_outside_master
 
     def _post(self, command: np.ndarray) -> None:
         """Hand a command row of the bus to the tick, with the brake demand that counts."""
@@ -265,7 +274,8 @@ class Parts:
 
     def _inject(self, text: str) -> None:
         fault = catalogue.parse(text)
-        self.faults.inject(fault.kind.name, for_s=fault.for_s, **fault.values)
+        at_s = max(fault.at_s, self.faults.now_s)
+        self.faults.inject(fault.kind.name, at_s=at_s, for_s=fault.for_s, **fault.values)
 
     def _lift(self, text: str) -> None:
         """Lift the faults of a name, and of the parameters that the text gives."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.errors import BusError
+from rollerrig.configs.errors import BusError, PortInUseError
 from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401
 from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.cia301.node import Node
@@ -22,12 +22,13 @@ from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.faults.panel import Site
 from rollerrig.firmware_sim.nmt_master import NmtMaster
 from rollerrig.firmware_sim.rack import Rack
-from rollerrig.realtime.bench.scenario import Scenario
+from rollerrig.realtime.bench.scenario import AUTOMATIC_PORT, Scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import REFERENCE
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses, kernel, plugin
+from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import (
     EMERGENCY,
@@ -38,32 +39,36 @@ from rollerrig.wsp_interface.bus.connection_set import (
     TPDO,
 )
 from rollerrig.wsp_interface.bus.frames import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, Frame
-from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.bus.hub import Hub, Port
+from rollerrig.wsp_interface.bus.turns import Carry, Partner
 from rollerrig.wsp_interface.bus.wire import Alarm
 from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.rig_objects import (
     HARNESS_ANSWER_ID,
     MAGNETS_ID,
     SPEEDS,
+    UNIT_HEARTBEAT_ID,
     unit_lost_after_ms,
 )
 
+HUB = "hub"  # the interface in [bus] that is the bench's own hub
 KERNEL_CHANNEL = "vcan0"
 # how long to listen for foreign nodes: longer than the heartbeat time of any bench, 100 ms
 _LISTEN_S = 0.25
 _SENT_BY_NODES = (EMERGENCY, *TPDO, SDO_REPLY, HEARTBEAT)
 
 
-def address(scenario: Scenario) -> str:
-    """Return the address of the bus in [bus]: kernel CAN where it is up, else the hub."""
-    bus = scenario["bus"]
-    interface = bus["interface"]
-    if interface == "auto":
-        kernel_is_up = KERNEL_CHANNEL in kernel.available().up
-        interface = f"socketcan:{KERNEL_CHANNEL}" if kernel_is_up else "hub"
-    if interface == "hub":
-        return f"socketcand://{bus['host']}:{bus['socketcand_port']}/{signals.BUS_CHANNEL}"
-    return str(interface)
+def interface(scenario: Scenario) -> str:
+    """Return what [bus] interface means here: `hub`, or the address of another bus.
+
+    With `auto` it is kernel CAN where it is up, else the hub.
+    """
+    given = scenario["bus"]["interface"]
+    if given != "auto":
+        return str(given)
+    if KERNEL_CHANNEL in kernel.available().up:
+        return f"socketcan:{KERNEL_CHANNEL}"
+    return HUB
 
 
 async def open_bus(
@@ -72,13 +77,18 @@ async def open_bus(
     on_lost: Callable[[BusError], None],
     on_event: OnEvent,
     wall: bool,
+    awaits_others: bool,
 ) -> tuple[Hub, str]:
     """Return the bus of a scenario, and the address at which others reach it. Raises BusError.
 
-    `wall`: clock_ns runs as the wall clock does.
+    `wall`: clock_ns runs as the wall clock does. `awaits_others`: as in `_listen`.
     """
-    place = address(scenario)
+    place = interface(scenario)
     bitrate = scenario["bus"]["bitrate"]
+    if place == HUB:
+        hub = Hub(clock_ns, bitrate, signals.BUS_CHANNEL, on_event=on_event)
+        port = await _listen(hub, "socketcand", scenario, on_event, awaits_others)
+        return hub, _hub_address(scenario, port)
     if not place.startswith("socketcand:"):
         hub = await buses.open_hub(place, clock_ns, bitrate, on_lost, on_event, wall)
         await _refuse_foreign_nodes(hub, place)
@@ -87,6 +97,37 @@ async def open_bus(
     hub = Hub(clock_ns, bitrate, name, on_event=on_event)
     port = await hub.listen("socketcand", host, port)
     return hub, f"socketcand://{host}:{port}/{name}"
+
+
+def _hub_address(scenario: Scenario, port: int) -> str:
+    return f"socketcand://{scenario['bus']['host']}:{port}/{signals.BUS_CHANNEL}"
+
+
+async def _listen(
+    hub: Hub, protocol: str, scenario: Scenario, on_event: OnEvent, awaits_others: bool
+) -> int:
+    """Listen for a protocol on its port in [bus] and return the port. Raises BusError.
+
+    Where nobody has chosen a port, it is the usual one. If another program has the usual port, the
+    bench takes a free one and reports it. With `awaits_others`, the run waits for an outside
+    program. That looks for the bench on the usual port, and would join another bench there, so a
+    usual port in use is then an error.
+    """
+    bus = scenario["bus"]
+    host = bus["host"]
+    key = f"{protocol}_port"
+    chosen = bus[key]
+    if chosen != AUTOMATIC_PORT:
+        return await hub.listen(protocol, host, chosen, f"bus.{key}")
+    try:
+        return await hub.listen(protocol, host, None, f"bus.{key}")
+    except PortInUseError:
+        if awaits_others:
+            raise
+    port = await hub.listen(protocol, host, 0)
+    usual_port = CODECS[protocol].port
+    on_event(Code.BUS_PORT_IN_USE, port=usual_port, address=_hub_address(scenario, port))
+    return port
 
 
 async def _refuse_foreign_nodes(hub: Hub, place: str) -> None:
@@ -111,18 +152,22 @@ async def _refuse_foreign_nodes(hub: Hub, place: str) -> None:
             )
 
 
-async def open_others(hub: Hub, place: str, scenario: Scenario) -> dict[str, int]:
+async def open_others(
+    hub: Hub, place: str, scenario: Scenario, on_event: OnEvent, awaits_others: bool
+) -> dict[str, int]:
     """Listen for the other protocols that have a port in [bus]; return the ports by protocol.
 
-    On a bus of the kernel that includes socketcand. Raises BusError for a port that cannot be used.
+    On a bus of the kernel that includes socketcand. `awaits_others`: as in `_listen`. Raises
+    BusError for a port that cannot be used.
     """
-    bus = scenario["bus"]
     ports: dict[str, int] = {}
     for protocol in CODECS:
-        is_open = protocol == "socketcand" and place.startswith("socketcand:")
-        port = bus[f"{protocol}_port"]
-        if port >= 0 and not is_open:
-            ports[protocol] = await hub.listen(protocol, bus["host"], port)
+        if protocol == "socketcand":
+            is_required = not place.startswith("socketcand:")
+        else:
+            is_required = scenario["bus"][f"{protocol}_port"] >= 0
+        if is_required:
+            ports[protocol] = await _listen(hub, protocol, scenario, on_event, awaits_others)
     return ports
 
 
@@ -159,9 +204,9 @@ class RigBus:
 
         # answers of the unit: SYNCs that it still has to answer; a frozen unit answers all of them
         # when it continues
-        self.answered = asyncio.Event()
-        self.answered.set()
-        self.harness_answered = asyncio.Event()
+        self.unit_partner = Partner(arbitrates=True)
+        self.harness_partner = Partner(arbitrates=False)
+        self._turns_taken_by: tuple[Partner, ...] = ()
         self.owed = 0
         self.frozen = False
         # the unit of the bench answers every SYNC, also foreign ones; if the frame `awaited` that
@@ -193,7 +238,7 @@ class RigBus:
             self.rack.add(member)
         self._port = hub.attach(self._from_bus, "rig")
         self.gate = Gate(Controllers(hub.destroy))
-        hub.on_submitted = self._note_answer
+        hub.order = self._order
         self.rack.start(self._port.send, clock_ns())
         hub.attach(self._listen, "bench")
         self._on_command = on_command
@@ -240,31 +285,80 @@ class RigBus:
             return
         self._look_at_answers()
 
-    def _note_answer(self, frame: Frame, sender: Any) -> None:
-        """Count an answer when it is sent, even if the bus carries it later or a fault loses it."""
+    def take_turns(self, unit_answers: bool) -> None:
+        """From now on unit and harness send in turns; the bench gives each its turn.
+
+        `unit_answers`: whether the bench waits for a unit.
+        """
+        self._turns_taken_by = (self.harness_partner,)
+        if unit_answers:
+            self._turns_taken_by = (self.unit_partner, self.harness_partner)
+
+    def seat_harness(self) -> None:
+        """The sender of the present frame is the harness, which has joined."""
+        sender = self.hub.carries_from
+        if isinstance(sender, Client):
+            self.harness_partner.members = {sender}
+            self.harness_partner.speaker = sender
+
+    def dismiss_harness(self) -> None:
+        """The harness has left; nothing waits for it any more."""
+        self.harness_partner.answered.set()
+        self.harness_partner.leave()
+
+    def _order(self, sender: Port | Client, frame: Frame, carry: Carry) -> bool:
+        """Count answers, and let the frames of unit and harness wait for their turns."""
         if sender is self._port:
-            return
-        if frame.can_id == MAGNETS_ID:
-            self.owed = max(self.owed - 1, 0)
+            return True
+        answers = self._count_answer(frame)
+        if not isinstance(sender, Client):
+            return True
+        if frame.can_id in (MAGNETS_ID, UNIT_HEARTBEAT_ID):
+            self._note_unit(frame, sender)
+        partners = [one for one in self._turns_taken_by if sender in one.members]
+        if len(partners) != 1:
+            # not a partner, or a program that is unit and harness: its frames have an order
+            return True
+        partners[0].take(frame, carry, answers)
+        return False
+
+    def _count_answer(self, frame: Frame) -> bool:
+        """Count an answer when it is sent, even if the bus carries it later or a fault loses it.
+
+        Return whether the frame is an answer that was owed.
+        """
+        if frame.can_id == MAGNETS_ID and self.owed:
+            self.owed -= 1
             self._look_at_answers()
-        elif frame.can_id == HARNESS_ANSWER_ID:
-            self.harness_answered.set()
+            return True
+        harness = self.harness_partner
+        if frame.can_id == HARNESS_ANSWER_ID and not harness.answered.is_set():
+            harness.answered.set()
+            return True
+        return False
+
+    def _note_unit(self, frame: Frame, sender: Client) -> None:
+        """Note a connection of the unit; the one that sends the magnets has to answer."""
+        unit = self.unit_partner
+        unit.members.add(sender)
+        if frame.can_id == MAGNETS_ID or unit.speaker is None or unit.gone:
+            unit.speaker = sender
 
     def _look_at_answers(self) -> None:
         if self.owed <= self._may_wait:
-            self.answered.set()
+            self.unit_partner.answered.set()
         else:
-            self.answered.clear()
+            self.unit_partner.answered.clear()
 
     @property
     def late(self) -> bool:
         """Whether the bench's unit still has to answer: a fault or a busy wire may delay speeds."""
-        return self.own_unit and not self.frozen and not self.answered.is_set()
+        return self.own_unit and not self.frozen and not self.unit_partner.answered.is_set()
 
     def forgive(self) -> None:
         """No longer wait for the answers that are owed."""
         self.owed = 0
-        self.answered.set()
+        self.unit_partner.answered.set()
 
     # -- faults
 
@@ -276,6 +370,10 @@ class RigBus:
 
         def freeze_unit(on: bool) -> bool:
             self.frozen = freeze(on) and on
+            if self.frozen:
+                self.unit_partner.answered.set()  # nothing waits for a frozen unit
+            elif not on:
+                self._look_at_answers()
             return self.frozen
 
         return Site(
@@ -313,9 +411,9 @@ class RigBus:
         """Send SYNC; the nodes sample the row and send their PDOs before this returns."""
         # a harness that joins between two SYNCs answers from the next one on
         if self.harness.joined:
-            self.harness_answered.clear()
+            self.harness_partner.answered.clear()
         else:
-            self.harness_answered.set()
+            self.harness_partner.answered.set()
         self.set_time()
         if not self.own_unit:
             self.forgive()
@@ -324,7 +422,7 @@ class RigBus:
             self._look_at_answers()
             self.master.sync()
         else:
-            self.answered.clear()
+            self.unit_partner.answered.clear()
         self.hub.flush()
 
     def set_time(self) -> None:

@@ -23,6 +23,9 @@ from rollerrig.realtime.record import seal
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface.signals import AXLES
 
+# value of bus.socketcand_port where nobody has chosen a port
+AUTOMATIC_PORT = -1
+
 HEAD = (
     choice("title", "", (), "a sentence"),
     choice("vehicle_set", "uic_z1", (), "configs/vehicles"),
@@ -49,7 +52,14 @@ BUS = (
     number("sync_period_s", 0.01, 0.0005, 1.0, "assumption: period of a WSP unit"),
     number("heartbeat_s", 0.1, 0.01, 10.0, "producer time of the rig's nodes"),
     choice("host", "127.0.0.1", (), "address of the hub: loopback unless named otherwise"),
-    integer("socketcand_port", 29536, 0, 65535, "0 takes a free one"),
+    integer(
+        "socketcand_port",
+        AUTOMATIC_PORT,
+        AUTOMATIC_PORT,
+        65535,
+        "0: a free one; -1: 29536, or a free one where that is in use and the run waits for no "
+        "outside program",
+    ),
     *(
         integer(f"{codec}_port", -1, -1, 65535, "another way into the hub; 0: a free one, -1: none")
         for codec in ("virtualcan", "slcan", "cannelloni")

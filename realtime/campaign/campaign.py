@@ -177,8 +177,10 @@ def _unit(name: str) -> str | free.UnitCall:
 
 
 def resolve(plan: Plan, number: int) -> scenario.Scenario:
-    """Return the scenario of run `number`."""
-    return scenario.load(plan.head["scenario"], "", settings(plan, number))
+    """Return the scenario of run `number`. Raises ConfigError."""
+    resolved = scenario.load(plan.head["scenario"], "", settings(plan, number))
+    free.check(resolved)
+    return resolved
 
 
 def settings(plan: Plan, number: int) -> tuple[str, ...]:
@@ -228,36 +230,45 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
                 row["error"] = str(error)
 
     unit = _unit(plan.head["unit"])
-    for number, run_plan, channels in four_stops.together(resolved(), unit):
-        found = summarize(run_plan, channels, plan.head["unit"])
-        row = rows[number]
+    for finished in four_stops.together(resolved(), unit):
+        found = summarize(finished, plan.head["unit"])
+        row = rows[finished.tag]
         for figure in figures.FIGURES:
             row[figure.name] = figure.of(found)
-        for key in ("stopped", "valid", "config_hash"):
+        for key in ("stopped", "ended", "valid", "config_hash"):
             row[key] = found[key]
-        row["invalid_because"] = "; ".join(found["invalid_because"]) or None
+        for key in ("invalid_because", "warnings"):
+            row[key] = "; ".join(found[key]) or None
     return list(rows.values())
 
 
 def _empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
     """Return the row of a run without results; the order of the keys is that of the columns."""
-    results = ("stopped", "valid", "invalid_because", *figures.BY_NAME, "config_hash", "error")
+    results = (
+        *("stopped", "ended", "valid", "invalid_because", "warnings"),
+        *figures.BY_NAME,
+        *("config_hash", "error"),
+    )
     inputs = dict(zip(plan.axes, point, strict=True))
     return {"run": number, **inputs, **dict.fromkeys(results)}
 
 
-def summarize(plan: scenario.Scenario, channels: dict[str, np.ndarray], unit: str) -> Row:
+def summarize(finished: four_stops.Finished, unit: str) -> Row:
     """Return the summary of a run in memory; it equals that of a recorded run in free pacing."""
-    ticks = round(float(channels["time_s"][-1]) * plan["loop"]["tick_hz"])
+    plan = finished.plan
+    time_s = finished.channels["time_s"]
+    # a unit that fails at the first tick leaves no sample
+    ticks = round(float(time_s[-1]) * plan["loop"]["tick_hz"]) if len(time_s) else 0
     counters = {
         "pacing": "free",
         "seed": 0,
         "unit": unit,
         "config_hash": scenario.digest(plan),
         "scenario": plan.name,
+        "ended": finished.ended,
         "loop": {"ticks": ticks, "missed": 0},
     }
-    return summary.of(channels, counters, plan.resolved)
+    return summary.of(finished.channels, counters, plan.resolved, finished.events)
 
 
 # --- the result ---
@@ -268,8 +279,9 @@ def open_result(plan: Plan, out: Path) -> list[int]:
 
     Raises ConfigError if the folder holds the results of another plan.
     """
-    # the word "valid" belongs to the version of the columns
-    identity = json.dumps([plan.head, plan.axes, plan.points, "valid"], sort_keys=True)
+    # the names of the columns belong to it: an older version may have written others
+    columns = list(_empty_row(plan, plan.first, plan.points[0]))
+    identity = json.dumps([plan.head, plan.axes, plan.points, columns], sort_keys=True)
     fingerprint = hashlib.sha256(identity.encode()).hexdigest()[:16]
     mark = out / "plan.json"
     if mark.is_file() and json.loads(mark.read_text())["fingerprint"] != fingerprint:
@@ -314,7 +326,9 @@ def _schema(row: Row) -> pa.Schema:
         "stopped": pa.bool_(),
         "valid": pa.bool_(),
         "vents": pa.int64(),
+        "ended": pa.string(),
         "invalid_because": pa.string(),
+        "warnings": pa.string(),
         "config_hash": pa.string(),
         "error": pa.string(),
     }

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free
 from rollerrig.realtime.bench.scenario import Scenario
@@ -23,10 +24,25 @@ from rollerrig.rig.compiled.generated import buffer_viewer
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import RIGS
+from rollerrig.wsp_interface.events import Event
 
 _MOST_TICKS = 1 << 20  # in one call
 # the unit's state as views into its buffer, for compiled code
 see_unit = buffer_viewer(logic.State, logic.PLACES)
+
+
+class Finished(NamedTuple):
+    """A stop that is done: the tag by which its caller knows it, and what it has left.
+
+    channels: samples (n,) by the names of the table of signals.
+    events, ended: as in `free.Stop`.
+    """
+
+    tag: Any
+    plan: Scenario
+    channels: dict[str, np.ndarray]
+    events: list[Event]
+    ended: str
 
 
 class _Placed(NamedTuple):
@@ -39,8 +55,8 @@ class _Placed(NamedTuple):
 
 def together(
     jobs: Iterable[tuple[Any, Scenario]], unit: free.Unit = "reference"
-) -> Iterator[tuple[Any, Scenario, dict[str, np.ndarray]]]:
-    """Run many scenarios, four at a time if possible; yield (tag, scenario, channels) of each.
+) -> Iterator[Finished]:
+    """Run many scenarios, four at a time if possible; yield each that is done.
 
     `jobs` are (tag, scenario). The results come in the order in which the stops are done. A result
     does not depend on the stops in the other places. It differs from that of `free.simulate` by
@@ -53,7 +69,7 @@ def together(
         if is_compiled and fits(plan):
             groups.setdefault(plan.params.substeps, []).append((tag, plan))
         else:
-            yield tag, plan, free.channels(free.simulate(plan, unit))
+            yield _alone(tag, plan, unit)
 
     with_unit = unit != "none"
     # the compiled call needs a unit; without one, it gets a unit that never runs
@@ -61,7 +77,24 @@ def together(
     for group in groups.values():
         stops = (_Placed(tag, *free.remembered(plan, placed_unit)) for tag, plan in group)
         for tag, stop, memory in _run(stops, with_unit):
-            yield tag, stop.plan, free.channels(memory.written)
+            # these stops have no events: they have no faults, and a planar vehicle cannot derail
+            yield finished(tag, stop, memory)
+
+
+def _alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
+    """Run one stop. A failure of its unit is in its events. Raises ConfigError."""
+    free.check(plan)
+    stop, memory = free.remembered(plan, unit)
+    try:
+        stop.run()
+    except UnitError as error:
+        stop.fail(error)
+    return finished(tag, stop, memory)
+
+
+def finished(tag: Any, stop: free.Stop, memory: Memory) -> Finished:
+    """Return what a stop that is done has left."""
+    return Finished(tag, stop.plan, free.channels(memory.written), stop.events, stop.ended)
 
 
 def fits(plan: Scenario) -> bool:

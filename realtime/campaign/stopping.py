@@ -40,11 +40,12 @@ def counted(table: pa.Table) -> tuple[np.ndarray, np.ndarray]:
 def _did_not_stop(table: pa.Table) -> np.ndarray:
     """Return which runs reached the end of their time while the coach rolled, bool (rows,).
 
-    A run of a campaign has no bus and no events, so this is the only reason why it is not valid. A
-    run that failed has neither of the two fields.
+    A run that derailed, or whose unit failed, has ended in another way. A run that has no result
+    has none of the fields.
     """
-    fields = zip(table["valid"].to_pylist(), table["stopped"].to_pylist(), strict=True)
-    return np.array([valid is False and stopped is False for valid, stopped in fields], dtype=bool)
+    columns = [table[name].to_pylist() for name in ("valid", "stopped", "ended")]
+    rows = zip(*columns, strict=True)
+    return np.array([row == (False, False, "finished") for row in rows], dtype=bool)
 
 
 def rank(count: int, quantile: float) -> int:

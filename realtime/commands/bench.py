@@ -66,6 +66,10 @@ BENCHMARKS = {
     "fuzz": _in_clone(
         "endurance.fuzz", "a million malformed inputs through every interface of running benches"
     ),
+    "repeat": _in_clone(
+        "benchmarks.repeat",
+        "whether the sequence of every fault repeats to the byte on busy cores (two hours)",
+    ),
     "kill": _in_clone(
         "endurance.kill", "what is lost when processes of a run are killed, a hundred times"
     ),
@@ -103,7 +107,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="fuzz: number of inputs (default: 1000000); kill: number of kills (default: 100)",
+        help="fuzz: number of inputs (default: 1000000); kill: number of kills (default: 100); "
+        "repeat: runs of each sequence (default: 10)",
     )
     parser.add_argument("--live", action="store_true", help="loop: with the live view")
     parser.add_argument(

@@ -101,6 +101,7 @@ def call(options: argparse.Namespace) -> int:
             "worst": worst,
             "stopping_distance": stopping.bounds(table),
             "not_valid_runs": not_valid,
+            "warnings": campaign_report.warnings(table),
         },
         (plan.head["title"] or None, campaign_report.HEAD, campaign_report.cells(table)),
         *lines,

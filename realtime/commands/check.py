@@ -313,8 +313,8 @@ def port(number: int) -> Finding:
         name,
         State.WEAKER,
         f"in use{_user_of_port(number)}",
-        "stop the program that uses it, or give the bench another port: "
-        "--set bus.socketcand_port=0 takes any free port; "
+        "a run with the bench's unit takes a free port; for an outside unit stop the program that "
+        "uses it, or give the bench another port: --set bus.socketcand_port=0 takes any free port; "
         f"ss -ltnp 'sport = :{number}' shows the program",
     )
 

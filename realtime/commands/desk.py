@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.commands import output
+from rollerrig.realtime.commands import output, wsp
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +17,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default="127.0.0.1",
         metavar="ADDRESS",
         help="address on which the desk listens (default: 127.0.0.1, for this machine only); on "
-        "another address the desk is open to everyone who has the token in the printed address",
+        "every address the desk answers only to those who have the token in the printed address",
     )
     parser.add_argument(
         "--port",
@@ -34,7 +35,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--own",
         action="store_true",
-        help="show only benches that this desk has started, and no others on this machine",
+        help="follow only benches that this desk has started, and no others on this machine",
+    )
+    wsp.allow_argument(parser, "a user of the page")
+    parser.add_argument(
+        "--allow-folder",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="DIR",
+        help="a folder whose scenario files, and FMUs that are in it now, a user of the page may "
+        "choose; may be repeated (default: scenario files below --folder, and no FMU)",
     )
     parser.add_argument("--open", action="store_true", help="open a browser with the page")
 
@@ -54,6 +65,12 @@ def call(options: argparse.Namespace) -> int:
             "that holds runs"
         )
 
+    for folder in options.allow_folder:
+        if not folder.is_dir():
+            raise ConfigError(f"--allow-folder {folder}: there is no such folder; give another one")
+    fmus = [file for folder in options.allow_folder for file in sorted(folder.glob("*.fmu"))]
+    allowed = AllowList.of([*options.allow_unit, *fmus])
+
     def print_address(address: str, warning: str) -> None:
         if warning:
             output.print_message(f"warning: {warning}")
@@ -69,7 +86,7 @@ def call(options: argparse.Namespace) -> int:
 
     with contextlib.suppress(KeyboardInterrupt):
         server.serve(
-            desk.Desk(options.folder.resolve(), options.own),
+            desk.Desk(options.folder.resolve(), options.own, allowed, options.allow_folder),
             options.host,
             options.port,
             options.open,

@@ -41,8 +41,8 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 def compare(options: argparse.Namespace) -> int:
     """Print the figures of several runs, and the channels that differ too much from the first run.
 
-    Returns FAILED if a channel exceeds its tolerance. Returns INVALID if a run is not valid and
-    tolerances are given. Returns PASS otherwise.
+    Returns FAILED if a channel exceeds its tolerance, otherwise INVALID if a run is not valid, and
+    otherwise PASS.
     """
     # imported here, so that the other verbs start quickly
     from rollerrig.realtime.record import compare as comparison
@@ -85,8 +85,7 @@ def compare(options: argparse.Namespace) -> int:
 
     if failed:
         return output.FAILED
-    # without tolerances, nothing is judged
-    if warnings and tolerances:
+    if warnings:
         return output.INVALID
     return output.PASS
 
@@ -273,8 +272,9 @@ def export_fmu(options: argparse.Namespace) -> int:
     from rollerrig.realtime.bench import as_fmu, scenario
 
     plan = scenario.load(options.scenario, options.model, tuple(options.set))
-    # an FMU runs without buses, as pacing "free" does, so faults of a bus are refused
-    panel.check_pacing(plan.faults, "free")
+    panel.check_without_bus(
+        plan.faults, "the FMU of a rig", f"remove the fault from scenario {options.scenario}"
+    )
     variables = as_fmu.write(plan, options.out)
     return output.show(
         options,

@@ -71,6 +71,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="WSP unit of the benches; fmu:FILE may be repeated for FMUs that share the bus by "
         "CAN ports (default: the unit in the sequence, else reference)",
     )
+    wsp.allow_argument(parser, "a sequence")
     parser.add_argument(
         "--unit",
         default="",
@@ -150,11 +151,21 @@ def call(options: argparse.Namespace) -> int:
             **counts,
             "report": str(paths[0]),
             "sequences": {outcome.sequence.name: outcome.result for outcome in outcomes},
+            "warnings": _warnings(outcomes),
         },
         f"{result}: {counts['pass']} passed, {counts['fail']} failed, "
         f"{counts['error']} with an error; report in {paths[0]} (not a certification)",
     )
     return output.PASS if result == "pass" else output.FAILED
+
+
+def _warnings(outcomes: "list[Outcome]") -> list[str]:
+    """Return what was planned but did not happen, with the names of the sequences."""
+    warnings = []
+    for outcome in outcomes:
+        for text in outcome.summary.get("warnings", ()):
+            warnings.append(f"{outcome.sequence.name}: {text}")
+    return warnings
 
 
 def _parse_about(text: str) -> tuple[str, str]:
@@ -237,10 +248,10 @@ def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> 
     Raises ConfigError.
     """
     from rollerrig.firmware_sim.fmu import fmu_file
-    from rollerrig.realtime.bench.options import fmus_of
-    from rollerrig.wsp_interface import unit_map
+    from rollerrig.wsp_interface import unit_choice, unit_map
 
-    fmus = fmus_of(options.wsp)
+    fmus = unit_choice.fmus_of(options.wsp)
+    allowed = unit_choice.AllowList.of(options.allow_unit)
     is_external = options.wsp == "external"
 
     if options.bus and len(sequences) != 1:
@@ -264,10 +275,14 @@ def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> 
             "'rollerrig run' that starts the bench"
         )
 
-    if fmus:
-        periods_s = {_scenario_of(sequence)["bus"]["sync_period_s"] for sequence in sequences}
-        for period_s in sorted(periods_s):
-            fmu_file.check_all(fmus, options.unit_map, period_s)
+    # a running bench has its unit, and starts none for a sequence
+    if not options.bus:
+        started = set()
+        for sequence in sequences:
+            unit = options.wsp or sequence.allowed_unit(allowed)
+            started.add((unit, _scenario_of(sequence)["bus"]["sync_period_s"]))
+        for unit, period_s in sorted(started):
+            fmu_file.check_all(unit_choice.fmus_of(unit), options.unit_map, period_s)
 
     if is_external and not options.bus and not options.unit:
         raise ConfigError(
@@ -372,7 +387,7 @@ def _play_on_new_bench(
     sequence: "Sequence", options: argparse.Namespace, folder: Path
 ) -> "Outcome":
     from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import own_bench, unit_map
+    from rollerrig.wsp_interface import own_bench, unit_choice, unit_map
     from rollerrig.wsp_interface.sequences import play as player
 
     companions: list[Any] = []
@@ -396,6 +411,7 @@ def _play_on_new_bench(
         companions=tuple(companions),
         on_event=partial(_print_step, sequence.name, options.steps),
         arguments=run_arguments,
+        allowed=unit_choice.AllowList.of(options.allow_unit),
     )
 
 

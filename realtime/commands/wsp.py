@@ -7,12 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from rollerrig.configs.errors import ConfigError
+from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.signals import DEFAULT_ADDRESS
-
-# how the option --wsp names an FMU: fmu:FILE
-_FMU = "fmu:"
-# "" stands for the default of the verb
-_UNIT_NAMES = ("", "reference", "external", "none")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -95,10 +92,25 @@ def parse_unit(text: str) -> str:
 
     Raises ArgumentTypeError for any other text.
     """
-    is_fmu = text.startswith(_FMU) and len(text) > len(_FMU)
-    if text in _UNIT_NAMES or is_fmu:
+    if not text:
         return text
-    raise argparse.ArgumentTypeError(f"{text!r}: choose from reference, external, none, fmu:FILE")
+    try:
+        return unit_choice.check(text)
+    except ConfigError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def allow_argument(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare --allow-unit for a verb; `what` may choose a unit, as in "a sequence"."""
+    parser.add_argument(
+        unit_choice.ALLOW_UNIT,
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE",
+        help=f"an FMU that {what} may choose as the WSP unit; it runs with your rights, so allow "
+        "only files that you trust; may be repeated (default: none)",
+    )
 
 
 class AppendUnit(argparse.Action):
@@ -116,7 +128,7 @@ class AppendUnit(argparse.Action):
             setattr(options, self.dest, value)
             return
 
-        if not (value.startswith(_FMU) and before.startswith(_FMU)):
+        if not (unit_choice.fmus_of(value) and unit_choice.fmus_of(before)):
             parser.error(
                 f"argument --wsp: {before} and {value}: only FMUs can share a bus, each through "
                 "its CAN port; repeat --wsp only with fmu:FILE"

@@ -2,5 +2,6 @@
 
 It is a separate process. Reading order: reader (the rings of a bench), doors (the commands of a
 bench), lights, programs, library, desk (all of these together); then the parts of the page: live,
-manual, automatic, runs; page (which puts them together) and server (which serves the page).
+manual, automatic, runs; page (which puts them together), guard (which requests are answered) and
+server (which serves the page).
 """

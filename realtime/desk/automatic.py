@@ -9,7 +9,7 @@ from nicegui import ui
 
 from rollerrig.configs import store
 from rollerrig.realtime.desk.desk import Desk
-from rollerrig.realtime.desk.manual import UNITS, carry_out
+from rollerrig.realtime.desk.manual import carry_out
 from rollerrig.realtime.desk.programs import Program
 
 _LINES_SHOWN = 14
@@ -40,7 +40,7 @@ def _sequences(desk: Desk) -> None:
         label="sequences (none: the whole library)",
     )
     names.classes("w-full").props("use-chips").mark("sequences")
-    unit = ui.select(["", *UNITS], value="", label="WSP unit (empty: as in the sequence)")
+    unit = ui.select(["", *desk.units], value="", label="WSP unit (empty: as in the sequence)")
     unit.classes("w-full")
     pacing = ui.select(["lockstep", "wall"], value="lockstep", label="pacing")
     pacing.classes("w-full").mark("pacing")
@@ -48,12 +48,12 @@ def _sequences(desk: Desk) -> None:
     async def play() -> None:
         chosen = list(names.value or [])
         report = chosen[0] if len(chosen) == 1 else "sequences"
-        words = ["sequence", *chosen, "--steps"]
+        words = ["sequence", "--steps"]
         words += ["--out", f"reports/{report}"]
         words += ["--pacing", str(pacing.value)]
         if unit.value:
-            words += ["--wsp", str(unit.value)]
-        await carry_out(_start(desk, words), "started")
+            words.append(f"--wsp={unit.value}")
+        await carry_out(_start(desk, [*words, "--", *chosen]), "started")
 
     ui.button("Play", on_click=play).props("color=primary").classes("w-full").mark("play")
 

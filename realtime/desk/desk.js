@@ -13,6 +13,9 @@ const PAUSE_MS = 100;
 const PAUSE_WHOLE_RUN_MS = 1000;
 const PAUSE_AFTER_ERROR_MS = 1000;
 
+// the status with which a desk that was started again refuses the pages of the former one
+const FORBIDDEN = "403";
+
 // the turning wheels: a browser that was suspended does not catch up, and a wheel turns at a
 // twentieth of its real speed, because a faster one seems to stand still or to turn backwards
 const LONGEST_FRAME_S = 0.1;
@@ -92,7 +95,9 @@ window.desk = {
     } catch (error) {
       pause = PAUSE_AFTER_ERROR_MS;
       const place = document.getElementById("desk-time");
-      if (place) place.textContent = "the desk does not answer";
+      const refused = error.message === FORBIDDEN;
+      const text = refused ? "this desk has another address now" : "the desk does not answer";
+      if (place) place.textContent = text;
     }
     setTimeout(() => this.update(), pause);
   },

@@ -1,15 +1,20 @@
 """The desk, shared by all pages: it has a bench that it follows, alarms, and started programs.
 
+A desk belongs to one bench. It follows this bench until it ends, so that a command always reaches
+the bench that the page names. Afterwards it follows the next bench that it starts itself; the user
+chooses any other one.
+
 `work` runs as long as the desk does. It reads the rings ten times a second and the registers twice
-a second. While no bench runs, it looks for a bench every second.
+a second. While it follows no bench, it looks for benches every second.
 """
 
 import asyncio
 import math
+import os
 import shlex
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +25,9 @@ from rollerrig.realtime.desk import reader
 from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.telemetry import viewer
+from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 _READ_S = 0.1
 _REGISTERS_S = 0.5
@@ -52,13 +59,29 @@ class Alarm:
 class Desk:
     """`folder` holds runs, reports and campaigns; programs are started there.
 
-    `own`: the desk follows only benches that it has started. Otherwise it follows the newest bench
-    of this machine, and prefers those that it has started.
+    `own`: the desk follows only benches that it has started. Otherwise its first bench may be one
+    that runs on this machine already, if it is the only one.
+
+    `allowed` are the FMUs that may be chosen as a unit. Scenario files may be in `folder`, and in
+    the folders `scenario_folders`.
+
+    `choices` are the running benches that the user may choose, empty while the desk follows a
+    running one. `stops` counts the emergency stops that were requested here.
     """
 
-    def __init__(self, folder: Path, own: bool = False) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        own: bool = False,
+        allowed: AllowList = unit_choice.NOTHING,
+        scenario_folders: Sequence[Path] = (),
+    ) -> None:
         self.folder = folder
         self.own = own
+        self.allowed = allowed
+        self.scenario_folders = tuple(place.resolve() for place in (folder, *scenario_folders))
+        self.choices: list[reader.Bench] = []
+        self.stops = 0
         self.bench: reader.Bench | None = None
         self.doors: Doors | None = None
         self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
@@ -89,17 +112,45 @@ class Desk:
             await asyncio.sleep(_READ_S)
 
     def find(self) -> None:
-        """Follow the newest running bench, if the desk does not follow it already."""
-        started_here = [program.pid for program in self._running_benches()]
-        among = started_here if started_here or self.own else None
-        followed = self.bench.key if self.bench else ""
-        bench = reader.find(followed, among)
-        if bench is None:
+        """Follow a running bench if there is no doubt which; else list the benches in `choices`."""
+        started_here = reader.running(self._is_started_here)
+        if len(started_here) == 1:
+            self._follow(started_here[0])
             return
+        self.choices = started_here
+        if self.own or started_here:
+            return
+        self.choices = reader.running()
+        if len(self.choices) == 1 and self.bench is None:
+            self._follow(self.choices[0])
+
+    def _is_started_here(self, pid: int) -> bool:
+        """Whether a process belongs to a program of this desk, which share a session."""
+        try:
+            session = os.getsid(pid)
+        except OSError:
+            return False
+        return any(program.pid == session for program in self.programs)
+
+    def follow(self, key: str) -> None:
+        """Follow the bench with this key. Raises ConfigError if it cannot be chosen."""
+        if self.bench and self.running():
+            raise ConfigError(
+                f"this desk belongs to the bench of {self.bench.name}; wait until it has ended, or "
+                "start another desk with --port 0 for the other bench"
+            )
+        for bench in self.choices:
+            if bench.key == key and not bench.ended:
+                self._follow(bench)
+                return
+        raise ConfigError("this bench has ended; choose another one")
+
+    def _follow(self, bench: reader.Bench) -> None:
         if self.doors:
             self.doors.close()
         self.bench = bench
         self.doors = Doors(bench)
+        self.choices = []
 
     def _running_benches(self) -> list[Program]:
         """The benches that the desk has started and that still run."""
@@ -150,25 +201,80 @@ class Desk:
         """Whether there is a bench that has not ended."""
         return bool(self.bench and not self.bench.ended)
 
+    @property
+    def stopped(self) -> bool:
+        """Whether the emergency stop of the bench is set."""
+        return bool(self.doors and self.doors.values.get("emergency_stop"))
+
+    async def emergency_stop(self) -> None:
+        """Request the emergency stop; it stays requested if it is already. Raises BusError."""
+        self.stops += 1
+        await self.door().write("emergency_stop", 1.0)
+
+    async def reset_emergency_stop(self, confirmed_stops: int) -> None:
+        """Reset the emergency stop, which an operator has confirmed (ISO 13850: deliberately).
+
+        `confirmed_stops` is the value of `stops` when the operator was asked. Raises BusError if
+        another stop was requested since then, or if the bench refuses.
+        """
+        if self.stops != confirmed_stops:
+            raise BusError(
+                "the emergency stop is not reset, because it was requested again in the meantime; "
+                "reset it once more"
+            )
+        await self.door().write("emergency_stop", 0.0)
+
     async def prepare(
         self, scenario: str, unit: str, settings: Mapping[str, str], more: str = ""
     ) -> None:
-        """Start a bench that is held. Raises ConfigError if a bench runs already.
+        """Start a bench that is held.
 
         `settings` are keys and values of the scenario; empty values are left out. `more` has
-        further ones, as in "adhesion.mu_cd=0.05".
+        further ones, as in "adhesion.mu_cd=0.05". Raises ConfigError if a bench runs already, or if
+        the scenario or the unit may not be chosen here.
         """
-        if self.running() or self._running_benches():
+        for text in (scenario, unit, more, *settings.values()):
+            if not text.isprintable():
+                raise ConfigError(f"{text!r} contains a control character; remove it")
+        if self.running() or self.choices or self._running_benches():
             raise ConfigError(
                 "a bench runs already on this machine: stop it first, or wait until it has ended"
             )
-        words = ["run", scenario, "--start", "modbus", "--pacing", "wall", "--wsp", unit]
+        self._check_scenario(scenario)
+        words = ["run", "--start", "modbus", "--pacing", "wall", f"--wsp={self.checked(unit)}"]
         for key, value in settings.items():
             if value:
-                words += ["--set", f"{key}={value}"]
-        for setting in shlex.split(more):
-            words += ["--set", setting]
-        self.start(words)
+                words.append(f"--set={key}={value}")
+        words += [f"--set={setting}" for setting in _settings_of(more)]
+        # behind `--` nothing is an option, so a typed name cannot become one
+        self.start([*words, "--", scenario])
+
+    @property
+    def units(self) -> list[str]:
+        """The units that the page offers: those that run no foreign code, and the allowed FMUs."""
+        fmus = [f"{unit_choice.FMU}{file}" for file in self.allowed.files]
+        return [*unit_choice.NAMES, *fmus]
+
+    def checked(self, unit: str) -> str:
+        """Return the text of a unit with absolute paths.
+
+        Raises ConfigError if the unit needs an FMU that is not allowed.
+        """
+        # a program resolves a path in the folder in which it is started
+        files = [(self.folder / file).resolve() for file in unit_choice.fmus_of(unit)]
+        absolute = ",".join(f"{unit_choice.FMU}{file}" for file in files)
+        return self.allowed.check(absolute or unit, "WSP unit")
+
+    def _check_scenario(self, scenario: str) -> None:
+        """Raise ConfigError if a scenario is a file outside the folders for scenarios."""
+        path = (self.folder / scenario).resolve()
+        if any(path.is_relative_to(folder) for folder in self.scenario_folders):
+            return
+        folders = ", ".join(map(str, self.scenario_folders))
+        raise ConfigError(
+            f"scenario {scenario}: this desk starts the scenarios of the library and files below "
+            f"{folders}; to allow another folder, start the desk with --allow-folder DIR"
+        )
 
     def start(self, words: list[str]) -> Program:
         """Start a `rollerrig` command line. Raises ConfigError if it cannot start."""
@@ -178,9 +284,16 @@ class Desk:
 
     def door(self) -> Doors:
         """The ways into the bench. Raises BusError if none runs."""
-        if not self.doors or not self.running():
-            raise BusError("no bench runs here: prepare one first")
-        return self.doors
+        if self.doors and self.running():
+            return self.doors
+        if self.choices:
+            count = len(self.choices)
+            benches = "1 bench runs" if count == 1 else f"{count} benches run"
+            raise BusError(
+                f"{benches} on this machine that this desk does not follow: choose the bench of "
+                "this desk first"
+            )
+        raise BusError("no bench runs here: prepare one first")
 
     def free_door(self) -> Doors:
         """The ways into a bench on which no sequence plays. Raises BusError if one does."""
@@ -224,3 +337,14 @@ class Desk:
             self.doors.close()
         if self._viewer:
             viewer.terminate(self._viewer)
+
+
+def _settings_of(text: str) -> list[str]:
+    """Return the settings in a text such as "adhesion.mu_cd=0.05 stand_s=2". Raises ConfigError."""
+    try:
+        return shlex.split(text)
+    except ValueError as error:
+        raise ConfigError(
+            f"further values: {text!r} cannot be read ({error}); close each quotation mark, as in "
+            "adhesion.mu_cd=0.05"
+        ) from None

@@ -17,7 +17,6 @@ from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.desk.desk import Desk
 from rollerrig.wsp_interface import signals
 
-UNITS = ("reference", "external", "none")
 _AXLES = range(1, signals.AXLES + 1)
 # largest values that the fields accept
 _HIGHEST_BAR = 10.0
@@ -99,7 +98,7 @@ def _bench(desk: Desk) -> None:
                 labels = {_UNCHANGED: "as in the scenario"}
                 labels |= {name: name for name in store.names(kind)}
                 settings[key] = ui.select(labels, value=_UNCHANGED, label=key).mark(key)
-            unit = _choice_or_text(list(UNITS), "reference", "WSP unit, or fmu:FILE")
+            unit = _choice_or_text(desk.units, "reference", "WSP unit")
             labels = {
                 _UNCHANGED: "as in the rig",
                 "rig": "rig control",

@@ -1,4 +1,4 @@
-"""The page: head with the emergency stop, state line, the modes behind tabs, and alarms.
+"""The page: head with bench and emergency stop, state line, the modes behind tabs, and alarms.
 
 Every browser has the same page; each one is built separately.
 """
@@ -72,40 +72,85 @@ def _manual(desk: Desk) -> None:
 
 
 def _head(desk: Desk) -> None:
-    """Name, state of the bench, warning, and the button of the emergency stop."""
+    """Name, bench, warning, and the buttons of the emergency stop."""
     with ui.row().classes("w-full items-center no-wrap gap-6"):
         ui.label("rollerrig desk").style("font-size: 22px; font-weight: 600; white-space: nowrap")
-        bench = ui.label().classes("grow").mark("bench")
+        with ui.column().classes("grow gap-0"):
+            bench = ui.label().mark("bench")
+            _bench_choice(desk)
         ui.label(NO_SAFETY).classes("desk-small").style("max-width: 26rem").mark("no-safety")
-
-        async def toggle() -> None:
-            stop = not _stopped(desk)
-
-            async def command() -> None:
-                await desk.door().write("emergency_stop", float(stop))
-
-            done = "emergency stop requested" if stop else "emergency stop reset"
-            await manual.carry_out(command(), done)
-
-        button = ui.button("Emergency stop", on_click=toggle).props("color=negative size=lg")
-        button.mark("emergency")
+        _emergency_stop(desk)
 
         def follow() -> None:
             bench.text = _bench_sentence(desk)
-            if _stopped(desk):
-                button.text = "Reset emergency stop"
-                button.props("color=orange-10")
-            else:
-                button.text = "Emergency stop"
-                button.props("color=negative")
 
         ui.timer(0.5, follow)
         follow()
 
 
-def _stopped(desk: Desk) -> bool:
-    """Whether the emergency stop is set."""
-    return bool(desk.doors and desk.doors.values.get("emergency_stop"))
+def _bench_choice(desk: Desk) -> None:
+    """The field that chooses the bench of the desk, shown while there is a choice."""
+    benches = ui.select({}, label="choose the bench of this desk").classes("w-full").mark("benches")
+
+    def follow() -> None:
+        names = {bench.key: bench.name for bench in desk.choices}
+        benches.set_visibility(bool(names))
+        if names != benches.options:
+            benches.set_options(names, value=None)
+
+    async def choose() -> None:
+        if benches.value is None:
+            return
+        await manual.carry_out(_follow(desk, str(benches.value)), "this desk belongs to it now")
+
+    benches.on_value_change(choose)
+    ui.timer(0.5, follow)
+    follow()
+
+
+async def _follow(desk: Desk, key: str) -> None:
+    desk.follow(key)
+
+
+def _emergency_stop(desk: Desk) -> None:
+    """The button that requests the emergency stop, and the button that resets it.
+
+    They are two commands, so that a press too many never resets a stop. A reset must be confirmed.
+    """
+    confirmed_stops = 0
+
+    async def stop() -> None:
+        dialog.close()
+        await manual.carry_out(desk.emergency_stop(), "emergency stop requested")
+
+    def ask() -> None:
+        nonlocal confirmed_stops
+        confirmed_stops = desk.stops
+        dialog.open()
+
+    async def reset() -> None:
+        dialog.close()
+        await manual.carry_out(desk.reset_emergency_stop(confirmed_stops), "emergency stop reset")
+
+    with ui.dialog() as dialog, ui.card().classes("desk-card"):
+        ui.label("Reset the emergency stop?").classes("desk-title")
+        ui.label("The rig may be started again afterwards. Make sure that it is safe.")
+        with ui.row().classes("w-full justify-end gap-2"):
+            keep = ui.button("Keep stopped", on_click=dialog.close)
+            keep.props("autofocus").mark("keep-stopped")
+            confirm = ui.button("Confirm reset", on_click=reset)
+            confirm.props("color=orange-10").mark("confirm-reset")
+    dialog.mark("reset-question")
+    button = ui.button("Emergency stop", on_click=stop).props("color=negative size=lg")
+    button.mark("emergency")
+    reset_button = ui.button("Reset emergency stop", on_click=ask).props("color=orange-10 outline")
+    reset_button.mark("reset-emergency")
+
+    def follow() -> None:
+        reset_button.set_enabled(desk.stopped)
+
+    ui.timer(0.5, follow)
+    follow()
 
 
 def _bench_sentence(desk: Desk) -> str:
@@ -116,14 +161,20 @@ def _bench_sentence(desk: Desk) -> str:
     bench = desk.bench
     doors = desk.doors
     if bench is None or doors is None:
+        if desk.choices:
+            return f"{len(desk.choices)} benches run on this machine: choose the bench of this desk"
         if preparing:
             return "the bench is being prepared: kernels, bus, unit ..."
         return "no bench runs on this machine: prepare one, or start one with rollerrig run"
 
     if bench.ended:
         how = "has ended" if bench.ended == "closed" else "was killed"
-        then = "another is being prepared" if preparing else "its run is under Runs"
-        return f"the bench (process {bench.pid}) {how} at {bench.time_s:.1f} s; {then}"
+        then = "its run is under Runs"
+        if preparing:
+            then = "another is being prepared"
+        elif desk.choices:
+            then = "choose the next bench of this desk"
+        return f"the bench ({bench.name}) {how} at {bench.time_s:.1f} s; {then}"
 
     if doors.state is not None:
         state = doors.state.name.lower()
@@ -131,7 +182,7 @@ def _bench_sentence(desk: Desk) -> str:
         state = "running, without Modbus"
     else:
         state = "starting (a first start compiles its kernels, for minutes)"
-    return f"bench (process {bench.pid}) on {bench.bus or 'no bus'}: {state}"
+    return f"bench ({bench.name}) on {bench.bus or 'no bus'}: {state}"
 
 
 # -- lights

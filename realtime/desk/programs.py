@@ -31,12 +31,13 @@ class Program:
         self.words = words
         self.folder = folder
         self.end_noticed = False  # whether the desk has noticed that it exited
+        verb, *rest = words
         try:
             # both files stay open as long as the page shows the program
             self._result_file = tempfile.TemporaryFile()  # noqa: SIM115
             self._message_file = tempfile.TemporaryFile()  # noqa: SIM115
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"],
+                [sys.executable, "-m", "rollerrig.realtime.cli", verb, "--json", *rest],
                 cwd=folder,
                 stdout=self._result_file,
                 stderr=self._message_file,

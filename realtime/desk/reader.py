@@ -1,5 +1,4 @@
-"""Follows the bench that runs on this machine: reads its rings in shared memory, once for all
-pages.
+"""Follows a bench that runs on this machine: reads its rings in shared memory, once for all pages.
 
 The bench is not affected, because the writer of a ring never waits. Rows are thinned to ten pairs a
 second of simulated time. Each pair has the least and the largest value of every signal, so that no
@@ -10,7 +9,7 @@ The first events of a bench report where it listens.
 import re
 import time
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -53,9 +52,9 @@ _RING_NAME = re.compile(r"rollerrig-(\d+)-(\d+)-rows")  # process, time in ns
 class Bench:
     """One bench: its rings, the samples read from them, and its state as its events report it.
 
-    `bus` is the address of its CAN bus and `modbus` host and port of its server, empty before they
-    are open. `faults` are the titles of active faults. `points` counts the points read so far, two
-    a pair.
+    `name` is its process and its folder. `bus` is the address of its CAN bus and `modbus` host and
+    port of its server, empty before they are open. `faults` are the titles of active faults.
+    `points` counts the points read so far, two a pair.
     """
 
     def __init__(self, pid: int, rows: Ring, events: Ring) -> None:
@@ -63,6 +62,7 @@ class Bench:
         self.rows = rows
         self._event_ring = events
         self.key = f"{pid}-{int(rows.header[ring.CREATED_NS])}"
+        self.name = _name(pid)
         # as its events report it
         self.events: list[Event] = []
         self.bus = ""
@@ -171,32 +171,38 @@ class Bench:
         self.faults = [active for active in self.faults if active != fault]
 
 
-def find(but_not: str = "", among: Collection[int] | None = None) -> Bench | None:
-    """The newest bench that runs on this machine; None if there is none.
+def running(among: Callable[[int], bool] = lambda pid: True) -> list[Bench]:
+    """Return the benches that run on this machine, the oldest first.
 
-    `but_not` is the key of a bench to leave out. `among` allows only benches of these processes.
+    `among` returns for the number of a process whether its bench counts.
     """
-    candidates: dict[int, tuple[Path, int]] = {}  # by the time of their rings: path, process
+    found: list[tuple[int, Bench]] = []  # by the time of their rings in ns
     for path in ring.folder().glob("rollerrig-*-rows"):
         name = _RING_NAME.fullmatch(path.name)
         if name is None:
             continue
         pid = int(name[1])
         created_ns = int(name[2])
-        if among is None or pid in among:
-            candidates[created_ns] = path, pid
-
-    for created_ns in sorted(candidates, reverse=True):
-        path, pid = candidates[created_ns]
+        if not among(pid):
+            continue
         try:
             rows = Ring(path, np.float64)
             events = Ring(_event_ring_path(path, pid, created_ns), np.int64)
             bench = Bench(pid, rows, events)
         except (OSError, ValueError, RollerrigError):
             continue  # the bench is starting or stopping now
-        if bench.key != but_not and not bench.ended:
-            return bench
-    return None
+        if not bench.ended:
+            found.append((created_ns, bench))
+    found.sort(key=lambda entry: entry[0])
+    return [bench for _, bench in found]
+
+
+def _name(pid: int) -> str:
+    """Return a name for the bench of a process: its number, and the folder in which it runs."""
+    try:
+        return f"process {pid} in {Path(f'/proc/{pid}/cwd').readlink()}"
+    except OSError:
+        return f"process {pid}"  # it has exited, or the system does not report its folder
 
 
 def _event_ring_path(rows: Path, pid: int, created_ns: int) -> Path:

@@ -1,120 +1,30 @@
-"""Serves the desk.
-
-On loopback, it serves every program of this machine. On any other address, a request needs the
-token of the desk.
-
-The server refuses requests that come from a page of another site. On loopback it also refuses
-requests for another host name. Otherwise a foreign web page could reach the bench through the
-browser of the operator.
-"""
+"""Serves the desk to those who have its token (see `guard`), and reports its address."""
 
 import asyncio
-import hmac
-import secrets
 import socket
-from collections.abc import Awaitable, Callable, MutableMapping
-from http.cookies import SimpleCookie
+import tempfile
+import webbrowser
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-from urllib.parse import parse_qs, urlsplit
 
 from fastapi.responses import FileResponse, PlainTextResponse
 from nicegui import app, ui
 from nicegui.json import NiceGUIJSONResponse
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.desk import live, page
+from rollerrig.realtime.desk import guard, live, page
 from rollerrig.realtime.desk.desk import Desk
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
 from rollerrig.wsp_interface.events import Code
 
-PORT = 8530
-COOKIE = "rollerrig-desk"
 _SERVED_SUFFIXES = (".html", ".svg", ".png", ".json", ".xml", ".csv", ".pdf", ".rrd", ".log")
-_LOOPBACK_NAMES = ("127.0.0.1", "localhost", "::1")
-# status codes of HTTP
-_FORBIDDEN = 403
-_NOT_FOUND = 404
-# close code of a WebSocket, RFC 6455
-_POLICY_VIOLATION = 1008
-# of an address; 24 bytes of random data cannot be guessed
-_TOKEN_BYTES = 24
+_NOT_FOUND = 404  # status code of HTTP
 # time between two looks whether the server answers
 _LOOK_AGAIN_S = 0.05
-# a message of ASGI, and the scope of a request
-Message = MutableMapping[str, Any]
-
-
-class Guard:
-    """ASGI middleware that passes on only requests with the token that no other site has caused.
-
-    An empty token means that requests need none.
-    """
-
-    def __init__(self, app: Any, token: str) -> None:
-        self.app = app
-        self.token = token
-
-    async def __call__(
-        self,
-        scope: Message,
-        receive: Callable[[], Awaitable[Message]],
-        send: Callable[[Message], Awaitable[None]],
-    ) -> None:
-        """Handle one request."""
-        if scope["type"] not in ("http", "websocket"):
-            await self.app(scope, receive, send)
-            return
-
-        headers = {
-            name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]
-        }
-        query = parse_qs(scope.get("query_string", b"").decode("latin-1"))
-        token_in_address = query.get("token", [""])[0]
-        reason = refused(headers, token_in_address, self.token)
-        if reason and scope["type"] == "http":
-            response = PlainTextResponse(f"rollerrig desk: {reason}", _FORBIDDEN)
-            await response(scope, receive, send)
-            return
-        if reason:
-            await send({"type": "websocket.close", "code": _POLICY_VIOLATION})
-            return
-
-        async def send_with_cookie(message: Message) -> None:
-            # only the first request has the token in its address; later ones have the cookie
-            begins_response = message["type"] == "http.response.start"
-            if begins_response and token_in_address and self.token:
-                cookie = f"{COOKIE}={self.token}; HttpOnly; SameSite=Strict; Path=/"
-                message["headers"] = [*message.get("headers", []), (b"set-cookie", cookie.encode())]
-            await send(message)
-
-        await self.app(scope, receive, send_with_cookie)
-
-
-def refused(headers: MutableMapping[str, str], token_in_address: str, token: str) -> str:
-    """Return why a request is refused; empty if it is allowed.
-
-    `token` is the correct token, or empty if requests need none.
-    """
-    host = headers.get("host", "")
-    origin = headers.get("origin")
-    if origin and urlsplit(origin).netloc != host:
-        return f"requests from a page of {origin} are not allowed"
-
-    if not token:
-        name = urlsplit(f"//{host}").hostname
-        if name in _LOOPBACK_NAMES:
-            return ""
-        return f"this server answers to {', '.join(_LOOPBACK_NAMES)}, not to {name}"
-
-    cookies = SimpleCookie(headers.get("cookie", ""))
-    given = token_in_address
-    if not given and COOKIE in cookies:
-        given = cookies[COOKIE].value
-    if hmac.compare_digest(given.encode(), token.encode()):
-        return ""
-    return "the token is missing or wrong; open the address that 'rollerrig desk' has printed"
+# leads the browser of `--open` to the desk
+DOORSTEP = '<!doctype html><meta http-equiv="refresh" content="0; url={address}">\n'
 
 
 def free(host: str, port: int) -> int:
@@ -124,8 +34,8 @@ def free(host: str, port: int) -> int:
             return int(probe.getsockname()[1])
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"{host}:{port} cannot be opened ({error}); if a desk runs there already, open "
-            f"http://{host}:{port} in a browser, else give another port with --port"
+            f"{host}:{port} cannot be opened ({error}); if a desk runs there already, open the "
+            "address that it has printed, else give another port with --port"
         ) from None
 
 
@@ -139,15 +49,24 @@ def routes(desk: Desk) -> None:
     def rows(bench: str = "", after: int = 0, whole: int = 0) -> Any:
         return NiceGUIJSONResponse(live.answer(desk, bench, after, bool(whole)))
 
-    @app.get("/file/{path:path}")
+    @app.get(guard.FILES + "{path:path}")
     def file(path: str) -> Any:
-        # a path with `..` must not leave the folder of runs
-        folder = desk.folder.resolve()
+        found = _report(desk.folder.resolve(), path)
+        if found is None:
+            return PlainTextResponse(f"{path}: no report is there", _NOT_FOUND)
+        return FileResponse(found)
+
+
+def _report(folder: Path, path: str) -> Path | None:
+    """Return the file at a path below a folder; None if there is none that may be served."""
+    try:
+        # a path with `..` or a link must not leave the folder
         found = (folder / path).resolve()
-        inside = found.is_relative_to(folder)
-        if inside and found.suffix in _SERVED_SUFFIXES and found.is_file():
-            return FileResponse(found)
-        return PlainTextResponse(f"{path}: no report is there", _NOT_FOUND)
+        is_file = found.is_file()
+    except (OSError, ValueError):
+        return None  # no file can have this name
+    may_be_served = found.is_relative_to(folder) and found.suffix in _SERVED_SUFFIXES
+    return found if may_be_served and is_file else None
 
 
 def serve(
@@ -155,8 +74,8 @@ def serve(
 ) -> None:
     """Serve the desk until it is interrupted. `show` opens a browser.
 
-    It calls `on_ready(address, warning)` as soon as the server answers. The warning is empty on
-    loopback. Raises ConfigError if the port cannot be opened.
+    It calls `on_ready(address, warning)` as soon as the server answers. The address contains the
+    token. The warning is empty on loopback. Raises ConfigError if the port cannot be opened.
     """
     port = free(host, port)
     exposed = {
@@ -165,13 +84,12 @@ def serve(
         "port": port,
         "who": "WHO HAS THE TOKEN OF ITS ADDRESS",
     }
-    warning = ""
-    token = ""
-    if beyond_loopback(host):
-        warning = events.text(Code.SERVER_EXPOSED, exposed)
-        token = secrets.token_urlsafe(_TOKEN_BYTES)
+    on_loopback = not beyond_loopback(host)
+    warning = "" if on_loopback else events.text(Code.SERVER_EXPOSED, exposed)
+    token = guard.new_token()
     address = _address(host, port, token)
     tasks: list[asyncio.Task[None]] = []
+    private = tempfile.TemporaryDirectory(prefix="rollerrig-desk-")  # only for this user
 
     async def report_address() -> None:
         # NiceGUI calls its start-up functions before it listens
@@ -181,6 +99,8 @@ def serve(
             while probe.connect_ex((host, port)):
                 await asyncio.sleep(_LOOK_AGAIN_S)
         on_ready(address, warning)
+        if show:
+            await asyncio.to_thread(_open_browser, address, Path(private.name))
 
     def begin() -> None:
         loop = asyncio.get_running_loop()
@@ -188,9 +108,11 @@ def serve(
         tasks.append(loop.create_task(report_address()))
 
     routes(desk)
-    app.add_middleware(Guard, token=token)
+    app.add_middleware(guard.Guard, token=token, on_loopback=on_loopback)
     app.on_startup(begin)
     app.on_shutdown(desk.close)
+    # here, because a desk that is terminated does not return from `run`
+    app.on_shutdown(private.cleanup)
     ui.run(
         lambda: page.build(desk),
         host=host,
@@ -199,14 +121,24 @@ def serve(
         favicon="🚆",
         dark=True,
         reload=False,
-        show=show,
+        show=False,
         show_welcome_message=False,
         reconnect_timeout=10.0,
     )
 
 
+def _open_browser(address: str, private: Path) -> None:
+    """Open a browser at the address with the token.
+
+    The browser gets a file that leads it there, because other users can read the command line of a
+    process. The file is in a private folder.
+    """
+    doorstep = private / "open.html"
+    doorstep.write_text(DOORSTEP.format(address=address), encoding="utf-8")
+    webbrowser.open(doorstep.as_uri())
+
+
 def _address(host: str, port: int, token: str) -> str:
-    """Return the address of the page, with its token if there is one."""
+    """Return the address of the page with its token."""
     name = f"[{host}]" if ":" in host else host
-    query = f"?token={token}" if token else ""
-    return f"http://{name}:{port}/{query}"
+    return f"http://{name}:{port}/?token={token}"

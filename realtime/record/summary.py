@@ -90,8 +90,8 @@ def of(
         "modbus": _counted(counters, "modbus", {"requests": None}),
         "recorder": _counted(counters, "recorder", {"lost": 0}),
     }
-    because = validity.reasons(found, scenario, events)
-    return found | {"valid": not because, "invalid_because": because}
+    judgement = validity.judge(found, scenario, events)
+    return found | {"valid": not judgement.invalid_because, **judgement._asdict()}
 
 
 def _counted(counters: Mapping[str, Any], name: str, recorded: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,7 +8,7 @@ the air, and a stop that is cut short there looks good.
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from rollerrig.wsp_interface import events as run_events
 from rollerrig.wsp_interface.events import Code, Event
@@ -19,24 +19,37 @@ RECOVERY_S = 1.0
 _SPOILS = (
     Code.COACH_DERAILED,
     Code.UNIT_ENDED,
+    Code.UNIT_FAILED,
     Code.RECORDER_ENDED,
     Code.RUN_INTERRUPTED,
     Code.BENCH_KILLED,
 )
 _FAULTS = (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
 _UNIT = (Code.UNIT_LOST, Code.UNIT_BACK)
-_RELEVANT = (*_SPOILS, *_FAULTS, *_UNIT, Code.RUN_ENDED_BY_HARNESS)
+_EMERGENCY_STOP = (Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET)
+_RELEVANT = (
+    *_SPOILS,
+    *_FAULTS,
+    *_UNIT,
+    *_EMERGENCY_STOP,
+    Code.RUN_ENDED_BY_HARNESS,
+    Code.FAULT_NEVER_BEGAN,
+)
 # a run that lasted to within this time of duration_max_s has reached the limit
 _LIMIT_TOLERANCE_S = 1.0
 
 
-def reasons(
-    summary: Mapping[str, Any], scenario: Mapping[str, Any], events: Iterable[Event]
-) -> list[str]:
-    """Return why the run of a summary is not valid, one sentence a reason.
+class Judgement(NamedTuple):
+    """Sentences on a run: why it is not valid, and what was planned but did not happen."""
 
-    Empty for a valid run.
-    """
+    invalid_because: list[str]
+    warnings: list[str]
+
+
+def judge(
+    summary: Mapping[str, Any], scenario: Mapping[str, Any], events: Iterable[Event]
+) -> Judgement:
+    """Return the judgement on the run of a summary. A valid run has no reasons."""
     # keeps only the relevant events and the last error: a flood of events may exceed the memory
     relevant: list[Event] = []
     last_error = "see its events"
@@ -55,13 +68,18 @@ def reasons(
             f"{lost_s[0]:.2f} s, and no fault was aimed at it or its bus"
         )
     found += _spoiled_by(relevant)
+    emergency_stop = _emergency_stop(summary, relevant)
+    if emergency_stop:
+        found.append(emergency_stop)
     lost_rows = summary["recorder"]["lost"]
     if lost_rows:
         found.append(f"the recorder lost {lost_rows} samples, frames or events")
     ending = _ending(summary, scenario, relevant, last_error, bool(found))
     if ending:
         found.append(ending)
-    return found
+
+    warnings = [event.text for event in relevant if event.code == Code.FAULT_NEVER_BEGAN]
+    return Judgement(found, warnings)
 
 
 def _spoiled_by(events: Iterable[Event]) -> list[str]:
@@ -72,6 +90,28 @@ def _spoiled_by(events: Iterable[Event]) -> list[str]:
             sentence = run_events.text(event.code, event.fields, advice=False)
             first[event.code] = f"{sentence}, at {event.time_s:.2f} s"
     return list(first.values())
+
+
+def _emergency_stop(summary: Mapping[str, Any], events: Iterable[Event]) -> str:
+    """Return why an emergency stop makes a run not valid; empty if it does not.
+
+    One that is set and reset before the start does not act on the run, and one after standstill
+    does not change the stop.
+    """
+    set_s: float | None = None
+    for event in events:
+        if event.code == Code.EMERGENCY_STOP_SET and set_s is None:
+            set_s = event.time_s
+        elif event.code == Code.EMERGENCY_STOP_RESET and event.time_s == 0.0:
+            set_s = None
+
+    stop_time_s = summary["stop_time_s"]
+    if set_s is None or (stop_time_s is not None and set_s >= stop_time_s):
+        return ""
+    return (
+        f"the emergency stop was set over Modbus while the coach rolled, at {set_s:.2f} s: it also "
+        "stops the rollers, so the stopping distance is not that of the brakes"
+    )
 
 
 def _ending(

@@ -7,6 +7,7 @@ varied, and the stopping distance with its bounds.
 
 import math
 import textwrap
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -78,6 +79,12 @@ def not_valid(plan: campaign.Plan, table: pa.Table) -> list[dict[str, Any]]:
     ]
 
 
+def warnings(table: pa.Table) -> list[str]:
+    """Return what was planned but did not happen, once each, with the number of its runs."""
+    counted = Counter(text for text in table["warnings"].to_pylist() if text)
+    return [f"{text} ({count} of {table.num_rows} runs)" for text, count in counted.items()]
+
+
 def cells(table: pa.Table) -> list[list[str]]:
     """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
     rows = [[name, *(f"{value:.4g}" for value in values)] for name, values in quantiles(table)]
@@ -116,6 +123,7 @@ def _page(plan: campaign.Plan, table: pa.Table, figure: str) -> str:
             f"{table.num_rows} runs of {plan.head['scenario']}, {plan.head['design']} design over "
             f"{', '.join(plan.axes)}; {len(left_out)} of them are not valid and left out."
         ),
+        *(page.paragraph(f"Warning: {text}", kind="note") for text in warnings(table)),
         page.element("h2", f"Worst {_title(figure)}"),
         page.table(
             ("run", _title(figure), *plan.axes, "to see it"),

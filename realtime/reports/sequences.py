@@ -143,7 +143,10 @@ def _sequence_data(outcome: Outcome) -> dict[str, Any]:
         "figures": figures(outcome),
         "events": [dataclasses.asdict(event) for event in outcome.events],
     }
-    for key in ("config_hash", "seed", "pacing", "valid", "invalid_because", "loop", "bus"):
+    for key in (
+        *("config_hash", "seed", "pacing", "valid", "invalid_because", "warnings"),
+        *("loop", "bus"),
+    ):
         data[key] = outcome.summary.get(key)
     return data
 
@@ -375,6 +378,8 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
     ]
     if outcome.error:
         parts.append(paragraph(element("b", "Error: "), outcome.error, kind="note"))
+    for warning in outcome.summary.get("warnings", ()):
+        parts.append(paragraph(element("b", "Warning: "), warning, kind="note"))
     parts.append(page.facts(_conditions(outcome)))
     parts.append(
         table(

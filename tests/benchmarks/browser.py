@@ -2,8 +2,8 @@
 
     python tests/benchmarks/browser.py ADDRESS
 
-It loads the page, opens its websocket, prints one line, and then requests new rows ten times a
-second until it is killed.
+It exchanges the token in the address for a cookie, loads the page, opens its websocket, prints one
+line, and then requests new rows ten times a second until it is killed.
 """
 
 import asyncio
@@ -22,11 +22,15 @@ PERIOD_S = 0.1
 
 async def browse(address: str) -> None:
     """Load the page, open its websocket, print a line, and request rows until killed."""
-    async with httpx.AsyncClient(base_url=address, timeout=ANSWER_WITHIN_S) as client:
+    page_address, _, token = address.partition("?")
+    async with httpx.AsyncClient(base_url=page_address, timeout=ANSWER_WITHIN_S) as client:
+        # the answer has the cookie, which the client keeps
+        await client.get(f"/?{token}")
         page = (await client.get("/")).text
         client_id = re.search(r"'client_id': '([0-9a-f-]+)'", page)
         assert client_id, page[:200]
-        await _connect(address, client_id[1])
+        cookies = "; ".join(f"{name}={value}" for name, value in client.cookies.items())
+        await _connect(page_address, client_id[1], cookies)
         print("connected", flush=True)
 
         # what the page has so far: rows of this bench, up to this number of points
@@ -42,7 +46,7 @@ async def browse(address: str) -> None:
             await asyncio.sleep(max(0.0, PERIOD_S - spent_s))
 
 
-async def _connect(address: str, client_id: str) -> None:
+async def _connect(address: str, client_id: str, cookies: str) -> None:
     """Open the websocket of the page, as the script of NiceGUI does in a browser."""
     query = "&".join(
         (
@@ -57,6 +61,7 @@ async def _connect(address: str, client_id: str) -> None:
     websocket = socketio.AsyncClient()
     await websocket.connect(
         f"{address}?{query}",
+        headers={"Cookie": cookies},
         socketio_path="/_nicegui_ws/socket.io",
         transports=["websocket"],
     )

@@ -13,6 +13,7 @@ import struct
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import can
 import pyroute2
@@ -36,6 +37,8 @@ NO_ACKNOWLEDGE = 0x20
 BUS_OFF = 0x40
 ERROR_PASSIVE = 0x20  # byte 1 of the data of CONTROLLER
 
+# the unit of the README, which joins socketcand://127.0.0.1:29536/rig0
+UNIT = str(Path(__file__).parents[2] / "docs" / "examples" / "wsp_unit.py")
 RUN = [sys.executable, "-m", "rollerrig.realtime.cli", "run", "velim_a1", "--pacing", "lockstep"]
 
 
@@ -313,6 +316,40 @@ def test_a_lockstep_run_on_vcan0_equals_that_on_the_hub_and_has_a_socketcand_por
             protocols.append(event["fields"]["protocol"])
     assert addresses == ["socketcan:vcan0"]
     assert "socketcand" in protocols
+
+
+@pytest.mark.conformance("Hub", "on vcan0 a unit joins by the address of the README as well")
+def test_the_example_of_the_readme_works_where_vcan0_is_up(tmp_path):
+    output = ""
+    bench = subprocess.Popen(
+        [
+            *RUN,
+            "--wsp",
+            "external",
+            "--set",
+            "duration_max_s=1",
+            "--out",
+            str(tmp_path / "run"),
+        ],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+    unit = None
+    try:
+        output = next(line for line in bench.stdout if "waiting for a WSP unit" in line)
+        assert "socketcan:vcan0" in output
+        unit = subprocess.Popen([sys.executable, UNIT])
+    finally:
+        rest, _ = bench.communicate(timeout=240)
+        output += rest
+        if unit is not None:
+            unit.wait(60)
+    # not valid: the vehicle does not stop in that time
+    assert bench.returncode == 4, output
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["ended"] == "finished", output
+    assert summary["bus"]["frames"] > 1000
 
 
 def test_a_harness_drives_a_lockstep_run_on_vcan0(tmp_path):

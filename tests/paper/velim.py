@@ -209,9 +209,9 @@ def over_contaminants(
 
     # the stops finish in any order
     stops = {}
-    for mu_cd, _, channels in four_stops.together(plans, unit):
-        rows = np.column_stack(list(channels.values()))
-        stops[mu_cd] = reduced(free.moving(rows))
+    for finished in four_stops.together(plans, unit):
+        rows = np.column_stack(list(finished.channels.values()))
+        stops[finished.tag] = reduced(free.moving(rows))
     values = np.array([_figures(stops[mu_cd]) for mu_cd in SCAN])
 
     tried = np.log(SCAN)

@@ -7,6 +7,8 @@ import pytest
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import derailment, free, scenario, tick_data
+from rollerrig.realtime.campaign import campaign, four_stops
+from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.tick import TICK
 from rollerrig.rig.multibody import coach_state
 from rollerrig.rig.state import SIZE
@@ -66,6 +68,23 @@ def test_a_wheelset_that_is_thrown_over_its_flange_is_reported_once_and_the_run_
     count = len(events_seen)
     look.look(machine.buffer)
     assert len(events_seen) == count
+
+
+def test_a_stop_of_a_campaign_ends_where_the_coach_derails_and_is_not_valid(coach):
+    memory = ring.Memory(4000, len(signals.COLUMNS))
+    stop = free.Stop(coach.plan, tick_data.build(coach.plan, memory))
+    stop.advance(500)
+    coach_state.views(stop.data.buffer[SIZE:]).v[LATERAL_OF_WHEELSET_3] = 12.0
+    stop.run()
+
+    finished = four_stops.finished(0, stop, memory)
+    assert finished.channels["time_s"][-1] < 2.0
+    summary = campaign.summarize(finished, "reference")
+    assert summary["ended"] == "derailed"
+    assert summary["valid"] is False
+    (reason,) = summary["invalid_because"]
+    assert "derailed: the " in reason
+    assert " left its rail after " in reason
 
 
 def test_a_planar_vehicle_cannot_derail(watch):

@@ -1,42 +1,43 @@
-"""The desk reads a bench, serves only allowed clients, and controls the bench from its page."""
+"""The desk reads a bench, and controls it from its page."""
 
 import asyncio
 import contextlib
-import json
 import os
 import shutil
-import signal
 import subprocess
 import sys
-import urllib.error
-import urllib.request
-from pathlib import Path
 
 import numpy as np
 import pytest
 from bench_process import until
+from desk_process import served
 
-from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.errors import BusError, ConfigError
 from rollerrig.firmware_sim.modbus.map import State
 from rollerrig.realtime.loop import ring
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 pytest.importorskip("nicegui", reason="the desk needs nicegui")
 
 from nicegui import ui
 from nicegui.testing.user_simulation import user_simulation
 
-from rollerrig.realtime.desk import desk, library, page, reader, server
+from rollerrig.realtime.desk import desk, library, page, reader
 
 # keys of the WebDriver protocol: control and "a" (then all keys released), and tabulator
 SELECT_ALL = "\ue009a\ue000"
 TABULATOR = "\ue004"
 FREE_PORTS = "modbus.port=0 bus.interface=hub bus.socketcand_port=0"
 WRITER = """
+import sys
 import time
+from pathlib import Path
 import numpy as np
 from rollerrig.realtime.loop import ring
+if len(sys.argv) > 1:
+    ring.folder = lambda: Path(sys.argv[1])
 from rollerrig.wsp_interface import signals
 rows = ring.Ring(ring.place("rows"), np.float64, 64, len(signals.COLUMNS))
 events = ring.Ring(ring.place("events"), np.int64, 64, ring.EVENT_WORDS)
@@ -70,7 +71,7 @@ def row(time_s, **values):
 
 def test_no_spike_is_lost_in_the_points_that_a_page_receives(rings):
     rows, _ = rings
-    bench = reader.find(among=[os.getpid()])
+    (bench,) = reader.running(lambda pid: pid == os.getpid())
     spike_m_s = 3.3
     for number in range(1000):
         sliding_m_s = spike_m_s if number == 637 else 0.0
@@ -103,7 +104,7 @@ def test_the_reader_knows_where_a_bench_listens_which_faults_act_and_how_it_ende
         make(0.0, Code.FAULT_LIFTED, frames_met=None, **off),
     ):
         ring.push_event(events, event)
-    bench = reader.find(among=[os.getpid()])
+    (bench,) = reader.running(lambda pid: pid == os.getpid())
     bench.poll()
     assert bench.bus == "socketcand://127.0.0.1:4711/rig0"
     assert bench.modbus == ("127.0.0.1", 5021)
@@ -111,7 +112,7 @@ def test_the_reader_knows_where_a_bench_listens_which_faults_act_and_how_it_ende
     assert bench.ended == ""
     rows.close()
     assert bench.ended == "closed"
-    assert reader.find(among=[os.getpid()]) is None
+    assert reader.running(lambda pid: pid == os.getpid()) == []
 
 
 def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
@@ -119,7 +120,7 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
     try:
         assert writer.stdout.readline()
         one = desk.Desk(tmp_path, own=True)
-        one.bench = reader.find(among=[writer.pid])
+        (one.bench,) = reader.running(lambda pid: pid == writer.pid)
         one.look()
         assert not one.alarms
 
@@ -135,119 +136,176 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
             path.unlink()
 
 
-# -- allowed clients
+# -- a desk belongs to one bench
 
 
-@pytest.mark.parametrize(
-    ("headers", "token_in_address", "token", "reason"),
-    [
-        ({"host": "127.0.0.1:8530"}, "", "", ""),
-        ({"host": "localhost:8530", "origin": "http://localhost:8530"}, "", "", ""),
-        (
-            {"host": "127.0.0.1:8530", "origin": "http://elsewhere.example"},
-            "",
-            "",
-            "are not allowed",
-        ),
-        ({"host": "elsewhere.example"}, "", "", "answers to 127.0.0.1"),
-        ({"host": "10.0.0.1:8530"}, "", "secret", "token is missing"),
-        ({"host": "10.0.0.1:8530"}, "sekret", "secret", "token is missing or wrong"),
-        ({"host": "10.0.0.1:8530"}, "secret", "secret", ""),
-        ({"host": "10.0.0.1:8530", "cookie": f"{server.COOKIE}=secret"}, "", "secret", ""),
-        ({"host": "10.0.0.1:8530", "cookie": f"{server.COOKIE}=wrong"}, "", "secret", "token"),
-    ],
-)
-def test_requests_of_other_hosts_and_origins_and_without_the_token_are_refused(
-    headers, token_in_address, token, reason
-):
-    refusal = server.refused(headers, token_in_address, token)
-    if reason:
-        assert reason in refusal
-    else:
-        assert refusal == ""
+@pytest.fixture
+def machine(tmp_path, monkeypatch):
+    """Starts benches that are the only ones of this machine, and kills them in the end."""
+    (tmp_path / "rings").mkdir()
+    monkeypatch.setattr(ring, "folder", lambda: tmp_path / "rings")
+    writers = []
+
+    def start():
+        command = [sys.executable, "-c", WRITER, str(tmp_path / "rings")]
+        writer = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        writers.append(writer)
+        assert writer.stdout.readline()
+        return writer
+
+    yield start
+    for writer in writers:
+        writer.kill()
+        writer.communicate()
 
 
-@contextlib.contextmanager
-def served(folder, *arguments):
-    """A desk as a separate process; its address."""
-    # with this variable, NiceGUI would simulate its server
-    environment = dict(os.environ)
-    environment.pop("PYTEST_CURRENT_TEST", None)
-    with open(folder / "desk.stderr", "wb") as stderr:
-        process = subprocess.Popen(
-            [
-                sys.executable,
-                "-m",
-                "rollerrig.realtime.cli",
-                "desk",
-                "--port",
-                "0",
-                "--own",
-                "--folder",
-                str(folder),
-                "--json",
-                *arguments,
-            ],
-            stdout=subprocess.PIPE,
-            stderr=stderr,
-            text=True,
-            env=environment,
-        )
+def test_a_desk_follows_the_only_bench_of_the_machine_but_no_later_one(machine, tmp_path):
+    first = machine()
+    one = desk.Desk(tmp_path)
+    one.find()
+    assert one.bench.pid == first.pid
+    assert one.bench.name == f"process {first.pid} in {os.getcwd()}"
+
+    first.kill()
+    first.wait()
+    second = machine()
+    one.find()
+    assert one.bench.pid == first.pid
+    assert [bench.pid for bench in one.choices] == [second.pid]
+    with pytest.raises(BusError, match="1 bench runs on this machine that this desk does not"):
+        one.door()
+
+
+def test_of_several_benches_the_user_chooses_one_and_the_desk_stays_with_it(machine, tmp_path):
+    first, second = machine(), machine()
+    one = desk.Desk(tmp_path)
+    one.find()
+    assert one.bench is None
+    assert [bench.pid for bench in one.choices] == [first.pid, second.pid]
+    with pytest.raises(BusError, match="2 benches run on this machine"):
+        one.door()
+    with pytest.raises(ConfigError, match="a bench runs already on this machine"):
+        asyncio.run(one.prepare("velim_a1", "none", {}))
+
+    older, newer = one.choices
+    one.follow(older.key)
+    assert one.door().bench.pid == first.pid
+    with pytest.raises(ConfigError, match=f"belongs to the bench of process {first.pid}"):
+        one.follow(newer.key)
+
+
+def test_a_desk_of_its_own_benches_offers_no_other(machine, tmp_path):
+    machine()
+    one = desk.Desk(tmp_path, own=True)
+    one.find()
+    assert one.bench is None
+    assert one.choices == []
+
+
+def test_the_page_names_the_benches_and_follows_the_chosen_one(machine, tmp_path):
+    machine()
+    second = machine()
+    one = desk.Desk(tmp_path)
+
+    async def play(user):
+        await user.should_see("2 benches run on this machine", retries=PATIENCE)
+        user.find(marker="emergency").click()
+        await user.should_see("choose the bench of this desk first", retries=PATIENCE)
+        choice = user.find(kind=ui.select, marker="benches").elements.pop()
+        (key,) = (key for key, name in choice.options.items() if f"process {second.pid} " in name)
+        with user:
+            choice.value = key
+        await user.should_see(f"bench (process {second.pid} in", retries=PATIENCE)
+
+    simulated(one, play)
+    assert one.bench.pid == second.pid
+
+
+# -- what may be started
+
+
+def prepared(one, scenario="velim_a1", unit="none", more=""):
+    """Prepare a bench as the page does, and return the words of the program that was started."""
     try:
-        yield json.loads(process.stdout.readline())["address"]
+        asyncio.run(one.prepare(scenario, unit, {}, more))
+        return one.programs[-1].words
     finally:
-        process.terminate()
-        process.communicate(timeout=60)
-        # a bench that the desk has started continues without it: kill the processes in its folder
-        for working_folder in Path("/proc").glob("[0-9]*/cwd"):
-            with contextlib.suppress(OSError):
-                if working_folder.resolve() == folder.resolve():
-                    os.kill(int(working_folder.parent.name), signal.SIGKILL)
+        for program in one.programs:
+            program.stop()
 
 
-def get(address, **headers):
-    """The status and the body of the answer to a request."""
-    request = urllib.request.Request(address, headers=headers)
-    try:
-        with urllib.request.urlopen(request, timeout=60) as answer:
-            return answer.status, answer.read().decode()
-    except urllib.error.HTTPError as error:
-        return error.code, error.read().decode()
+@pytest.fixture
+def fmu(tmp_path):
+    """A file that counts as an FMU until somebody opens it."""
+    (tmp_path / "units").mkdir()
+    file = tmp_path / "units/unit.fmu"
+    file.write_bytes(b"no archive")
+    return file
 
 
-def test_a_desk_serves_its_page_on_loopback_and_a_second_one_on_its_port_is_refused(tmp_path):
-    (tmp_path / "reports").mkdir()
-    (tmp_path / "reports/report.html").write_text("the report")
-    (tmp_path / "secret.toml").write_text("no report")
-    with served(tmp_path) as address:
-        assert page.NO_SAFETY in get(address)[1]
-        assert json.loads(get(address + "desk/rows")[1])["bench"] == ""
-        assert get(address + "desk/rows", Origin="http://elsewhere.example")[0] == 403
-        assert get(address + "file/reports/report.html") == (200, "the report")
-        assert "no report is there" in get(address + "file/secret.toml")[1]
-        assert "no report is there" in get(address + "file/%2e%2e/%2e%2e/etc/hostname")[1]
-        port = address.rstrip("/").rpartition(":")[2]
-        second = subprocess.run(
-            [sys.executable, "-m", "rollerrig.realtime.cli", "desk", "--port", port],
-            capture_output=True,
-            text=True,
-            timeout=120,
-        )
-    assert second.returncode == 2
-    assert "if a desk runs there already, open http://127.0.0.1:" in second.stderr
-    assert "Traceback" not in second.stderr
+def test_a_unit_that_the_command_line_does_not_allow_is_not_started(tmp_path, fmu):
+    other = tmp_path / "other.fmu"
+    one = desk.Desk(tmp_path, own=True, allowed=AllowList.of([fmu]))
+    (tmp_path / "link.fmu").symlink_to(other)
+    for unit in (
+        f"fmu:{other}",
+        "fmu:other.fmu",
+        "fmu:link.fmu",
+        f"fmu:{fmu},fmu:{other}",
+        "fmu:",
+        "elsewhere",
+        f"none --wsp=fmu:{other}",
+        "fmu:a\0b",
+        "",
+    ):
+        with pytest.raises(ConfigError):
+            prepared(one, unit=unit)
+    with pytest.raises(
+        ConfigError, match=f"allow it on the command line with --allow-unit {other}"
+    ):
+        prepared(one, unit=f"fmu:{other}")
+    assert one.programs == []
+    assert f"fmu:{fmu}" in one.units
 
 
-def test_beyond_loopback_the_desk_warns_loudly_and_requires_its_token(tmp_path):
-    with served(tmp_path, "--host", "0.0.0.0") as address:
-        token = address.partition("token=")[2]
-        here = address.partition("?")[0].replace("0.0.0.0", "127.0.0.1")
-        assert len(token) >= 32
-        assert get(here)[0] == 403
-        assert get(here + "?token=" + token[:-1])[0] == 403
-        assert get(here + "?token=" + token)[0] == 200
-        assert get(here + "desk/rows", Cookie=f"{server.COOKIE}={token}")[0] == 200
-    assert "THE DESK LISTENS BEYOND THIS MACHINE" in (tmp_path / "desk.stderr").read_text()
+@pytest.mark.parametrize("unit", ["fmu:{fmu}", "fmu:units/unit.fmu"])
+def test_an_allowed_unit_is_started_by_its_absolute_path(tmp_path, fmu, unit):
+    one = desk.Desk(tmp_path, own=True, allowed=AllowList.of([fmu]))
+    assert f"--wsp=fmu:{fmu}" in prepared(one, unit=unit.format(fmu=fmu))
+
+
+def test_scenario_files_are_in_the_folder_of_the_desk_or_in_an_allowed_one(tmp_path):
+    for name in ("here", "allowed", "elsewhere"):
+        (tmp_path / name).mkdir()
+    one = desk.Desk(tmp_path / "here", own=True, scenario_folders=[tmp_path / "allowed"])
+    for scenario in (f"{tmp_path}/elsewhere/a.toml", "../elsewhere/a.toml", "/etc/hostname"):
+        with pytest.raises(ConfigError, match="start the desk with --allow-folder DIR"):
+            prepared(one, scenario)
+    assert one.programs == []
+    allowed = f"{tmp_path}/allowed/a.toml"
+    assert prepared(one, allowed)[-1] == allowed
+
+
+def test_text_of_the_page_cannot_become_an_option(tmp_path):
+    one = desk.Desk(tmp_path, own=True)
+
+    async def play(user):
+        await one.prepare("--allow-unit=evil.fmu", "none", {"rig": "--live"}, "--wsp=fmu:evil.fmu")
+        await user.should_see(marker="acknowledge", retries=PATIENCE)
+
+    simulated(one, play)
+    assert one.programs[-1].status == 2
+    assert "no scenario is called '--allow-unit=evil.fmu'" in one.programs[-1].error
+    with pytest.raises(ConfigError, match="close each quotation mark"):
+        prepared(one, more="adhesion.mu_cd='0.05")
+
+
+def test_the_options_that_allow_units_name_files_and_folders_that_exist(tmp_path):
+    for option in ("--allow-unit", "--allow-folder"):
+        command = [sys.executable, "-m", "rollerrig.realtime.cli", "desk", option, "nowhere"]
+        refused = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=120)
+        assert refused.returncode == 2
+        assert f"{option} nowhere: there is no such" in refused.stderr
 
 
 # -- the library
@@ -311,6 +369,11 @@ def simulated(one, play):
                     program.stop()
 
     asyncio.run(go())
+
+
+def asked(user):
+    """Whether the page asks to confirm the reset of the emergency stop."""
+    return user.find(marker="reset-question").elements.pop().value
 
 
 def test_without_a_bench_the_page_reports_it_and_refuses_with_a_message(tmp_path):
@@ -411,15 +474,35 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         await come(
             lambda: one.bench.value("friction_degraded", 3) == pytest.approx(0.03), "friction"
         )
+
+        # an operator who presses the emergency stop again does not reset it
         user.find(marker="emergency").click()
-        await user.should_see("Reset emergency stop", retries=PATIENCE)
+        await come(lambda: one.stopped, "emergency stop")
+        for presses in (2, 3):
+            user.find(marker="emergency").click()
+            await come(
+                lambda: user.notify.messages.count("emergency stop requested") == presses,  # noqa: B023
+                "another emergency stop",
+            )
+        # a reset needs a confirmation, which a further stop makes void
+        with pytest.raises(BusError, match="it was requested again in the meantime"):
+            await one.reset_emergency_stop(one.stops - 1)
+        await come(lambda: asked(user), "question", press("reset-emergency"))
+        user.find(marker="keep-stopped").click()
+        await come(lambda: not asked(user), "the question is closed")
+        await come(lambda: asked(user), "question", press("reset-emergency"))
+        assert not reported(Code.EMERGENCY_STOP_RESET)()
+        user.find(marker="confirm-reset").click()
+        await come(reported(Code.EMERGENCY_STOP_RESET), "reset")
         with contextlib.suppress(AssertionError):
             await come(lambda: False, "ended", press("stop"))
 
     simulated(one, play)
     codes = [event["code"] for event in one.programs[-1].result["events"]]
-    for code in (Code.RUN_STARTED, Code.EMERGENCY_STOP_SET, Code.RUN_STOPPED):
+    for code in (Code.RUN_STARTED, Code.RUN_STOPPED):
         assert code in codes
+    emergency_stops = [code for code in codes if code.startswith("emergency_stop.")]
+    assert emergency_stops == [Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET]
 
 
 def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
@@ -438,10 +521,10 @@ def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
         "--window-size=1700,1500",
     ):
         options.add_argument(word)
-    with served(tmp_path) as address:
+    with served(tmp_path) as one:
         browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
         try:
-            browser.get(address)
+            browser.get(one.address)
             play_in(browser)
         finally:
             browser.quit()
@@ -493,6 +576,7 @@ def play_in(browser):
     shows("acknowledged ")
     click("Emergency stop")
     click("Reset emergency stop")
+    click("Confirm reset")
     click("Stop")
     shows("its run is under Runs")
     browser.execute_script("arguments[0].click()", there("//div[@role='tab'][.='Runs']"))

@@ -50,14 +50,14 @@ def plans():
 
 @pytest.fixture(scope="module")
 def together(plans):
-    """The channels of all cases, from stops that ran four at a time."""
-    return {tag: channels for tag, _, channels in four_stops.together(plans.items())}
+    """All cases, from stops that ran four at a time."""
+    return {finished.tag: finished for finished in four_stops.together(plans.items())}
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_stop_among_others_is_the_stop_alone(case, plans, together):
     alone = simulate(plans[case])
-    among = together[case]
+    among = together[case].channels
     for name in signals.COLUMNS:
         if name not in NOT_COMPARED:
             np.testing.assert_allclose(among[name], alone[name], rtol=1e-6, atol=1e-6, err_msg=name)
@@ -65,22 +65,24 @@ def test_a_stop_among_others_is_the_stop_alone(case, plans, together):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_figures_of_a_stop_among_others_are_those_of_the_stop_alone(case, plans, together):
-    alone = campaign.summarize(plans[case], simulate(plans[case]), "reference")
-    among = campaign.summarize(plans[case], together[case], "reference")
+    finished = together[case]
+    alone = campaign.summarize(finished._replace(channels=simulate(plans[case])), "reference")
+    among = campaign.summarize(finished, "reference")
     for key in ("stop_distance_m", "stop_time_s", "air_consumption_NL"):
         assert among[key] == pytest.approx(alone[key], rel=1e-7)
     assert among["wsp"]["vents"] == alone["wsp"]["vents"]
 
 
 def test_the_stops_in_the_other_places_change_no_bit_of_a_stop(plans, together):
-    [(_, _, alone)] = four_stops.together([("soap", plans["soap"])])
+    [alone] = four_stops.together([("soap", plans["soap"])])
+    among = together["soap"]
     for name in signals.COLUMNS:
-        assert np.array_equal(alone[name], together["soap"][name], equal_nan=True), name
+        assert np.array_equal(alone.channels[name], among.channels[name], equal_nan=True), name
 
 
 def test_without_a_unit_no_magnet_is_energised(plans):
-    [(_, _, channels)] = four_stops.together([("soap", plans["soap"])], "none")
-    assert max(channels[f"magnets_{axle}"].max() for axle in (1, 2, 3, 4)) == 0.0
+    [without] = four_stops.together([("soap", plans["soap"])], "none")
+    assert max(without.channels[f"magnets_{axle}"].max() for axle in (1, 2, 3, 4)) == 0.0
 
 
 @pytest.mark.parametrize(
@@ -96,10 +98,10 @@ def test_without_a_unit_no_magnet_is_energised(plans):
 def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
     assert not four_stops.fits(plan)
-    [(_, _, among)] = four_stops.together([(0, plan)])
+    [among] = four_stops.together([(0, plan)])
     alone = simulate(plan)
     for name in signals.COLUMNS:
-        assert np.array_equal(among[name], alone[name], equal_nan=True), name
+        assert np.array_equal(among.channels[name], alone[name], equal_nan=True), name
 
 
 def test_the_compiled_views_of_a_unit_are_those_of_the_unit():

@@ -4,16 +4,12 @@ import contextlib
 import functools
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 
-import numpy as np
 import pytest
 from bench_process import MAGNETS, BenchProcess, SimpleUnit
-
-from rollerrig.realtime.record import records
+from benchmarks import repeat
 
 # faults one after another: no speeds, lost speeds, late speeds, a frozen unit, late answers, and a
 # unit that is frozen while there are no speeds
@@ -43,19 +39,6 @@ CASES = {
     "faults": with_faults(),
     "wire": ("--set", "duration_max_s=1.2", "--set", "bus.arbitration=true", "--fault", BABBLE),
 }
-
-
-@contextlib.contextmanager
-def busy_cores():
-    """Keep every core busy with two processes."""
-    command = [sys.executable, "-c", "while True: pass"]
-    busy = [subprocess.Popen(command) for _ in range(2 * os.cpu_count())]
-    try:
-        yield
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
 
 
 def stop_and_go(bench, rest_s=0.2, go_s=0.05):
@@ -90,24 +73,8 @@ def run(out, arguments, disturb=lambda bench: None):
 
 
 def check_same(one, other):
-    """Check that two runs have the same frames, channels, warnings and errors."""
-    lines = (one.out / "can.log").read_text().splitlines()
-    others = (other.out / "can.log").read_text().splitlines()
-    different = [(a, b) for a, b in zip(lines, others, strict=False) if a != b]
-    assert lines == others, f"{len(lines)} and {len(others)} frames; {different[:3]}"
-
-    for name in one.record.table.column_names:
-        # wall times of ticks differ
-        if not name.startswith("tick_"):
-            first = one.record.column(name)
-            second = other.record.column(name)
-            assert np.array_equal(first, second, equal_nan=True), name
-
-    assert warnings_and_errors(one) == warnings_and_errors(other)
-
-
-def warnings_and_errors(bench):
-    return [event for event in records.events(bench.out) if event.level != "info"]
+    """Check that two runs have the same frames, channels and events."""
+    assert not repeat.differences(one.out, other.out)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +101,7 @@ def test_a_run_in_lockstep_whose_bench_is_paused_repeatedly_is_the_same_to_the_b
 
 @pytest.mark.parametrize("case", ["plain", "faults"])
 def test_a_run_in_lockstep_on_busy_cores_is_the_same_to_the_byte(case, undisturbed, tmp_path):
-    with busy_cores():
+    with repeat.busy_cores():
         disturbed = run(tmp_path / "run", CASES[case])
     check_same(undisturbed(case), disturbed)
 

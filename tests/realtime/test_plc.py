@@ -177,7 +177,7 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     one.until("cylinder_pressure_1", lambda mbar: mbar > 200)
     one.until("state", lambda state: state == State.ENDED)
     status, summary = one.result()
-    assert status == 0
+    check_emergency_stop(status, summary)
     assert summary["stopped"] is True
     assert summary["scenario"] == "step_adhesion"
     assert summary["initial_speed_m_s"] == pytest.approx(5.0, abs=0.01)
@@ -186,6 +186,14 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     assert Code.RUN_STARTED in codes
     assert Code.EMERGENCY_STOP_SET in codes
     check_record(one.out, summary)
+
+
+def check_emergency_stop(status, summary):
+    """Check that the run is not valid, because its stop is not that of the brakes."""
+    assert status == 4
+    assert summary["valid"] is False
+    (reason,) = summary["invalid_because"]
+    assert "the emergency stop was set over Modbus while the coach rolled, at " in reason
 
 
 def check_record(folder, summary):
@@ -237,7 +245,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
     assert drive_states(one) == [OPERATION_ENABLED] * 4
 
     status, summary = one.result()
-    assert status == 0
+    check_emergency_stop(status, summary)
     assert summary["stopped"] is True
     run = records.load(one.out)
     time_s = run.column("time_s")

@@ -1,12 +1,21 @@
-"""The nodes of the rig keep stored parameters from one run to the next."""
+"""The rig on its bus: the port on which programs find it, and parameters that nodes store."""
+
+import asyncio
+import contextlib
+import os
+import socket
+import time
 
 import numpy as np
 import pytest
+from bench_process import BenchProcess
 
 from rollerrig.realtime.bench import rig_bus, scenario
 from rollerrig.wsp_interface import events, signals
+from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.events import Code
 
 SAVE = b"save"  # the signature in 1010h that stores the parameters
 # requests of SDO as they are on the bus: command specifier, index, sub-index
@@ -56,3 +65,94 @@ def test_a_parameter_that_a_master_stores_is_kept_in_the_next_run_with_the_same_
     assert first.request(node, STORE_ALL + SAVE)[0] == WRITTEN
     assert Rig(store).heartbeat_ms(node) == 250
     assert Rig().heartbeat_ms(node) == 100
+
+
+# --- the port ---
+
+USUAL_PORT = CODECS["socketcand"].port
+
+
+@pytest.fixture
+def host():
+    """A loopback address that no other test uses, so that its usual port is free."""
+    high, low = divmod(os.getpid() % 65536, 256)
+    return f"127.{high}.{low}.7"
+
+
+@pytest.fixture
+def used_port(host):
+    """The usual port of a loopback address, on which another program listens."""
+    with socket.create_server((host, USUAL_PORT)):
+        yield USUAL_PORT
+
+
+def bench_on(host, out, *arguments):
+    """A run whose port nobody has chosen."""
+    return BenchProcess(
+        out,
+        "--pacing",
+        "lockstep",
+        "--set",
+        f"bus.host={host}",
+        "--set",
+        "bus.socketcand_port=-1",
+        "--set",
+        "duration_max_s=0.2",
+        *arguments,
+        scenario="dry_stop",
+    ).finish()
+
+
+def test_the_hub_is_on_the_usual_port_where_that_is_free(host):
+    async def address():
+        plan = scenario.load("dry_stop", settings=(f"bus.host={host}", "bus.interface=hub"))
+        hub, place = await rig_bus.open_bus(
+            plan, time.monotonic_ns, print, events.ignore, wall=True, awaits_others=False
+        )
+        await hub.close()
+        return place
+
+    assert asyncio.run(address()) == f"socketcand://{host}:{USUAL_PORT}/rig0"
+
+
+def test_a_run_with_the_unit_of_the_bench_takes_a_free_port_if_the_usual_one_is_in_use(
+    host, used_port, tmp_path
+):
+    bench = bench_on(host, tmp_path / "run")
+    assert bench.status == 4, bench.stderr  # it does not stop in that time
+    assert bench.result["ended"] == "finished"
+
+    (place,) = bench.reported(Code.BUS_PLACE)
+    (warning,) = bench.reported(Code.BUS_PORT_IN_USE, port=used_port)
+    address = warning.fields["address"]
+    assert address == place.fields["address"] != f"socketcand://{host}:{used_port}/rig0"
+    assert address in bench.stderr
+
+
+@pytest.mark.parametrize(
+    "outside",
+    [
+        ("--wsp", "external"),
+        ("--harness",),
+        ("--set", "bus.master=false"),
+        ("--set", "rig.drives=bus"),
+    ],
+)
+def test_a_run_that_waits_for_an_outside_program_refuses_a_usual_port_in_use(
+    outside, host, used_port, tmp_path
+):
+    bench = bench_on(host, tmp_path / "run", *outside)
+    assert bench.status == 2, bench.stderr
+    assert f"{host}:{used_port}" in bench.result["error"]
+    assert "--set bus.socketcand_port=N" in bench.result["error"]
+    assert "Traceback" not in bench.stderr
+
+
+@pytest.mark.parametrize("protocol", CODECS)
+def test_a_port_that_was_chosen_is_kept_and_the_error_names_its_key(protocol, host, tmp_path):
+    with contextlib.closing(socket.create_server((host, 0))) as other:
+        port = other.getsockname()[1]
+        bench = bench_on(host, tmp_path / "run", "--set", f"bus.{protocol}_port={port}")
+    assert bench.status == 2, bench.stderr
+    assert f"{host}:{port}" in bench.result["error"]
+    assert f"--set bus.{protocol}_port=N" in bench.result["error"]

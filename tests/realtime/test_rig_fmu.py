@@ -23,6 +23,18 @@ def rig(tmp_path_factory):
     return out
 
 
+def test_a_fault_of_the_bus_is_refused_with_what_an_exported_rig_allows(tmp_path, capsys):
+    path = tmp_path / "faulty.toml"
+    path.write_text('vehicle = "uic_z1"\n[[fault]]\nkind = "node_off"\nnode = 16\n')
+    out = tmp_path / "rig.fmu"
+    assert cli.main(["export-fmu", str(path), "--out", str(out)]) == 2
+    message = capsys.readouterr().err
+    assert "fault node_off acts on the bus, and the FMU of a rig has none" in message
+    assert f"remove the fault from scenario {path}" in message
+    assert "--pacing" not in message
+    assert not out.exists()
+
+
 def test_the_rig_holds_to_the_standard_and_says_that_it_needs_a_tool(rig):
     assert validate_fmu(str(rig)) == []
     description = fmpy.read_model_description(str(rig))

@@ -20,6 +20,7 @@ def runs(distance_m, **inputs):
     columns = {
         "stop_distance_m": known_m,
         "stopped": stopped,
+        "ended": ["finished"] * len(stopped),
         "valid": stopped,
         "invalid_because": pa.array(reasons, pa.string()),
         "error": pa.nulls(len(stopped), pa.string()),
@@ -78,10 +79,19 @@ def test_runs_that_did_not_stop_are_longer_than_any_other_and_failed_runs_do_not
 
     # a run that failed has an error, and no other result
     columns = {name: table[name].to_pylist() for name in table.column_names}
-    for name in ("stopped", "valid", "invalid_because"):
+    for name in ("stopped", "ended", "valid", "invalid_because"):
         columns[name][95:] = [None] * 5
     columns["error"][95:] = ["no such vehicle"] * 5
     assert stopping.counted(pa.table(columns))[1].tolist() == list(range(100, 195))
+
+
+def test_a_run_that_derailed_is_not_one_that_did_not_stop_in_its_time():
+    table = runs([100.0, math.nan, math.nan])
+    place = table.column_names.index("ended")
+    derailed = table.set_column(place, "ended", [["finished", "derailed", "finished"]])
+    counts, distance_m = stopping.counted(derailed)
+    assert counts.tolist() == [True, False, True]
+    assert distance_m.tolist() == [100.0, math.inf]
 
 
 def test_no_fact_about_a_run_is_read_from_its_sentences():

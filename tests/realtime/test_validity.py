@@ -223,6 +223,34 @@ def test_how_a_run_ended_is_a_reason(ended, event, reason):
     assert reason in recorded["invalid_because"][0]
 
 
+@pytest.mark.parametrize(
+    ("events", "valid"),
+    [
+        ([(1.0, Code.EMERGENCY_STOP_SET)], False),
+        ([(1.0, Code.EMERGENCY_STOP_SET), (1.5, Code.EMERGENCY_STOP_RESET)], False),
+        # before the start, and not reset
+        ([(0.0, Code.EMERGENCY_STOP_SET)], False),
+        ([(0.0, Code.EMERGENCY_STOP_SET), (0.0, Code.EMERGENCY_STOP_RESET)], True),
+        # the coach has stopped at 2 s
+        ([(2.5, Code.EMERGENCY_STOP_SET)], True),
+    ],
+)
+def test_an_emergency_stop_makes_a_run_not_valid_unless_the_coach_stands_or_is_still_held(
+    events, valid
+):
+    columns = dict.fromkeys(COLUMNS, np.zeros(4))
+    columns["time_s"] = np.arange(4.0)
+    columns["vehicle_speed_m_s"] = np.array([20.0, 10.0, 0.0, 0.0])
+
+    made = [make(time_s, code) for time_s, code in events]
+    recorded = summary.of(columns, {}, {}, made)
+
+    assert recorded["valid"] is valid
+    if not valid:
+        (reason,) = recorded["invalid_because"]
+        assert "emergency stop was set over Modbus while the coach rolled" in reason
+
+
 # --- interrupted ---
 
 
@@ -298,8 +326,9 @@ def folders(tmp_path_factory):
 
 def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, capsys):
     good, bad = folders
-    assert cli.main(["compare", good, bad, "--json"]) == 0
+    assert cli.main(["compare", good, bad, "--json"]) == 4
     printed = json.loads(capsys.readouterr().out)
+    assert printed["passed"] is False
     assert {figure["values"][1] for figure in printed["figures"]} == {None}
     assert printed["figures"][0]["values"][0] is not None
     (warning,) = printed["warnings"]

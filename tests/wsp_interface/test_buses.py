@@ -115,6 +115,21 @@ def test_an_interface_without_a_descriptor_is_read_in_a_thread(bench):
     far.shutdown()
 
 
+def test_a_hub_on_an_interface_answers_to_the_usual_name_as_well_as_to_that_of_the_interface(bench):
+    channel = f"buses-{os.getpid()}-{time.monotonic_ns()}"
+    far = can.Bus(interface="virtual", channel=channel)
+    hub = bench.do(lambda: open_hub(f"virtual:{channel}", time.monotonic_ns))
+    port = bench.do(lambda: hub.listen("socketcand", port=0))
+    for name in ("rig0", channel):
+        with plugin.RollerrigBus(f"127.0.0.1:{port}/{name}") as client:
+            client.send(can.Message(arbitration_id=0x720, is_extended_id=False))
+            assert far.recv(60).arbitration_id == 0x720
+    with pytest.raises(can.CanInitializationError, match=f"this hub carries {channel}, rig0"):
+        plugin.RollerrigBus(f"127.0.0.1:{port}/other")
+    bench.do(hub.close)
+    far.shutdown()
+
+
 # --- addresses ---
 
 

@@ -110,7 +110,10 @@ async def open_hub(
     # the handshake blocks, and the other end may be a hub in this very event loop
     bus = await asyncio.to_thread(open_client, address, **more)
     name = address.partition(":")[2].rpartition("/")[2]
-    hub = Hub(clock_ns, bitrate, name, on_event=on_event)
+    # programs that join over TCP need not know the name of the interface
+    _, _, usual_name = plugin.parse_address(DEFAULT_ADDRESS)
+    other_names = () if name == usual_name else (usual_name,)
+    hub = Hub(clock_ns, bitrate, name, on_event=on_event, other_names=other_names)
     try:
         BusPort(hub, bus, on_lost, on_event, clock_ns if kernel_time else None)
     except BusError:

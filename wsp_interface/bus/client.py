@@ -29,6 +29,7 @@ class Bus(Protocol):
     """The part of the hub that a client uses."""
 
     name: str
+    names: tuple[str, ...]
     buffer_bytes: int
 
     def join(self, client: "Client") -> bool: ...
@@ -60,7 +61,7 @@ class Client(asyncio.BufferedProtocol):
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._bus = bus
         self._codec = codec
-        self._session = codec.session(bus.name)
+        self._session = codec.session(*bus.names)
         self._portion = bytearray(PORTION_BYTES)
         self._waiting: list[bytes] = []
         self._waiting_bytes = 0

@@ -21,7 +21,7 @@ class Codec(NamedTuple):
     """
 
     port: int  # the usual TCP port
-    session: Callable[[str], Session]  # makes the session of a client, from the name of the bus
+    session: Callable[..., Session]  # makes the session of a client, from the names of the bus
     encode: Callable[[Frame], bytes]
     answer_gap_s: float = 0.0  # between two answers of the handshake
     hold_s: float = 0.0  # between the last answer and the first frame

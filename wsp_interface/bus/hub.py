@@ -27,11 +27,11 @@ from collections.abc import Callable, Hashable
 from functools import partial
 from typing import Any
 
-from rollerrig.configs.errors import BusError
+from rollerrig.configs.errors import BusError, PortInUseError
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
-from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SYNC
+from rollerrig.wsp_interface.bus.connection_set import is_service
 from rollerrig.wsp_interface.bus.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
 from rollerrig.wsp_interface.bus.wire import Alarm, Wire
 from rollerrig.wsp_interface.events import Code, OnEvent
@@ -115,6 +115,7 @@ class Hub:
     clock_ns: returns the time that every frame is stamped with.
     bitrate: in bit/s, for the load and for the wire.
     name: what clients call the bus.
+    other_names: further names by which clients may open it.
     buffer_bytes: how much may wait for one client.
     on_event: called as on_event(code, **fields) for clients that the hub refuses and for addresses
         that other machines can reach.
@@ -124,10 +125,13 @@ class Hub:
     services_bypass_wire: NMT, SDO, heartbeats and LSS do not wait for the wire. The bench sets it
         while simulated time stands still. A client that uses a service before it answers would
         otherwise wait for ever.
-    on_submitted: called with every frame and its sender, even if the bus will not carry the frame.
+    order: called with every frame that a member sends, before the gate. It decides whether the
+        frame goes on now, and may let it go on later.
     gate: decides whether a frame goes on now, and may let it go on later.
     timestamping_port: frames of this port already carry the time at which they arrived. No frame is
         stamped before an earlier one.
+
+    carries_from: the sender of the frame that the bus carries now, or carried last.
     """
 
     def __init__(
@@ -137,15 +141,18 @@ class Hub:
         name: str = "rig0",
         buffer_bytes: int = BUFFER_BYTES,
         on_event: OnEvent = log_event,
+        other_names: tuple[str, ...] = (),
     ) -> None:
         self.name = name
+        self.names = (name, *other_names)
         self.buffer_bytes = buffer_bytes
         self.load = BusLoad(bitrate, clock_ns())
         self.wire: Wire | None = None
         self.services_bypass_wire = False
-        self.on_submitted: Callable[[Frame, Port | Client], None] | None = None
+        self.order: Gate | None = None
         self.gate: Gate | None = None
         self.timestamping_port: Port | None = None
+        self.carries_from: Port | Client | None = None
         self._clock_ns = clock_ns
         self._on_event = on_event
         self._warned: set[tuple[Code, str]] = set()
@@ -179,12 +186,18 @@ class Hub:
         self._taps = (*self._taps, callback)
 
     async def listen(
-        self, codec: str = "socketcand", host: str = "127.0.0.1", port: int | None = None
+        self,
+        codec: str = "socketcand",
+        host: str = "127.0.0.1",
+        port: int | None = None,
+        port_key: str = "",
     ) -> int:
         """Accept TCP clients of a protocol of `codecs.CODECS`; return the port number.
 
-        Port 0 takes a free port, None the usual one of the protocol. Raises BusError when the
-        protocol is unknown or the address cannot be used.
+        Port 0 takes a free port, None the usual one of the protocol. `port_key` is the key of the
+        configuration that gives the port, for messages; without one it is part of an address.
+        Raises PortInUseError when another program has the port, and BusError when the protocol is
+        unknown or the address cannot be used otherwise.
         """
         if codec not in CODECS:
             raise BusError(
@@ -199,7 +212,10 @@ class Hub:
         try:
             server = await loop.create_server(lambda: Client(self, codec, row), address, port)
         except (OSError, OverflowError) as error:
-            raise BusError(_listen_error(self.name, codec, host, port, error)) from error
+            place = f"CAN hub {self.name}: cannot listen for {codec} on {host}:{port}"
+            if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+                raise PortInUseError(f"{place}: {_port_in_use(port, port_key)}") from error
+            raise BusError(f"{place}: {_no_address(error)}") from error
         self._servers.append(server)
         bound_host, bound_port = server.sockets[0].getsockname()[:2]
         if beyond_loopback(bound_host):
@@ -237,9 +253,12 @@ class Hub:
     def submit(
         self, frame: Frame, sender: Port | Client, then: Then = None, origin: Hashable = None
     ) -> None:
-        """Put a frame of a member on the bus, unless the gate stops it."""
-        if self.on_submitted is not None:
-            self.on_submitted(frame, sender)
+        """Put a frame of a member on the bus, when its turn has come and the gate lets it pass."""
+        go_on = partial(self._pass_gate, frame, sender, then, origin)
+        if self.order is None or self.order(sender, frame, go_on):
+            go_on()
+
+    def _pass_gate(self, frame: Frame, sender: Port | Client, then: Then, origin: Hashable) -> None:
         if self.gate is None:
             self._queue(frame, sender, then, origin)
             return
@@ -286,7 +305,7 @@ class Hub:
         A receiver may answer within its call. Its answer waits here until all other receivers have
         the frame, so an answer never overtakes its question.
         """
-        bypasses_wire = self.services_bypass_wire and _is_service(frame)
+        bypasses_wire = self.services_bypass_wire and is_service(frame)
         if self.wire is not None and not bypasses_wire:
             self._offer(self.wire, frame, sender, then, origin)
             return
@@ -307,6 +326,7 @@ class Hub:
             if sender is self.timestamping_port:
                 now_ns = max(frame.time_ns, self._latest_ns)
             self._latest_ns = now_ns
+        self.carries_from = sender
         stamped = Frame(frame.can_id, frame.data, frame.extended, frame.remote, frame.dlc, now_ns)
         self.load.carry(stamped, now_ns)
         for tap in self._taps:
@@ -448,26 +468,21 @@ class Hub:
         self._servers.clear()
 
 
-def _is_service(frame: Frame) -> bool:
-    """Return whether a frame is NMT, SDO, heartbeat or LSS; those of other programs count too."""
-    return frame.extended or not SYNC <= frame.can_id < SDO_REPLY
+def _port_in_use(port: int, port_key: str) -> str:
+    """Return what is wrong where another program has the port, and how to correct it."""
+    another_port = "choose another port in the bus address (0 takes any free one)"
+    if port_key:
+        another_port = f"give this bench another one: --set {port_key}=N (0 takes any free one)"
+    return (
+        "the port is already in use, perhaps by another bench; stop its owner "
+        f"(ss -ltnp 'sport = :{port}' shows the program) or {another_port}"
+    )
 
 
-def _listen_error(
-    name: str, codec: str, host: str, port: int, error: OSError | OverflowError
-) -> str:
-    """Return the message for a server that could not be opened."""
-    code = error.errno if isinstance(error, OSError) else None
+def _no_address(error: OSError | OverflowError) -> str:
+    """Return why a server cannot have an address, and how to correct it."""
     if isinstance(error, OverflowError):
-        why = "allowed ports are 0 (any free one) to 65535"
-    elif code == errno.EADDRINUSE:
-        why = (
-            "the port is already in use, perhaps by another bench; stop its owner "
-            f"(ss -ltnp 'sport = :{port}' shows the program) or choose another port in the bus "
-            "address (0 takes any free one)"
-        )
-    elif code == errno.EACCES:
-        why = "ports below 1024 need special rights; choose one from 1024 to 65535"
-    else:
-        why = f"{error}; allowed is an address of this machine, 127.0.0.1 for local programs"
-    return f"CAN hub {name}: cannot listen for {codec} on {host}:{port}: {why}"
+        return "allowed ports are 0 (any free one) to 65535"
+    if error.errno == errno.EACCES:
+        return "ports below 1024 need special rights; choose one from 1024 to 65535"
+    return f"{error}; allowed is an address of this machine, 127.0.0.1 for local programs"

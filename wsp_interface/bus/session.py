@@ -43,8 +43,8 @@ class Session:
 
     greeting: tuple[Event, ...] = ()
 
-    def __init__(self, bus_name: str) -> None:
-        self._bus = bus_name.encode()
+    def __init__(self, *bus_names: str) -> None:
+        self._bus_names = [name.encode() for name in bus_names]
         self._rest = b""  # the beginning of a message whose end has not arrived
         self._began = False  # the client has shown that it uses this protocol
 

@@ -76,11 +76,12 @@ class SocketcandSession(Session):
         if verb == b"echo":
             yield b"< echo >"
         elif not self._is_open and verb == b"open" and len(words) == 2:
-            self._is_open = words[1] == self._bus
+            self._is_open = words[1] in self._bus_names
             if self._is_open:
                 yield b"< ok >"
             else:
-                yield b"< error could not open bus, this hub carries %b >" % self._bus
+                carried = b", ".join(self._bus_names)
+                yield b"< error could not open bus, this hub carries %b >" % carried
                 yield Mode.CLOSE
         elif self._is_open and verb == b"errors":
             yield Mode.ERRORS

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
-from rollerrig.wsp_interface import events, own_bench
+from rollerrig.wsp_interface import events, own_bench, unit_choice
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import verdict
@@ -26,6 +26,7 @@ from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.sequences.measures import Record
 from rollerrig.wsp_interface.sequences.sequence import Sequence, Step
 from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 TRACE = "harness.csv"
 SETTLED_S = 0.05  # after the last step, so that the record also has its last rows
@@ -88,6 +89,7 @@ def on_own_bench(
     companions: tuple[own_bench.Companion, ...] = (),
     on_event: Callable[[Event], None] = lambda event: None,
     arguments: tuple[str, ...] = (),
+    allowed: AllowList = unit_choice.NOTHING,
 ) -> Outcome:
     """Start a bench for a sequence, play and judge it. A failure of the run is in the outcome.
 
@@ -96,6 +98,7 @@ def on_own_bench(
     companions: programs that run as long as the bench.
     on_event: called with each event.
     arguments: further options of `rollerrig run`.
+    allowed: the FMUs that the sequence may choose as its unit.
     """
     outcome = Outcome(sequence, folder)
     harness: Harness | None = None
@@ -103,7 +106,7 @@ def on_own_bench(
         with own_bench.start(
             folder,
             sequence.scenario,
-            wsp=wsp or sequence.wsp,
+            wsp=wsp or sequence.allowed_unit(allowed),
             pacing=pacing,
             seed=seed,
             initial_speed_m_s=sequence.speed_m_s,
@@ -140,6 +143,7 @@ def on_running_bench(
         with harness:
             _check_start(sequence, harness)
             play(sequence, harness, outcome)
+        _check_unit(harness)
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
     _conclude(outcome, harness, dry_m, scenario)
@@ -196,6 +200,13 @@ def _check_start(sequence: Sequence, harness: Harness) -> None:
             f"pre-condition: the sequence begins at {wanted_m_s:.2f} m/s, the bench runs at "
             f"{actual_m_s:.2f} m/s; start it with initial_speed_m_s={wanted_m_s:.3f} and --harness"
         )
+
+
+def _check_unit(harness: Harness) -> None:
+    """Raise UnitError if the unit has reported that it has failed."""
+    for event in harness.events:
+        if event.code == Code.UNIT_FAILED:
+            raise UnitError(f"{event.text}, at {event.time_s:.2f} s; the run is not valid")
 
 
 def play(sequence: Sequence, harness: Harness, outcome: Outcome) -> None:
@@ -371,7 +382,7 @@ def _record_of(
     if scenario is None:
         scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
     faults_s = [
-        event.time_s
+        _acts_s(event)
         for event in harness.events
         if event.code in (Code.TEST_FAULT, Code.TEST_FAULT_LIFTED)
     ]
@@ -381,8 +392,17 @@ def _record_of(
         demands=tuple(harness.demands),
         finals=finals,
         scenario=scenario,
-        fault_s=faults_s[0] if faults_s else math.nan,
+        fault_s=min(faults_s, default=math.nan),
     )
+
+
+def _acts_s(event: Event) -> float:
+    """Return when a fault that the harness has commanded begins or is lifted."""
+    for word in event.fields["fault"].split():
+        key, _, value = word.partition("=")
+        if key in ("at", "at_s"):
+            return max(event.time_s, float(value))
+    return event.time_s
 
 
 def _save_trace(folder: Path, harness: Harness) -> None:

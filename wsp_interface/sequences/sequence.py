@@ -27,9 +27,11 @@ from typing import Any
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
+from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.sequences import conditions, verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.signals import AXLES
+from rollerrig.wsp_interface.unit_choice import AllowList
 
 Where = Callable[[str], str]  # returns the place of a key, for messages
 
@@ -125,7 +127,8 @@ class Sequence:
 
     name: the file's name without suffix.
     scenario: the scenario to start from; "" for the default.
-    wsp: the unit, as the option of `rollerrig run`.
+    wsp: the unit, as the option of `rollerrig run`; started only if `allowed_unit` returns it.
+    wsp_at: file and line of the unit, for messages.
     tables: changes of the scenario.
     notes: operator's notes for the events of the run.
     before, after: pre-conditions and post-conditions.
@@ -137,6 +140,7 @@ class Sequence:
     title: str
     scenario: str
     wsp: str
+    wsp_at: str
     speed_m_s: float | None
     adhesion: str
     tables: dict[str, Any]
@@ -145,6 +149,10 @@ class Sequence:
     after: tuple[Condition, ...]
     steps: tuple[Step, ...]
     criteria: verdict.Profile
+
+    def allowed_unit(self, allowed: AllowList) -> str:
+        """Return the unit. Raises ConfigError if it is an FMU that is not in the list."""
+        return allowed.check(self.wsp, self.wsp_at)
 
 
 class _Source:
@@ -225,6 +233,12 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
     if not steps:
         raise ConfigError(f"{path}: there is no [[step]]; a sequence has at least one")
 
+    unit = str(content.get("wsp", "reference"))
+    try:
+        unit_choice.check(unit)
+    except ConfigError as error:
+        raise ConfigError(f"{in_head('wsp')}: {error}") from None
+
     limits = verdict.limits(content.get("measure", []), partial(source.where, "measure"))
     profile = verdict.load(str(content.get("criteria", "none")), path)
     return Sequence(
@@ -232,7 +246,8 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
         path=path,
         title=title,
         scenario=str(content.get("scenario", "")),
-        wsp=str(content.get("wsp", "reference")),
+        wsp=unit,
+        wsp_at=in_head("wsp"),
         speed_m_s=speed_m_s,
         adhesion=str(start.get("adhesion", "")),
         tables=tables,

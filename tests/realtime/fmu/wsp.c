@@ -176,6 +176,9 @@ static int step(Wsp *w)
     w->cycles += 1.0;
     for (int j = 0; j < 4; j++) act(w, j, event_of(w, j));
     w->time += CYCLE_S;
+#ifdef NAN_AT_S
+    if (w->time > NAN_AT_S) w->reference = NAN;
+#endif
     return 0;
 }
 

@@ -1,0 +1,108 @@
+"""`rollerrig desk` as a separate process, and a client that does what a browser does with it."""
+
+import contextlib
+import http.client
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import urlsplit
+
+PATIENCE_S = 60.0
+
+
+class Served(NamedTuple):
+    """A desk that runs: its address with the token, its process, and the file of its messages."""
+
+    address: str
+    process: subprocess.Popen
+    stderr: Path
+
+    @property
+    def port(self):
+        return urlsplit(self.address).port
+
+    @property
+    def token(self):
+        return self.address.partition("token=")[2]
+
+
+class Answer(NamedTuple):
+    """The answer to a request."""
+
+    status: int
+    headers: http.client.HTTPMessage
+    text: str
+
+
+@contextlib.contextmanager
+def served(folder, *arguments, **environment):
+    """Run a desk that follows only benches that it has started, and yield it as `Served`."""
+    stderr = folder / "desk.stderr"
+    command = [sys.executable, "-m", "rollerrig.realtime.cli", "desk", "--port", "0", "--own"]
+    command += ["--folder", str(folder), "--json", *map(str, arguments)]
+    # with this variable, NiceGUI would simulate its server
+    variables = {**os.environ, **environment}
+    variables.pop("PYTEST_CURRENT_TEST", None)
+    with open(stderr, "wb") as messages:
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=messages, text=True, env=variables
+        )
+    try:
+        line = process.stdout.readline()
+        assert line, stderr.read_text()
+        yield Served(json.loads(line)["address"], process, stderr)
+    finally:
+        process.terminate()
+        process.communicate(timeout=PATIENCE_S)
+        _kill_programs(folder)
+
+
+def _kill_programs(folder):
+    """Kill the processes in a folder: a bench that a desk has started continues without it."""
+    for working_folder in Path("/proc").glob("[0-9]*/cwd"):
+        with contextlib.suppress(OSError):
+            if working_folder.resolve() == folder.resolve():
+                os.kill(int(working_folder.parent.name), signal.SIGKILL)
+
+
+class Client:
+    """Requests addresses of a desk, with the cookie that it has after `enter`."""
+
+    def __init__(self, port, host=""):
+        self.port = port
+        self.host = host or f"127.0.0.1:{port}"
+        self.cookie = ""
+
+    def enter(self, token):
+        """Open the page with a token, and keep the cookie."""
+        answer = self.get(f"/?token={token}")
+        match = re.match(r"[^;]*", answer.headers.get("Set-Cookie", ""))
+        self.cookie = match[0]
+        return answer
+
+    def get(self, path, **headers):
+        """Request a path. `Sec_Fetch_Site` is the header of this name, and so on."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=PATIENCE_S)
+        with contextlib.closing(connection):
+            connection.putrequest("GET", path, skip_host=True)
+            connection.putheader("Host", self.host)
+            if self.cookie:
+                connection.putheader("Cookie", self.cookie)
+            for name, value in headers.items():
+                connection.putheader(name.replace("_", "-"), value)
+            connection.endheaders()
+            response = connection.getresponse()
+            return Answer(response.status, response.headers, response.read().decode())
+
+
+def entered(desk):
+    """A client that has entered a desk with its token."""
+    client = Client(desk.port)
+    client.enter(desk.token)
+    assert client.cookie
+    return client
