@@ -1,5 +1,6 @@
-# demo: brake the coach on the degraded track, and compute the same stop without WSP. docs: write the pages that are made from tables and tests,
-# and the site of all pages in build/site. performance: measure the figures of docs/performance.md.
+# demo: brake the coach on the degraded track, and compute the same stop without WSP. docs: write the
+# pages that are made from tables and tests, and the site of all pages in build/site. performance:
+# measure the figures of docs/performance.md.
 # Each target works from nothing: it creates .venv and installs pinned versions when needed.
 
 PYTHON ?= python3

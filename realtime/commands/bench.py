@@ -160,7 +160,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help="loop, hunting: change one value of the scenario, as in loop.priority=0",
+        help="loop, hunting, protection: change one value of the scenario, as in loop.priority=0",
     )
     parser.add_argument(
         "--png", type=Path, metavar="FILE", help="protection: also draw the figures"

@@ -5,7 +5,7 @@ WSP, and with the reference WSP at other slip bands. A slip band is the range of
 the unit lets wheels slide. More sliding cleans the rail more, until too much of it locks the wheel,
 so the best band lies between. The steady curve of adhesion over creepage shows why: adhesion is
 largest at some creepage, and a locked wheel has no more than the initial adhesion. `--png` draws
-both.
+both. `--set` changes a value of all stops, as in `--set adhesion.cleaning_half_speed_m_s=0`.
 """
 
 import argparse
@@ -84,9 +84,13 @@ def cases(
     speeds_km_h: Sequence[int] = SPEEDS_KM_H,
     bands: Sequence[float] = BANDS,
     say: Say = lambda _: None,
+    settings: Sequence[str] = (),
 ) -> Cases:
-    """Return the stops by set of adhesion and speed in km/h."""
-    jobs = [((name, speed), plan_of(name, speed)) for name in sets for speed in speeds_km_h]
+    """Return the stops by set of adhesion and speed in km/h; `settings` change the scenario."""
+    jobs = []
+    for name in sets:
+        for speed in speeds_km_h:
+            jobs.append(((name, speed), plan_of(name, speed, settings)))
 
     say("stops without WSP ...")
     without = _stops(jobs, "none")
@@ -104,7 +108,7 @@ def cases(
     return result
 
 
-def plan_of(adhesion_set: str, speed_km_h: int) -> scenario.Scenario:
+def plan_of(adhesion_set: str, speed_km_h: int, settings: Sequence[str] = ()) -> scenario.Scenario:
     """Return the scenario of a stop."""
     return scenario.load(
         "velim_a1",
@@ -113,6 +117,7 @@ def plan_of(adhesion_set: str, speed_km_h: int) -> scenario.Scenario:
             f"initial_speed_m_s={speed_km_h / 3.6!r}",
             f"duration_max_s={_LONGEST_S}",
             "loop.record_hz=10",
+            *settings,
         ),
         tables={"demand": [{"from_s": 0.0, "pressure_Pa": _PRESSURE_PA}]},
     )
@@ -142,9 +147,10 @@ def _stops(jobs: list, unit: str | logic.Params) -> dict[tuple[str, int], StopFi
 # --- steady curves ---
 
 
-def steady_curve(adhesion_set: str, speed_m_s: float) -> np.ndarray:
+def steady_curve(adhesion_set: str, speed_m_s: float, settings: Sequence[str] = ()) -> np.ndarray:
     """Return the adhesion of one wheel on a rail at each of `CREEPAGES`, shape (500,)."""
-    plan = scenario.load("velim_a1", settings=("rig=plain_track", f"adhesion={adhesion_set}"))
+    on_rail = ("rig=plain_track", f"adhesion={adhesion_set}", *settings)
+    plan = scenario.load("velim_a1", settings=on_rail)
     return np.array([_adhesion(plan, creepage * speed_m_s, speed_m_s) for creepage in CREEPAGES])
 
 
@@ -167,9 +173,9 @@ def _adhesion(plan: scenario.Scenario, sliding_m_s: float, speed_m_s: float) -> 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
     """Return the distances in m and the longest locks in s of all stops."""
-    found = cases(say=say)
+    found = cases(say=say, settings=given.set)
     if given.png:
-        _draw(found).savefig(given.png, dpi=120)
+        _draw(found, given.set).savefig(given.png, dpi=120)
         say(f"picture: {given.png}")
 
     rows = []
@@ -183,7 +189,28 @@ def run(given: argparse.Namespace, say: Say) -> Result:
                 "longest_lock_s": {str(key): stop.longest_lock_s for key, stop in stops.items()},
             }
         )
-    return {"stops": rows, "targets": _targets(found)}
+    largest_at = _largest_at(given.set)
+    notes = []
+    for name, by_speed in largest_at.items():
+        places = ", ".join(f"{at:.0%} ({speed} m/s)" for speed, at in by_speed.items())
+        notes.append(f"adhesion on {name} is largest at a creepage of {places}")
+    return {
+        "stops": rows,
+        "largest_at_creepage": largest_at,
+        "targets": _targets(found),
+        "notes": notes,
+    }
+
+
+def _largest_at(settings: Sequence[str]) -> dict[str, dict[str, float]]:
+    """Return the creepage with the largest steady adhesion, by set and speed in m/s."""
+    result: dict[str, dict[str, float]] = {}
+    for name in LOW_SETS:
+        result[name] = {}
+        for speed in CURVE_SPEEDS_M_S:
+            curve = steady_curve(name, speed, settings)
+            result[name][f"{speed:g}"] = float(CREEPAGES[curve.argmax()])
+    return result
 
 
 def _targets(found: Cases) -> list[Result]:
@@ -229,7 +256,7 @@ def table(result: Result) -> Table:
     return figures.table("stopping distance in m, by slip band of the WSP", heads, rows)
 
 
-def _draw(found: Cases):
+def _draw(found: Cases, settings: Sequence[str]):
     """Return the picture: steady curves, and distances over the slip band."""
     from matplotlib.figure import Figure
 
@@ -241,10 +268,9 @@ def _draw(found: Cases):
 
     for name in ("soap", "low"):
         for speed, style in ((10.0, ":"), (30.0, "-"), (50.0, "--")):
+            curve = steady_curve(name, speed, settings)
             label = f"{name}, {speed:g} m/s"
-            curves.plot(
-                100.0 * CREEPAGES, steady_curve(name, speed), style, color=shown[name], label=label
-            )
+            curves.plot(100.0 * CREEPAGES, curve, style, color=shown[name], label=label)
     curves.set_xlabel("creepage, %")
     curves.set_ylabel("steady adhesion of one wheel")
     curves.legend(frameon=False, fontsize=8)
