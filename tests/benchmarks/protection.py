@@ -11,7 +11,7 @@ both. `--set` changes a value of all stops, as in `--set adhesion.cleaning_half_
 import argparse
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from rich.table import Table
@@ -23,6 +23,9 @@ from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import four_stops
 from rollerrig.rig.contact import adhesion
 from rollerrig.wsp_interface import signals
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # packaged sets of [adhesion] on which wheels slide under an emergency demand, and the others
 LOW_SETS = ("soap", "low", "very_low", "leaf_film")
@@ -125,12 +128,13 @@ def plan_of(adhesion_set: str, speed_km_h: int, settings: Sequence[str] = ()) ->
 
 def unit_of(band: float) -> logic.Params:
     """Return the parameters of the reference WSP with a slip band from this share of the speed."""
-    return logic.load()._replace(
-        band_low_m_s=_NO_LIMIT_M_S,
-        band_low_fraction=band,
-        band_high_m_s=_NO_LIMIT_M_S,
-        band_high_fraction=UPPER_OVER_LOWER * band,
-    )
+    edges: dict[str, Any] = {
+        "band_low_m_s": _NO_LIMIT_M_S,
+        "band_low_fraction": band,
+        "band_high_m_s": _NO_LIMIT_M_S,
+        "band_high_fraction": UPPER_OVER_LOWER * band,
+    }
+    return logic.load()._replace(**edges)
 
 
 def _stops(jobs: list, unit: str | logic.Params) -> dict[tuple[str, int], StopFigures]:
@@ -234,7 +238,8 @@ def table(result: Result) -> Table:
     """Return the table of distances; `best` is the shortest of all slip bands."""
     narrowest = str(BANDS[0])
     widest = str(BANDS[-1])
-    heads = ("adhesion", "from, km/h", "no WSP", "locked, s", "reference", "best", "at")
+    heads = ["adhesion", "from, km/h", "no WSP", "locked, s", "reference", "best", "at"]
+    heads += [f"{BANDS[0]:.0%}", f"{BANDS[-1]:.0%}"]
     rows = []
     for row in result["stops"]:
         distance_m = row["distance_m"]
@@ -252,11 +257,10 @@ def table(result: Result) -> Table:
                 round(distance_m[widest]),
             )
         )
-    heads += (f"{BANDS[0]:.0%}", f"{BANDS[-1]:.0%}")
     return figures.table("stopping distance in m, by slip band of the WSP", heads, rows)
 
 
-def _draw(found: Cases, settings: Sequence[str]):
+def _draw(found: Cases, settings: Sequence[str]) -> "Figure":
     """Return the picture: steady curves, and distances over the slip band."""
     from matplotlib.figure import Figure
 
@@ -281,7 +285,8 @@ def _draw(found: Cases, settings: Sequence[str]):
         stops.plot(
             [100.0 * band for band in case.by_band], over_best, "o-", color=shown[name], label=name
         )
-    reference_percent = 100.0 * logic.load().band_low_fraction
+    reference: Any = logic.load()
+    reference_percent = 100.0 * reference.band_low_fraction
     stops.axvline(reference_percent, color="grey", linewidth=0.8, label="reference WSP")
     stops.set_xlabel("lower edge of the slip band, % of the speed")
     stops.set_ylabel("distance from 120 km/h over the shortest")
