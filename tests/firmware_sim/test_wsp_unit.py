@@ -393,12 +393,14 @@ def test_every_unit_answers_in_lockstep_and_exits_when_the_bus_closes(kind, lock
             assert set(answers[:100]) == {ALL_OFF}
             assert AXLE_1_VENTS in answers[100:]
 
-            # A heartbeat precedes every fifth answer. One more may come before the first SYNC.
-            answers_before_heartbeat = []
+            # A heartbeat precedes every fifth answer, or an earlier one if 0.1 s have passed: there
+            # are never more than five answers between two heartbeats.
+            answers_before_heartbeat = [0]
             for i, (can_id, _) in enumerate(frames):
                 if can_id == HEARTBEAT:
                     answers_before_heartbeat.append(ids(frames[:i]).count(MAGNETS))
-            assert [n for n in answers_before_heartbeat if n] == list(range(4, 200, 5))
+            answers_before_heartbeat.append(len(answers))
+            assert np.diff(answers_before_heartbeat).max() <= 5
 
             lockstep.close()
             assert unit.wait(60.0) == 0
