@@ -26,6 +26,7 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 
 DEVICE_TYPE = 0  # no profile of CiA covers a test bench
+FURTHER_TPDOS = 4  # four cannot carry what a harness judges a stop by
 PRODUCT = process_image.Product("bench", 0x127)
 
 
@@ -109,6 +110,7 @@ def build(
         PRODUCT.name,
         rpdos=(Pdo(EVENT_DRIVEN, ((rig.HARNESS, rig.CYCLE, 8),)),),
         heartbeat_ms=0,
+        further_tpdos=FURTHER_TPDOS,
     )
     node = process_image.build(BENCH_NODE, profile, PRODUCT, rows(pacing), row, {})
     node.device = BenchNode(node, friction, on_command)

@@ -1,9 +1,11 @@
 """A test harness on the bus: it commands the rig, observes it and records what happens.
 
 The harness is a member of the bus like any other. It sends the brake demand by SDO to node 17, and
-friction, faults and notes to node 127. It receives speeds, pressures, magnets and quantities of the
-simulation by PDO. On a bench in lockstep it answers every SYNC: simulated time passes only when the
-test lets it pass, so a test repeats bit for bit. In real time the harness follows the bench.
+friction, faults and notes to node 127. Node 127 sends it by PDO how vehicle, wheels and brakes
+really move, which no fault of a sensor or a node of the rig changes. Beside that it receives what
+the unit receives and sends: measured speeds, magnets and the unit's reference speed. On a bench in
+lockstep it answers every SYNC: simulated time passes only when the test lets it pass, so a test
+repeats bit for bit. In real time the harness follows the bench.
 """
 
 import contextlib
@@ -18,7 +20,7 @@ import can
 from rollerrig.configs.errors import BusError, RollerrigError
 from rollerrig.wsp_interface import events, magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
-from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, TPDO
+from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, RPDO, TPDO
 from rollerrig.wsp_interface.bus.sdo_client import SdoClient
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import layout
@@ -43,17 +45,24 @@ class TimeOutError(RollerrigError):
     """A condition has not come true within its time."""
 
 
-# the signals that node 127 sends on request of the harness, TPDO by TPDO; the last one ends a cycle
+# the signals that node 127 sends on request of the harness, TPDO by TPDO
 _MAPPED_SIGNALS = (
     ("time", "vehicle_speed"),
     ("position", "vehicle_acceleration", "brake_demand"),
     ("adhesion",),
     ("valve",),
+    ("sliding",),
+    ("wheel_circumferential_speed",),
+    ("cylinder_pressure",),
 )
+# The predefined connection set has identifiers for four TPDOs. The others take those of the RPDOs 2
+# to 4 of node 127, which it does not use. The highest one, 57Fh, ends a cycle.
+_FIRST_IDENTIFIERS = (*TPDO, *RPDO[1:])
 MAPPED = tuple(
-    layout(first + BENCH_NODE, *names) for first, names in zip(TPDO, _MAPPED_SIGNALS, strict=True)
+    layout(first + BENCH_NODE, *names)
+    for first, names in zip(_FIRST_IDENTIFIERS, _MAPPED_SIGNALS, strict=True)
 )
-HEARD = (*MAPPED, rig_objects.SPEEDS, rig_objects.PRESSURES, rig_objects.REFERENCE_SPEED)
+HEARD = (*MAPPED, rig_objects.SPEEDS, rig_objects.REFERENCE_SPEED)
 CYCLE_ENDS = MAPPED[-1].can_id
 _MAGNETS = tuple(f"magnets_{axle}" for axle in _AXLES)
 COLUMNS: tuple[str, ...] = (
@@ -116,7 +125,7 @@ class Harness:
 
     def __repr__(self) -> str:
         """Return the state of the bench in one line; pytest prints it for a failed test."""
-        speeds = zip(_AXLES, self.axles("measured_speed"), strict=True)
+        speeds = zip(_AXLES, self.axles("wheel_circumferential_speed"), strict=True)
         standing = ", ".join(str(axle) for axle, speed in speeds if speed == 0.0)
         pressures = ", ".join(f"{value / 1e5:.2f}" for value in self.axles("cylinder_pressure"))
         left = "" if self.joined else ", has left"

@@ -109,7 +109,14 @@ SIGNALS: tuple[Signal, ...] = (
         ),
     ),
     Signal("wheel_speed", "rad_s", AXLES, "rotation of the wheelset"),
-    Signal("wheel_circumferential_speed", "m_s", AXLES, "radius times wheel speed", group="speeds"),
+    Signal(
+        "wheel_circumferential_speed",
+        "m_s",
+        AXLES,
+        "radius times wheel speed",
+        group="speeds",
+        places=(Place(BENCH_NODE, 0x2115, 1, "I16", 0.005),),
+    ),
     Signal(
         "measured_speed",
         "rad_s",
@@ -150,7 +157,12 @@ SIGNALS: tuple[Signal, ...] = (
         places=(Place(DRIVE_UNDER_AXLE, 0x6064, 0, "I32", 1e-3, wraps=True),),
     ),
     Signal(
-        "sliding", "m_s", AXLES, "surface speed minus radius times wheel speed", group="sliding"
+        "sliding",
+        "m_s",
+        AXLES,
+        "surface speed minus radius times wheel speed",
+        group="sliding",
+        places=(Place(BENCH_NODE, 0x2114, 1, "I16", 0.005),),
     ),
     Signal("creepage", "", AXLES, "sliding over surface speed"),
     Signal(
@@ -213,7 +225,10 @@ SIGNALS: tuple[Signal, ...] = (
         AXLES,
         "brake cylinder pressure",
         group="pressures",
-        places=(Place(BRAKE_NODE, 0x6401, 1, "I16", 100.0),),
+        places=(
+            Place(BRAKE_NODE, 0x6401, 1, "I16", 100.0),
+            Place(BENCH_NODE, 0x2116, 1, "I16", 100.0),
+        ),
     ),
     Signal(
         "valve",

@@ -2,7 +2,8 @@
 
 A device defines its type, its PDOs and a few defaults; the rest is the same for all devices. There
 are four PDOs in each direction. Those that a device does not use are not valid, and an outside
-master may map them.
+master may map them. A device may have further TPDOs. The predefined connection set has no
+identifiers for these, so a master gives them one.
 
 A COB-ID entry has 29 bits for the identifier and three flags. Bit 31: the message does not exist.
 Bit 30: its meaning depends on the object. Bit 29: the identifier has 29 bits. Source: CiA 301,
@@ -25,13 +26,14 @@ from rollerrig.wsp_interface.bus.connection_set import (
     TPDO,
 )
 
-PDOS = 4  # in each direction
+PDOS = 4  # in each direction: the predefined connection set has identifiers for so many
 MOST_MAPPED = 8  # objects in a PDO
 SDO_SERVERS = 3
 HISTORY = 8  # errors in 1003h
 # transmission types of PDOs
 SYNCHRONOUS = 1  # with every SYNC
 EVENT_DRIVEN = 255  # received data take effect immediately
+NO_IDENTIFIER = 0  # of a PDO that has none in the predefined connection set
 # flags of a COB-ID entry
 INVALID = 1 << 31
 FLAG = 1 << 30
@@ -65,7 +67,8 @@ class Profile(NamedTuple):
     """The differences between the communication profiles of devices.
 
     `consumed`: (node, time in ms) for 1016h. `on_error`: 1029h:1, the NMT state after a lost
-    heartbeat (0 pre-operational, 1 unchanged, 2 stopped).
+    heartbeat (0 pre-operational, 1 unchanged, 2 stopped). `further_tpdos`: how many TPDOs there are
+    after the fourth.
     """
 
     device_type: int
@@ -75,6 +78,7 @@ class Profile(NamedTuple):
     consumed: Sequence[tuple[int, int]] = ()
     heartbeat_ms: int = 100
     on_error: int = 1
+    further_tpdos: int = 0
 
 
 def rows(profile: Profile, identity: Identity) -> list[Row]:
@@ -91,6 +95,8 @@ def rows(profile: Profile, identity: Identity) -> list[Row]:
     for at in range(PDOS):
         rpdos += _pdo(0x1400 + at, f"RPDO {at + 1}", RPDO[at], profile.rpdos[at : at + 1])
         tpdos += _pdo(0x1800 + at, f"TPDO {at + 1}", TPDO[at], profile.tpdos[at : at + 1])
+    for at in range(PDOS, PDOS + profile.further_tpdos):
+        tpdos += _pdo(0x1800 + at, f"TPDO {at + 1}", NO_IDENTIFIER, ())
     return [
         Row(0x1000, 0, "Device type", "U32", "const", profile.device_type),
         Row(0x1001, 0, "Error register", "U8", "ro", 0, True),
@@ -173,10 +179,11 @@ def _pdo(index: int, name: str, cob_id: int, used: Sequence[Pdo]) -> list[Row]:
         cob_id |= INVALID
     entries = [at << 16 | sub << 8 | bits for at, sub, bits in pdo.mapped]
     about = f"{name} communication parameter"
+    from_node_number = cob_id & STANDARD_MASK != NO_IDENTIFIER
     highest_sub = 5 if name.startswith("RPDO") else 6  # only a TPDO has a SYNC start value
     parameters = [
         Row(index, 0, f"{about}/Highest sub-index supported", "U8", "const", highest_sub),
-        Row(index, 1, f"{about}/COB-ID", "U32", "rw", cob_id, relative=True),
+        Row(index, 1, f"{about}/COB-ID", "U32", "rw", cob_id, relative=from_node_number),
         Row(index, 2, f"{about}/Transmission type", "U8", "rw", pdo.kind),
         Row(index, 3, f"{about}/Inhibit time", "U16", "rw", pdo.inhibit_100us, unit="100us"),
         Row(index, 5, f"{about}/Event timer", "U16", "rw", pdo.event_ms, unit="ms"),

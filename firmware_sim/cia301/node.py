@@ -61,7 +61,8 @@ class Node(Host):
         self.producer = Producer(self)
         self.consumer = Consumer(self)
         self.sync = SyncConsumer(self)
-        self.tpdos = [Tpdo(self, 0x1800, number) for number in range(PDOS)]
+        tpdo_count = sum(0x1800 <= index < 0x1A00 for index in dictionary)
+        self.tpdos = [Tpdo(self, 0x1800, number) for number in range(tpdo_count)]
         self.rpdos = [
             Rpdo(self, 0x1400, number, self.sync.window_is_over) for number in range(PDOS)
         ]

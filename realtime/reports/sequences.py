@@ -141,6 +141,7 @@ def _sequence_data(outcome: Outcome) -> dict[str, Any]:
         "wall_s": round(outcome.wall_s, 3),
         "verdicts": [_verdict_data(verdict) for verdict in outcome.verdicts],
         "figures": figures(outcome),
+        "measured": _measured(outcome),
         "events": [dataclasses.asdict(event) for event in outcome.events],
     }
     for key in (
@@ -159,7 +160,10 @@ def _verdict_data(verdict: Verdict) -> dict[str, Any]:
 
 
 def figures(outcome: Outcome) -> dict[str, float]:
-    """Return every measure of a sequence that can be computed, with or without a limit."""
+    """Return every measure of a sequence that can be computed, with or without a limit.
+
+    All are of the true motion. `measures.as_measured` has what the speed sensors measured.
+    """
     if not outcome.record:
         return {}
     found = {}
@@ -167,6 +171,14 @@ def figures(outcome: Outcome) -> dict[str, float]:
         with contextlib.suppress(KeyError, IndexError, ValueError):
             found[measure.name] = float(measure.of(outcome.record))  # type: ignore[arg-type]
     return {name: value for name, value in found.items() if math.isfinite(value)}
+
+
+def _measured(outcome: Outcome) -> dict[str, float | None]:
+    """Return the measures of sliding by the speed sensors; an unknown value is null."""
+    if not outcome.record:
+        return {}
+    found = measures.as_measured(outcome.record)
+    return {name: finite(value) for name, value in found.items()}
 
 
 def _versions() -> dict[str, str]:

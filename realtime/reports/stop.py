@@ -1,5 +1,9 @@
 """The picture and the table of one stop: what each axle did, with steps of the test and faults
 marked.
+
+Both show the true motion. Where the measured speed of an axle differs from it, the picture has the
+measured speed as a thin dotted line. The table has separate rows of what follows from the measured
+speeds; these are marked as measured.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,6 +21,7 @@ from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import Markup
 from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.measures import Record
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -30,7 +35,10 @@ FAULT = "fault"
 # m/s. Below it slip is not shown.
 _SLOWEST_M_S = 1.0
 
-# %. The slip axis ends here, because a faulty sensor may show any speed.
+# m/s. A sound sensor differs less from its wheel: a count on the bus, and the lag of a pole wheel.
+_MEASURED_DIFFERS_M_S = 0.5
+
+# %. The slip axis ends here.
 _SLIP_PERCENT = (-10.0, 105.0)
 
 # points. Names of neighbouring marks are at different heights.
@@ -76,36 +84,59 @@ def picture(column: Column, radius_m: float, marks: Sequence[Mark]) -> Markup:
     return page.picture(lambda figure: _draw(figure, column, radius_m, marks), (11.0, 9.5))
 
 
-def slip_percent(column: Column, radius_m: float, axle: int) -> np.ndarray:
-    """Return the slip of an axle by its sensor, % of the vehicle's speed, (n,).
+def slip_percent(sliding_m_s: np.ndarray, vehicle_m_s: np.ndarray) -> np.ndarray:
+    """Return the slip in % of the vehicle's speed, shape (n,).
 
     It is NaN where the vehicle is slower than 1 m/s.
     """
-    speed = column("vehicle_speed_m_s")
-    speed = np.where(speed >= _SLOWEST_M_S, speed, np.nan)
-    return 100.0 * (1.0 - radius_m * column(f"measured_speed_{axle}_rad_s") / speed)
+    speed_m_s = np.where(vehicle_m_s >= _SLOWEST_M_S, vehicle_m_s, np.nan)
+    return 100.0 * sliding_m_s / speed_m_s
 
 
 # --- table ---
 
 
-def axles(record: Record) -> tuple[tuple[str, ...], list[list[str]]]:
-    """Return head and rows of what each axle did during the braking."""
-    return _AXLES_HEAD, [_axle_row(record, axle) for axle in range(1, AXLES + 1)]
+def axles(record: Record) -> tuple[tuple[str, ...], list[list[str]], list[str]]:
+    """Return head, rows and classes of the rows of what each axle did during the braking.
+
+    The rows of all axles are followed by those of what the speed sensors measured.
+    """
+    true_m_s = measures.sliding(record)
+    measured_m_s = measures.measured_sliding(record)
+    rows = []
+    classes = []
+    for axle in range(1, AXLES + 1):
+        slid = _sliding_cells(record, true_m_s[axle - 1])
+        rows.append([str(axle), *slid, *_other_cells(record, axle)])
+        classes.append("")
+    for axle in range(1, AXLES + 1):
+        slid = _sliding_cells(record, measured_m_s[axle - 1])
+        no_others = ["-"] * (len(_AXLES_HEAD) - 1 - len(slid))
+        rows.append([f"{axle}, as measured", *slid, *no_others])
+        classes.append("void")
+    return _AXLES_HEAD, rows, classes
 
 
-def _axle_row(record: Record, axle: int) -> list[str]:
-    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
-    wheel_m_s = radius_m * record.braked(f"measured_speed_{axle}_rad_s")
-    sliding_m_s = record.braked("vehicle_speed_m_s") - wheel_m_s
-    slip = slip_percent(record.braked, radius_m, axle)
+def _sliding_cells(record: Record, sliding_m_s: np.ndarray) -> list[str]:
+    """Return mean and largest sliding, and the largest slip.
+
+    There are none while a sensor has sent nothing.
+    """
+    if np.isnan(sliding_m_s).all():
+        return ["-"] * 3
+    slip = slip_percent(sliding_m_s, record.braked("vehicle_speed_m_s"))
+    return [
+        f"{3.6 * np.nanmean(sliding_m_s):z.1f}",
+        f"{3.6 * np.nanmax(sliding_m_s):z.1f}",
+        f"{np.nanmax(slip, initial=0.0):.0f}",
+    ]
+
+
+def _other_cells(record: Record, axle: int) -> list[str]:
+    """Return the cells of an axle that are not about sliding."""
     pressure_bar = record.braked(f"cylinder_pressure_{axle}_Pa") / 1e5
     adhesion = record.braked(f"adhesion_{axle}")
     return [
-        str(axle),
-        f"{3.6 * sliding_m_s.mean():z.1f}",
-        f"{3.6 * sliding_m_s.max():z.1f}",
-        f"{np.nanmax(slip, initial=0.0):.0f}",
         _final(record.finals, "longest_lock", axle, 1.0, 2),
         f"{pressure_bar.mean():.2f}",
         f"{adhesion.mean():.3f}",
@@ -130,9 +161,12 @@ def _draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]
     plots = figure.subplots(5, 1, sharex=True, height_ratios=(3, 2.4, 3, 3, 2))
     speed, slip, pressure, adhesion, valves = plots
     for axle, colour in enumerate(page.AXLES, start=1):
-        wheel_km_h = 3.6 * radius_m * column(f"measured_speed_{axle}_rad_s")
-        speed.plot(time_s, wheel_km_h, color=colour, label=f"axle {axle}")
-        slip.plot(time_s, slip_percent(column, radius_m, axle), color=colour)
+        wheel_m_s = column(f"wheel_circumferential_speed_{axle}_m_s")
+        measured_m_s = radius_m * column(f"measured_speed_{axle}_rad_s")
+        sliding_m_s = column(f"sliding_{axle}_m_s")
+        speed.plot(time_s, 3.6 * wheel_m_s, color=colour, label=f"axle {axle}")
+        _draw_measured(speed, time_s, wheel_m_s, measured_m_s, colour)
+        slip.plot(time_s, slip_percent(sliding_m_s, column("vehicle_speed_m_s")), color=colour)
         pressure.plot(time_s, 1e-5 * column(f"cylinder_pressure_{axle}_Pa"), color=colour)
         adhesion.plot(time_s, column(f"adhesion_{axle}"), color=colour)
         _draw_valve(valves, time_s, column(f"valve_{axle}"), axle)
@@ -165,6 +199,16 @@ def _draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]
         Patch(color=colours.as_hex(shade), label=name) for name, shade in colours.VALVE_STATES[1:]
     ]
     figure.legend(handles=[*lines, *states], loc="outside upper center", ncols=8)
+
+
+def _draw_measured(
+    plot: Axes, time_s: np.ndarray, wheel_m_s: np.ndarray, measured_m_s: np.ndarray, colour: str
+) -> None:
+    """Draw a measured speed where it clearly differs from the speed of the wheel."""
+    differs = np.abs(measured_m_s - wheel_m_s) > _MEASURED_DIFFERS_M_S
+    if differs.any():
+        shown_m_s = np.where(differs, measured_m_s, np.nan)
+        plot.plot(time_s, 3.6 * shown_m_s, ":", linewidth=0.8, color=colour)
 
 
 def _draw_valve(plot: Axes, time_s: np.ndarray, valve: np.ndarray, axle: int) -> None:

@@ -45,9 +45,12 @@ def record(sends_reference: bool = True, vents: float = 0.0) -> Record:
     radius_m = plan["vehicle"]["wheel_radius_m"]
     for axle in range(1, 5):
         columns[f"measured_speed_{axle}_rad_s"] = speed / radius_m
+        columns[f"wheel_circumferential_speed_{axle}_m_s"] = speed.copy()
         columns[f"adhesion_{axle}"] = np.full(len(time_s), 0.08)
     locked = (time_s >= 5.0) & (time_s < 5.0 + LOCK_S)
     columns["measured_speed_2_rad_s"] = np.where(locked, 0.0, speed / radius_m)
+    columns["wheel_circumferential_speed_2_m_s"] = np.where(locked, 0.0, speed)
+    columns["sliding_2_m_s"] = np.where(locked, speed, 0.0)
     columns["valve_2"] = np.where(locked, 2.0, 0.0)
     columns["brake_demand_Pa"] = np.where(time_s > COAST_S, 3.8e5, 0.0)
     reference = speed - SLIP_M_S if sends_reference else np.full(len(time_s), np.nan)

@@ -82,11 +82,30 @@ def test_the_page_says_what_was_tested_by_whom_and_what_each_axle_did(tmp_path):
         page.count('<tr class="marked">') == 2
     )  # in the list of sequences, and among its measures
     rows = stop.axles(found.record)[1]
-    assert [row[4] for row in rows] == ["0.00", "0.50", "0.00", "0.00"]
+    assert [row[4] for row in rows] == ["0.00", "0.50", "0.00", "0.00", "-", "-", "-", "-"]
     assert rows[1][3] == "100"  # % of slip while it was locked
     assert [text for _, kind, text in sequences.marks(found) if kind == stop.STEP] == [
         "brake <hard> & fast"
     ]
+
+
+def test_what_sensors_measured_is_in_separate_rows_of_the_page(tmp_path):
+    found = outcome(tmp_path)
+    # the sensor of axle 3 shows nothing from 8 s on
+    dead = found.record.columns["time_s"] > 8.0
+    found.record.columns["measured_speed_3_rad_s"][dead] = 0.0
+    head, rows, classes = stop.axles(found.record)
+    largest_km_h = head.index("largest, km/h")
+    assert rows[2][0] == "3"
+    assert rows[2][largest_km_h] == "0.0"
+    assert rows[6][0] == "3, as measured"
+    assert float(rows[6][largest_km_h]) == pytest.approx(3.6 * 13.0, abs=0.1)
+    assert classes == [""] * 4 + ["void"] * 4
+    page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
+    assert "3, as measured" in page
+    data = sequences.as_data([found], sequences.datetime.now(sequences.UTC))["sequences"][0]
+    assert data["figures"]["sliding_max"] == pytest.approx(16.0, abs=0.1)  # axle 2 locks
+    assert data["measured"]["sliding_mean"] > data["figures"]["sliding_mean"] + 1.0
 
 
 def test_measures_are_void_where_a_precondition_failed(tmp_path):

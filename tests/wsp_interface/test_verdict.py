@@ -95,6 +95,22 @@ def test_sliding_reference_error_and_adhesion_are_those_of_the_record():
     assert of("utilised_adhesion") == pytest.approx(0.08)
 
 
+def test_no_measure_follows_a_faulty_speed_sensor():
+    sound = stop.record()
+    faulty = stop.record()
+    for axle in range(1, 5):
+        faulty.columns[f"measured_speed_{axle}_rad_s"][:] = 0.0
+    for measure in measures.MEASURES:
+        values = [math.nan, math.nan]
+        for at, record in enumerate((sound, faulty)):
+            try:
+                values[at] = measure.of(record)
+            except KeyError:  # a signal that this record does not have
+                continue
+        assert np.array_equal(values[0], values[1], equal_nan=True), measure.name
+    assert measures.as_measured(faulty)["sliding_max"] == pytest.approx(stop.SPEED_M_S, abs=0.1)
+
+
 def test_full_brake_after_a_fault_waits_for_the_last_cylinder():
     record = stop.record()
     pressure = np.where(record.columns["time_s"] < 7.0, 1e5, 3.8e5)

@@ -48,6 +48,8 @@ RANGES: dict[str, tuple[float, float]] = {
     "valve": (0.0, 2.0),
     "magnets": (0.0, 3.0),
     "measured_speed": (0.0, 327.67),
+    "wheel_circumferential_speed": (0.0, 100.0),
+    "sliding": (-100.0, 100.0),
     "wsp_reference_speed": (0.0, 327.67),
     "vehicle_acceleration": (-20.0, 20.0),
 }

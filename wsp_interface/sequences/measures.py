@@ -1,9 +1,12 @@
 """The measures by which a test is judged: rows with a unit, a least value and a formula.
 
-All are computed from what the harness received on the bus, over the braking: from the first brake
-demand to standstill or to the end. The reference stop [M1] is that of a vehicle which gets the
-demanded braking force and never slides. The dry stop is a run of this plant with the same demands
-on clean rollers. The index of wheel damage [M3] belongs to this project; it is in no standard.
+All are computed from the true motion, which node 127 sends to the harness, over the braking: from
+the first brake demand to standstill or to the end. A speed sensor may be faulty, so no measure uses
+the measured speeds. What follows from these is shown separately, and marked as measured.
+
+The reference stop [M1] is that of a vehicle which gets the demanded braking force and never slides.
+The dry stop is a run of this plant with the same demands on clean rollers. The index of wheel
+damage [M3] belongs to this project; it is in no standard.
 
     [M1] s_ref = v0 t_e + v0^2 / (2 a_e),  a_e = (sum F_B + F_R) / m_dyn,  t_e = T_demand + T_valve
     [M2] shortfall = worst mean over 10 s of (a_demanded - a), a_demanded by the demand
@@ -154,15 +157,38 @@ def _until_standstill(record: Record, name: str) -> float:
     return float(values[-1] - values[0]) if stands else NAN
 
 
-def _rim_speeds(record: Record) -> np.ndarray:
-    """Return the measured speed of each wheelset's rim over the braking, shape (4, n), in m/s."""
-    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
-    return radius_m * record.wheelsets("measured_speed", "_rad_s")
-
-
-def _sliding(record: Record) -> np.ndarray:
+def sliding(record: Record) -> np.ndarray:
     """Return the sliding of each wheelset over the braking, shape (4, n), in m/s."""
-    return record.braked("vehicle_speed_m_s") - _rim_speeds(record)
+    return record.wheelsets("sliding", "_m_s")
+
+
+def measured_sliding(record: Record) -> np.ndarray:
+    """Return the sliding that follows from the measured speeds, shape (4, n), in m/s.
+
+    The unit sees this sliding. It is wrong if a speed sensor is.
+    """
+    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
+    rim_m_s = radius_m * record.wheelsets("measured_speed", "_rad_s")
+    return record.braked("vehicle_speed_m_s") - rim_m_s
+
+
+def largest_m_s(sliding_m_s: np.ndarray) -> float:
+    """Return the largest sliding of a wheelset."""
+    return float(sliding_m_s.max())
+
+
+def mean_of_worst_m_s(sliding_m_s: np.ndarray) -> float:
+    """Return the mean sliding of the worst wheelset."""
+    return float(sliding_m_s.mean(axis=1).max())
+
+
+def as_measured(record: Record) -> dict[str, float]:
+    """Return the measures of sliding as they follow from the measured speeds, by name."""
+    sliding_m_s = measured_sliding(record)
+    return {
+        "sliding_max": largest_m_s(sliding_m_s),
+        "sliding_mean": mean_of_worst_m_s(sliding_m_s),
+    }
 
 
 def _wsp_acts(record: Record) -> np.ndarray:
@@ -179,8 +205,8 @@ def _utilised_adhesion(record: Record) -> float:
 
 def _initial_adhesion(record: Record) -> float:
     """Return the first wheelset's adhesion when it first slides by initial_at_sliding_m_s."""
-    sliding = _sliding(record)[0]
-    reached = np.flatnonzero(sliding >= record.scenario["adhesion"]["initial_at_sliding_m_s"])
+    sliding_m_s = sliding(record)[0]
+    reached = np.flatnonzero(sliding_m_s >= record.scenario["adhesion"]["initial_at_sliding_m_s"])
     if not reached.size:
         return NAN
     return float(record.wheelsets("adhesion")[0, reached[0]])
@@ -207,9 +233,10 @@ def _shortfall_m_s2(record: Record) -> float:
 def _damage(record: Record) -> float:
     """Return the index of wheel damage of the worst wheelset [M3]."""
     load_N = np.array(record.finals["wheel_load"])[:, np.newaxis]
-    power_W = record.wheelsets("adhesion") * load_N * _sliding(record)
+    power_W = record.wheelsets("adhesion") * load_N * sliding(record)
     fast = record.braked("vehicle_speed_m_s") > record.scenario["rig"]["lock_above_m_s"]
-    locked = (_rim_speeds(record) < LOCKED_M_S) & fast
+    rim_m_s = record.wheelsets("wheel_circumferential_speed", "_m_s")
+    locked = (rim_m_s < LOCKED_M_S) & fast
     locked_W = np.where(locked, power_W, 0.0)
     locked_J = np.sum(locked_W[:, 1:] * np.diff(record.braked("time_s")), axis=1)
     sliding_J = np.array(record.finals["sliding_work"])
@@ -320,14 +347,14 @@ MEASURES: tuple[Measure, ...] = (
         "m/s",
         0.0,
         "largest sliding of a wheelset",
-        lambda r: float(_sliding(r).max()),
+        lambda r: largest_m_s(sliding(r)),
     ),
     Measure(
         "sliding_mean",
         "m/s",
         0.0,
         "mean sliding of the worst wheelset",
-        lambda r: float(_sliding(r).mean(axis=1).max()),
+        lambda r: mean_of_worst_m_s(sliding(r)),
     ),
     Measure(
         "air_consumption",
