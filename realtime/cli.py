@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes.without import without
-from rollerrig.realtime import broken_pipe
+from rollerrig.realtime import standard_streams
 from rollerrig.realtime.commands import (
     bench,
     campaign,
@@ -229,7 +229,7 @@ def parser() -> argparse.ArgumentParser:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
-    broken_pipe.make_harmless()
+    standard_streams.make_harmless()
     top = parser()
 
     # a shell sets this variable when the user presses Tab; argcomplete then exits the process

@@ -58,7 +58,7 @@ FLOORS = {
         "modbus pole_wheel",
     ),
     "realtime": (
-        "broken_pipe loop pictures record",
+        "loop pictures record standard_streams",
         "telemetry",
         "bench",
         "campaign",

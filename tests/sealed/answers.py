@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.record.files import writing
+from rollerrig.configs.output_files import writing
 from sealed import baselines, work
 from sealed.cases import SETS
 

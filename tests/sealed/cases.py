@@ -28,8 +28,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import writing
 from rollerrig.realtime.record import seal
-from rollerrig.realtime.record.files import writing
 from sealed import work
 
 # module of `tests/generator` by the name on the command line
