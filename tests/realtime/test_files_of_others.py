@@ -55,7 +55,10 @@ for name, words in json.load(sys.stdin).items():
             status = error.code
         except BaseException:
             traceback.print_exc()
-    resident = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    # not ru_maxrss, which counts the memory of the parent, too
+    with open("/proc/self/status") as file:
+        (peak,) = [line.split() for line in file if line.startswith("VmHWM")]
+    resident = int(peak[1]) * 1024
     results[name] = [status, out.getvalue(), err.getvalue(), resident]
 print(json.dumps(results))
 """
@@ -263,7 +266,7 @@ def test_a_harmful_file_is_refused_with_a_message_and_little_memory(make, result
     assert "Traceback" not in err
     assert COMMANDS[make] in err
     assert "top secret" not in err
-    assert len(err) < 2000
+    assert len(err) < 6000
     assert resident_bytes < MOST_RESIDENT_BYTES
 
 
