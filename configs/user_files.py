@@ -38,6 +38,7 @@ class Kind(NamedTuple):
 
 # The limits are far above what the program needs, and far below the memory of a small machine.
 TOML = Kind("a TOML file", 4 * _MB)
+KEY = Kind("a key of sealed data", 16 * _MB)
 JSON = Kind("a JSON file", 32 * _MB)
 NOTE = Kind("a note", _MB // 10)
 PROFILE = Kind("a profile", 2 * _MB)

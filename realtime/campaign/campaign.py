@@ -21,7 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.stats import qmc
 
-from rollerrig.configs import store, table, user_files
+from rollerrig.configs import store, table, unpacking, user_files
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.processes import children
@@ -353,7 +353,17 @@ def result(out: Path) -> pa.Table:
     paths = sorted((out / "results").glob("part-*.parquet"))
     if not paths:
         raise ConfigError(f"{out}: no results; run 'rollerrig campaign PLAN --out {out}'")
-    return pa.concat_tables([pq.read_table(path) for path in paths]).sort_by("run")
+    tables = []
+    for path in paths:
+        user_files.check(path, user_files.PARQUET, within=out)
+        try:
+            unpacking.check_parquet(path, pq.read_metadata(path))
+            tables.append(pq.read_table(path))
+        except (pa.ArrowException, OSError) as error:
+            raise ConfigError(
+                f"{path}: cannot be read: {error}; remove it, and repeat the command to run it again"
+            ) from None
+    return pa.concat_tables(tables).sort_by("run")
 
 
 # --- spreading ---

@@ -11,7 +11,7 @@ from typing import Any
 from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError
 
-_MOST_BYTES = 4_000_000  # of the data; the key of a thousand data sets has one million
+_MOST_BYTES = 16_000_000  # of the data; the key of a thousand data sets has about one million
 
 
 def encode(content: dict[str, Any]) -> str:
