@@ -5,10 +5,10 @@ first in any working directory, the second relative to it.
 """
 
 import os
-import tomllib
 from pathlib import Path
 from typing import Any
 
+from rollerrig.configs import toml_text, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 
@@ -48,14 +48,12 @@ def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
     return packaged
 
 
-def parse(path: Path) -> dict[str, Any]:
-    """Return the content of a TOML file. Raises ConfigError with file, line and column."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from None
+def parse(path: Path, within: Path | None = None) -> dict[str, Any]:
+    """Return the content of a TOML file. Raises ConfigError with file, line and column.
+
+    `within`: the folder to which the file belongs, see `user_files`.
+    """
+    return toml_text.parse(user_files.read_text(path, user_files.TOML, within), str(path))
 
 
 def load(kind: str, name: str, mentioned_in: Path | None = None) -> tuple[dict[str, Any], Path]:

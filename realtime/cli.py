@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes.without import without
-from rollerrig.realtime import broken_pipe
+from rollerrig.realtime import standard_streams
 from rollerrig.realtime.commands import (
     bench,
     campaign,
@@ -41,6 +41,10 @@ FAILED = 1  # a verdict failed
 USAGE = 2  # the command line or a configuration is wrong
 LATE = 3  # deadlines were missed under --strict
 INVALID = 4  # a run is not valid, or was interrupted
+
+# characters of a message that are printed
+MESSAGE_BEGIN = 4000
+MESSAGE_END = 1000
 
 
 class Verb(NamedTuple):
@@ -227,9 +231,16 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def _shortened(message: str) -> str:
+    """Return a message without its middle if it is very long, because a message quotes input."""
+    if len(message) <= MESSAGE_BEGIN + MESSAGE_END:
+        return message
+    return f"{message[:MESSAGE_BEGIN]} ... {message[-MESSAGE_END:]}"
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
-    broken_pipe.make_harmless()
+    standard_streams.make_harmless()
     top = parser()
 
     # a shell sets this variable when the user presses Tab; argcomplete then exits the process
@@ -245,9 +256,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         return options.call(options)
     except RollerrigError as error:
-        print(f"rollerrig {options.verb}: {error}", file=sys.stderr)
+        message = _shortened(str(error))
+        print(f"rollerrig {options.verb}: {message}", file=sys.stderr)
         if options.json:
-            print(json.dumps({"error": str(error)}))
+            print(json.dumps({"error": message}))
         return USAGE
     except KeyboardInterrupt:
         print(f"rollerrig {options.verb}: interrupted", file=sys.stderr)

@@ -58,7 +58,7 @@ FLOORS = {
         "modbus pole_wheel",
     ),
     "realtime": (
-        "broken_pipe loop pictures record",
+        "loop pictures record standard_streams",
         "telemetry",
         "bench",
         "campaign",
@@ -111,6 +111,37 @@ BY_COMPUTED_NAME = {
     "realtime/campaign/campaign",
     "realtime/commands/clone",
     "realtime/cli",
+}
+# Files that open files themselves. All other files of the product open the files of users through
+# `configs/user_files`, and write through `configs/output_files`.
+OPENS = {
+    "configs/user_files": "files of users",
+    "configs/output_files": "results",
+    "configs/unpacking": "archives that are checked",
+    "configs/processes/children": "standard streams, logs of own processes",
+    "realtime/standard_streams": "standard streams",
+    "rig/params": "the table of parameters",
+    "rig/compiled/kernel_cache": "sources of the product, the cache",
+    "rig/identify/data/mdf": "blocks of a file that is checked",
+    "firmware_sim/modbus/map": "a temporary file of `replaced`",
+    "firmware_sim/modbus/rtu": "a serial line",
+    "wsp_interface/bus/kernel": "interfaces of the kernel",
+    "wsp_interface/own_bench": "a temporary folder",
+    "wsp_interface/sequences/play": "a temporary file of `replaced`",
+    "realtime/loop/clock": "a device of the kernel",
+    "realtime/loop/ring": "shared memory",
+    "realtime/record/export": "a temporary file of `replaced`",
+    "realtime/record/records": "a temporary folder",
+    "realtime/bench/as_fmu": "a temporary folder",
+    "realtime/telemetry/viewer": "settings of the viewer, a temporary folder",
+    "realtime/benchmarks/campaign": "status of the process",
+    "realtime/benchmarks/figures": "the kernel",
+    "realtime/benchmarks/vehicle": "a temporary folder",
+    "realtime/desk/library": "a temporary folder",
+    "realtime/desk/server": "a temporary folder",
+    "realtime/commands/check": "the kernel",
+    "realtime/commands/listing": "files of the product",
+    "realtime/commands/wsp": "the log that a bench has made",
 }
 MODULES = 16  # files in a folder at most
 # the folder that is the package `rollerrig` itself, which notebooks import
@@ -282,6 +313,30 @@ def computes_names(name):
         return True
     attributes = {node.attr for node in ast.walk(tree(name)) if isinstance(node, ast.Attribute)}
     return "import_module" in attributes
+
+
+def test_files_of_users_are_opened_in_one_place():
+    assert {name for name in FILES if opens_files(name)} == set(OPENS)
+
+
+def opens_files(name):
+    """Return whether a file opens files itself, and not through the modules that check them."""
+    checked = {"user_files", "output_files"}
+    methods = {"read_text", "read_bytes", "write_text", "write_bytes"}
+    for node in ast.walk(tree(name)):
+        if not isinstance(node, ast.Call):
+            continue
+        called = node.func
+        if isinstance(called, ast.Name) and called.id == "open":
+            return True
+        if not isinstance(called, ast.Attribute):
+            continue
+        if isinstance(called.value, ast.Name) and called.value.id in checked:
+            continue
+        # an `open` without arguments opens a connection or a page
+        if called.attr in methods or (called.attr == "open" and node.args):
+            return True
+    return False
 
 
 @pytest.mark.parametrize("folder", folders(FOLDERS[1:]))

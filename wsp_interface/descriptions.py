@@ -17,6 +17,7 @@ from cantools.database import Database
 from cantools.database.can import Message, Node, Signal
 from cantools.database.conversion import BaseConversion
 
+from rollerrig.configs import output_files
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import connection_set
 
@@ -440,7 +441,7 @@ def write(folder: Path, dictionaries: Iterable[ObjectDictionary]) -> list[Path]:
     texts["rig.dbc"] = dbc(dictionaries)
     texts["signals.md"] = signal_table()
 
-    folder.mkdir(parents=True, exist_ok=True)
+    output_files.make_folder(folder)
     for name, text in texts.items():
-        (folder / name).write_text(text, encoding="utf-8")
+        output_files.write_text(folder / name, text)
     return [folder / name for name in texts]

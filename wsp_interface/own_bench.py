@@ -20,8 +20,8 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import tomli_w
 
-from rollerrig.configs import store
-from rollerrig.configs.errors import BusError, RollerrigError, UnitError
+from rollerrig.configs import output_files, store, user_files
+from rollerrig.configs.errors import BusError, ConfigError, RollerrigError, UnitError
 from rollerrig.configs.processes import children
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.harness_client import Harness
@@ -203,7 +203,7 @@ def program(command: str, log: Path) -> Companion:
         words = [
             word.format(address=address, host=host, port=port) for word in shlex.split(command)
         ]
-        with log.open("wb") as output:
+        with output_files.create(log) as output:
             process = subprocess.Popen(
                 children.command(*words),
                 stdin=subprocess.DEVNULL,
@@ -278,9 +278,9 @@ def summary(folder: Path) -> dict[str, Any]:
     """Return the summary of a run. Raises RollerrigError when there is none."""
     path = folder / "summary.json"
     try:
-        return dict(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError) as error:
-        raise RollerrigError(f"{path}: the bench has left no summary: {error}") from None
+        return dict(user_files.read_json(path, within=folder))
+    except (ConfigError, ValueError, TypeError) as error:
+        raise RollerrigError(f"the bench has left no summary: {error}") from None
 
 
 def check_valid(summary: Mapping[str, Any]) -> None:

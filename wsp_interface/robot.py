@@ -27,7 +27,7 @@ from robot.api import logger
 from robot.api.deco import keyword, library
 from robot.libraries.BuiltIn import BuiltIn
 
-from rollerrig.configs import store
+from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.harness_client import Harness
@@ -93,7 +93,7 @@ class Rig:
         plot = own_bench.draw(self._folder)
         logger.info(f"{state}\nrun: {self._folder}")
         if plot.is_file():
-            logger.info(plot.read_text(encoding="utf-8"), html=True)
+            logger.info(user_files.read_text(plot, user_files.PAGE, within=plot.parent), html=True)
         own_bench.check_valid(own_bench.summary(self._folder))
 
     @keyword

@@ -41,7 +41,7 @@ import can
 import cantools
 from cantools.database.can import Message as DbcMessage
 
-from rollerrig.configs import store
+from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
 from rollerrig.wsp_interface import magnets, signals
@@ -198,8 +198,9 @@ def _database(path: Path, name: Any) -> Any:
     """Return the DBC of a mapping; its path is relative to the mapping."""
     dbc = path.parent / ("" if name is None else str(name))
     try:
+        user_files.check(dbc, user_files.MESSAGES)
         return cantools.database.load_file(dbc)
-    except (OSError, cantools.Error, UnicodeDecodeError) as error:
+    except (ConfigError, OSError, cantools.Error, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: dbc = {name!r}: cannot be read: {error}") from None
 
 

@@ -35,6 +35,8 @@ _THREADED = "rerun"
 _FAILED = 1
 _USER_ERROR = 2
 
+_LONGEST_LINE = 20_000  # bytes of the last line of a log
+
 _STDIN = 0
 _STDOUT = 1
 _STDERR = 2
@@ -67,7 +69,10 @@ def _begin_worker(parent: int, first: Callable[..., Any], arguments: tuple[Any, 
 
 def last_line(log: Path) -> str:
     """Return the last line that is not empty in the log of a process, or an empty string."""
-    lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
+    with open(log, "rb") as file:
+        # a log may be long, and only its end is needed
+        file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_LINE))
+        lines = file.read(_LONGEST_LINE).decode("utf-8", errors="replace").splitlines()
     written = [line for line in lines if line.strip()]
     return written[-1] if written else ""
 

@@ -15,6 +15,8 @@ from typing import Any
 
 from canopen.objectdictionary import ODVariable
 
+from rollerrig.configs import output_files, user_files
+from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.cia301.host import Host
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError
 
@@ -82,11 +84,11 @@ class Storage:
         if self.path is None:
             return {}, {}
         try:
-            content = json.loads(self.path.read_text(encoding="utf-8"))
+            content = user_files.read_json(self.path)
             parameters = content["values"]
             settings = content["lss"]
             intact = content["checksum"] == _checksum(parameters, settings)
-        except (OSError, ValueError, LookupError, TypeError):
+        except (ConfigError, LookupError, TypeError):
             return {}, {}
         if not (intact and isinstance(parameters, dict) and isinstance(settings, dict)):
             return {}, {}
@@ -139,9 +141,9 @@ class Storage:
         assert self.path is not None
         content = {"checksum": _checksum(values, settings), "values": values, "lss": settings}
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            self.path.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        except OSError:
+            output_files.make_folder(self.path.parent)
+            output_files.write_text(self.path, json.dumps(content, indent=1))
+        except (OSError, ConfigError):
             raise AbortError(Abort.NOT_STORED) from None
 
 

@@ -7,12 +7,11 @@ tick (`effects`), on the bus (`bus`), or in a device (`panel`).
 """
 
 import math
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from rollerrig.configs import table
+from rollerrig.configs import table, toml_text
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, integer, number
 from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
@@ -306,8 +305,8 @@ def parse(text: str) -> Fault:
     for pair in pairs:
         key, _, value = pair.partition("=")
         try:
-            given[key] = tomllib.loads(f"value = {value}")["value"]
-        except tomllib.TOMLDecodeError:
+            given[key] = toml_text.value(value, f"{where}: '{key}'")
+        except ValueError:
             hint = f"write key=number, as in axle=2 or can_id={SPEEDS.can_id:#x}"
             raise ConfigError(f"{where}: '{pair}': {hint}") from None
     return make(given, where)

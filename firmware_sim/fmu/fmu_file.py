@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
+from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 from rollerrig.firmware_sim.fmu.ls_bus import MEDIA_TYPE
@@ -38,8 +39,10 @@ NAMES = unit_map.FmuMap(
 # an FMU without a mapping does not need these
 _OPTIONAL = (*_PRESSURE_INPUTS, NAMES.reference)
 
+_LONGEST_REASON = 2000  # characters
 _MAP = "give a mapping with --unit-map"
 _DESCRIPTION = "modelDescription.xml"
+_BUILD = "sources/buildDescription.xml"
 _TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 
 
@@ -243,6 +246,7 @@ def _read(path: Path) -> tuple[Any, str]:
     Raises ConfigError if it cannot be read.
     """
     fmpy = library()
+    _check_archive(path)
     version = _fmi_version(path)
     if not version.startswith(("2.", "3.")):
         raise ConfigError(
@@ -252,7 +256,8 @@ def _read(path: Path) -> tuple[Any, str]:
     try:
         return fmpy.read_model_description(path), ""
     except Exception as error:  # of many kinds, also plain ones
-        reason = " ".join(str(error).split())
+        # the list of all deviations from the schema can be as long as the file
+        reason = " ".join(str(error)[:_LONGEST_REASON].split())
     # an FMU that does not conform to the standard is used all the same, if FMPy can read it
     try:
         description = fmpy.read_model_description(path, validate=False)
@@ -267,22 +272,30 @@ def _fmi_version(path: Path) -> str:
     """Return the FMI version of a file. Raises ConfigError if it is not an FMU."""
     try:
         with zipfile.ZipFile(path) as archive:
-            model = ElementTree.fromstring(archive.read(_DESCRIPTION))
+            model = ElementTree.fromstring(unpacking.read_xml(archive, _DESCRIPTION, str(path)))
+    except KeyError:
+        raise ConfigError(
+            f"{path}: is not an FMU: it contains no {_DESCRIPTION}; export it again"
+        ) from None
+    return model.get("fmiVersion", "")
+
+
+def _check_archive(path: Path) -> None:
+    """Raise ConfigError unless a file is an archive that may be unpacked and parsed."""
+    user_files.check(path, user_files.FMU)
+    try:
+        unpacking.check_archive(path)
+        with zipfile.ZipFile(path) as archive:
+            # FMPy parses these, too
+            for name in (_DESCRIPTION, _BUILD, _TERMINALS):
+                if name in archive.namelist():
+                    unpacking.read_xml(archive, name, str(path))
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from None
     except zipfile.BadZipFile:
         raise ConfigError(
             f"{path}: is not an FMU, which is a ZIP archive; export it again"
         ) from None
-    except KeyError:
-        raise ConfigError(
-            f"{path}: is not an FMU: it contains no {_DESCRIPTION}; export it again"
-        ) from None
-    except ElementTree.ParseError as error:
-        raise ConfigError(
-            f"{path}: {_DESCRIPTION} cannot be read: {error}; export it again"
-        ) from None
-    return model.get("fmiVersion", "")
 
 
 def _platform(path: Path, description: Any) -> _Platform:
@@ -357,16 +370,11 @@ def _step(description: Any, period_s: float) -> tuple[float, Finding]:
 
 def _buses(path: Path) -> list[_Bus]:
     """Return the terminals that are a bus. Raises ConfigError if the XML cannot be read."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            if _TERMINALS not in archive.namelist():
-                return []
-            terminals = ElementTree.fromstring(archive.read(_TERMINALS))
-            model = ElementTree.fromstring(archive.read(_DESCRIPTION))
-    except ElementTree.ParseError as error:
-        raise ConfigError(
-            f"{path}: {_TERMINALS} cannot be read: {error}; export it again"
-        ) from None
+    with zipfile.ZipFile(path) as archive:
+        if _TERMINALS not in archive.namelist():
+            return []
+        terminals = ElementTree.fromstring(unpacking.read_xml(archive, _TERMINALS, str(path)))
+        model = ElementTree.fromstring(unpacking.read_xml(archive, _DESCRIPTION, str(path)))
 
     variables: dict[str, dict[str, str]] = {}
     for group in model.iter("ModelVariables"):

@@ -23,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from rollerrig.configs import unpacking
 from rollerrig.configs.errors import ConfigError, UnitError
 from rollerrig.firmware_sim.fmu import fmu_file
 from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
@@ -238,6 +239,7 @@ def open_fmu(checked: CheckedFmu, folder: Path) -> Any:
 
     description = checked.description
     try:
+        unpacking.check_archive(checked.path)
         extract(checked.path, folder)
         if checked.sources:
             _compile(checked, folder)

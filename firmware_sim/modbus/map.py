@@ -17,6 +17,7 @@ from typing import NamedTuple, cast
 
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
+from rollerrig.configs import output_files
 from rollerrig.firmware_sim.faults.catalogue import CATALOGUE
 from rollerrig.wsp_interface import signals
 
@@ -435,11 +436,14 @@ def write(
     folder: Path, drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()
 ) -> list[Path]:
     """Write `modbus.md` and `modbus.csv` into a folder, and return the two files."""
-    folder.mkdir(parents=True, exist_ok=True)
+    output_files.make_folder(folder)
     document = folder / "modbus.md"
     sheet = folder / "modbus.csv"
-    document.write_text(markdown(drives, scenarios), encoding="utf-8")
-    with sheet.open("w", encoding="utf-8", newline="") as file:
+    output_files.write_text(document, markdown(drives, scenarios))
+    with (
+        output_files.replaced(sheet) as new,
+        new.open("w", encoding="utf-8", newline="") as file,
+    ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(Line._fields)
         writer.writerows(table(drives))

@@ -15,11 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import make_folder, write_bytes, writing
 from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.bench.free import Stop
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring, tick
-from rollerrig.realtime.record.files import writing
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.wsp_interface.signals import AXLES
@@ -240,8 +240,8 @@ def write(plan: Scenario, out: Path) -> int:
             needsExecutionTool=True,
             canHandleVariableCommunicationStepSize=True,
         )
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_bytes(made.read_bytes())
+        make_folder(out.parent)
+        write_bytes(out, made.read_bytes())
         variables = sum(1 for _ in Rig(folder).ports())
         return 1 + variables  # with time
 

@@ -15,6 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.configs.output_files import write_text, writing
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
@@ -25,7 +26,6 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, ring
 from rollerrig.realtime.loop.tick import MISSED, STALLED_NS, STOP, TICK, WORST_NS
 from rollerrig.realtime.record import channels, records, run_folder, summary
-from rollerrig.realtime.record.files import writing
 from rollerrig.wsp_interface.events import Code, Event
 
 PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
@@ -46,7 +46,7 @@ class Bench:
         self._check(plan, given)
         run_folder.begin(given.out)
         with writing(given.out):
-            (given.out / run_folder.SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
+            write_text(given.out / run_folder.SCENARIO, scenario.dump(plan))
         ring.sweep()
         self.parts = Parts(plan, given, on_progress)
         # message and exception of the failures that are recorded already
@@ -150,7 +150,7 @@ class Bench:
         # the recorder reports a full disk
         with contextlib.suppress(OSError):
             path = parts.options.out / run_folder.SCENARIO
-            path.write_text(scenario.dump(parts.plan), encoding="utf-8")
+            write_text(path, scenario.dump(parts.plan))
 
     def _counters(self, bus_counts: dict[str, Any]) -> dict[str, Any]:
         """Return what only the bench knows of the run, for the summary."""

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
+from rollerrig.configs.output_files import create, writing
 from rollerrig.configs.processes import children
 from rollerrig.realtime.bench.options import (
     Options,
@@ -22,7 +23,6 @@ from rollerrig.realtime.bench.options import (
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import run_folder
-from rollerrig.realtime.record.files import writing
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.events import Code, OnEvent
 
@@ -100,7 +100,7 @@ class Processes:
             words += self._fmu_arguments(sync_period_s, bitrate)
 
         log_path = options.out / run_folder.UNIT_LOG
-        with writing(options.out), open(log_path, "wb") as log:
+        with writing(options.out), create(log_path) as log:
             if options.waiting_unit:
                 self.unit = options.waiting_unit
                 send_arguments(self.unit, [*words, "--log", str(log_path)])

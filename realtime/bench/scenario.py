@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import tomli_w
 
-from rollerrig.configs import store, table
+from rollerrig.configs import store, table, toml_text
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
 from rollerrig.firmware_sim.faults import catalogue
@@ -315,8 +315,8 @@ def _settings(settings: tuple[str, ...]) -> dict[str, Any]:
                 f"--set {setting}: write section.key=value, as in adhesion.mu_cd=0.05"
             )
         try:
-            value = store.tomllib.loads(f"value = {text}")["value"]
-        except store.tomllib.TOMLDecodeError:
+            value = toml_text.value(text, f"--set {key.strip()}")
+        except ValueError:
             value = text.strip()  # a text without quotes
         if section:
             found.setdefault(section, {})[name] = value

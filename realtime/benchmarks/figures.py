@@ -16,7 +16,8 @@ import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from rollerrig.realtime.record.files import writing
+from rollerrig.configs import user_files
+from rollerrig.configs.output_files import write_text, writing
 
 Result = dict[str, Any]
 Say = Callable[[str], None]
@@ -95,14 +96,16 @@ def put(path: Path, name: str, command: str, shown: Table | Group, lines: Sequen
     section = "\n".join([f"## {name}", *content]).rstrip()
 
     with writing(path, "give another file"):
-        text = path.read_text(encoding="utf-8") if path.exists() else "# Performance\n"
+        text = "# Performance\n"
+        if path.exists():
+            text = user_files.read_text(path, user_files.PAGE)
         head, *old_sections = text.rstrip().split("\n## ")
         sections = {}
         for old in old_sections:
             old_name = old.partition("\n")[0]
             sections[old_name] = f"## {old.rstrip()}"
         sections[name] = section
-        path.write_text("\n\n".join([head.rstrip(), *sections.values()]) + "\n", encoding="utf-8")
+        write_text(path, "\n\n".join([head.rstrip(), *sections.values()]) + "\n")
 
 
 def machine() -> str:

@@ -21,14 +21,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scipy.stats import qmc
 
-from rollerrig.configs import store, table
+from rollerrig.configs import store, table, unpacking, user_files
 from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.processes import children
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import four_stops
 from rollerrig.realtime.record import figures, summary
-from rollerrig.realtime.record.files import replaced, writing
 
 DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
 # keys at the top of a plan
@@ -284,7 +284,7 @@ def open_result(plan: Plan, out: Path) -> list[int]:
     identity = json.dumps([plan.head, plan.axes, plan.points, columns], sort_keys=True)
     fingerprint = hashlib.sha256(identity.encode()).hexdigest()[:16]
     mark = out / "plan.json"
-    if mark.is_file() and json.loads(mark.read_text())["fingerprint"] != fingerprint:
+    if mark.exists() and _fingerprint(mark, out) != fingerprint:
         raise ConfigError(
             f"{out} holds the results of another plan or version; give a new folder with --out, or "
             "remove it"
@@ -296,9 +296,17 @@ def open_result(plan: Plan, out: Path) -> list[int]:
         "runs": len(plan.points),
     }
     with writing(out):
-        (out / "results").mkdir(parents=True, exist_ok=True)
-        mark.write_text(json.dumps(content, indent=1))
+        make_folder(out, "results")
+        write_text(mark, json.dumps(content, indent=1))
     return [chunk for chunk in plan.chunks if not part(out, chunk).is_file()]
+
+
+def _fingerprint(mark: Path, out: Path) -> Any:
+    """Return the fingerprint of the plan whose results a folder holds. Raises ConfigError."""
+    content = user_files.read_json(mark, within=out)
+    if not isinstance(content, dict) or "fingerprint" not in content:
+        raise ConfigError(f"{mark}: has no fingerprint of a plan; give a new folder with --out")
+    return content["fingerprint"]
 
 
 def part(out: Path, chunk: int) -> Path:
@@ -345,7 +353,17 @@ def result(out: Path) -> pa.Table:
     paths = sorted((out / "results").glob("part-*.parquet"))
     if not paths:
         raise ConfigError(f"{out}: no results; run 'rollerrig campaign PLAN --out {out}'")
-    return pa.concat_tables([pq.read_table(path) for path in paths]).sort_by("run")
+    tables = []
+    for path in paths:
+        user_files.check(path, user_files.PARQUET, within=out)
+        try:
+            unpacking.check_parquet(path, pq.read_metadata(path))
+            tables.append(pq.read_table(path))
+        except (pa.ArrowException, OSError) as error:
+            raise ConfigError(
+                f"{path}: cannot be read: {error}; remove it, and repeat the command to run it again"
+            ) from None
+    return pa.concat_tables(tables).sort_by("run")
 
 
 # --- spreading ---

@@ -178,8 +178,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
-    from rich.console import Console
-
     from rollerrig.realtime.benchmarks import figures
 
     requested_s = given.seconds
@@ -194,7 +192,7 @@ def call(given: argparse.Namespace) -> int:
             "and 0 for the default number"
         )
 
-    console = Console()
+    console = output.console()
     command = " ".join(["rollerrig", *sys.argv[1:]])
     results = {}
     # a name that is given twice runs once
@@ -206,7 +204,7 @@ def call(given: argparse.Namespace) -> int:
         lines = figures.lines(results[name])
         if not given.json:
             console.print(table)
-            console.print("\n".join(lines), highlight=False)
+            console.print("\n".join(lines))
         if given.markdown:
             figures.put(given.markdown, name, command, table, lines)
     if given.json:

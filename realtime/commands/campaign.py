@@ -2,7 +2,6 @@
 
 import argparse
 import os
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -119,7 +118,6 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
 
     Raises ConfigError, and RollerrigError if runs could not be done or written.
     """
-    from rich.console import Console
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
@@ -141,7 +139,7 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
         finished_chunks = campaign.spread_local(plan, chunks_to_do, workers)
 
     run_count = len(plan.points)
-    console = Console(file=sys.stderr)
+    console = output.console(error=True)
     bar = Progress(
         TextColumn("{task.description}"),
         BarColumn(),

@@ -66,6 +66,9 @@ class State(StrEnum):
     MISSING = "missing"
 
 
+# who may write to a device that `check` recommends: the users of a group
+_GROUP = "realtime"
+_UDEV_RULES = "/etc/udev/rules.d/90-rollerrig.rules"
 _COLOURS = {State.OK: "green", State.WEAKER: "yellow", State.MISSING: "bold red"}
 
 
@@ -129,10 +132,12 @@ def show(
     """Print the findings. Returns PASS if a run is possible, otherwise USAGE."""
     possible = all(finding.state is not State.MISSING for finding in findings)
 
+    # imported here because --json does not need it
+    from rich.text import Text
+
     rows = []
     for finding in findings:
-        colour = _COLOURS[finding.state]
-        state = f"[{colour}]{finding.state}[/]"
+        state = Text(str(finding.state), _COLOURS[finding.state])
         rows.append((finding.name, state, finding.found, finding.mend))
     output.show(
         options,
@@ -394,8 +399,18 @@ def idle_states() -> Finding:
             name,
             State.WEAKER,
             f"{clock.IDLE_LIMIT}: {reason}; an idle core needs tens of us to wake up",
-            f"sudo chmod o+w {clock.IDLE_LIMIT} (until the next boot), or a udev rule for it",
+            _group_may_write(clock.IDLE_LIMIT),
         )
+
+
+def _group_may_write(device: str) -> str:
+    """Return how the users of a group, and nobody else, may write to a device."""
+    rule = f'KERNEL=="{Path(device).name}", GROUP="{_GROUP}", MODE="0660"'
+    return (
+        f"give a group the right to write: sudo groupadd -f {_GROUP}; "
+        f"sudo usermod -aG {_GROUP} {_user()}; "
+        f"echo '{rule}' | sudo tee {_UDEV_RULES}; then start the machine again"
+    )
 
 
 def governor() -> Finding:

@@ -35,9 +35,9 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def call(options: argparse.Namespace) -> int:
     """Write the files of all nodes. Returns PASS."""
     from rollerrig.configs import store
+    from rollerrig.configs.output_files import writing
     from rollerrig.firmware_sim.modbus import map
     from rollerrig.realtime.bench import scenario
-    from rollerrig.realtime.record.files import writing
     from rollerrig.wsp_interface import descriptions, signals
 
     plan = scenario.load(options.scenario, settings=tuple(options.set))

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.commands import output, study
 
 if TYPE_CHECKING:
@@ -153,12 +154,20 @@ def _dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "D
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
     """Show progress: yields a function of the title of a step and its share done, 0 to 1."""
-    from rich.console import Console
+    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     state = "reading the data"
-    console = Console(stderr=True)
-    with Bar(console=console, transient=True) as bar, output.report_progress(lambda: state):
+    bar = Bar(
+        # a title is no markup
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        console=output.console(error=True),
+        transient=True,
+    )
+    with bar, output.report_progress(lambda: state):
         steps: dict[str, Any] = {}
 
         def progress(title: str, share: float) -> None:
@@ -232,7 +241,7 @@ def _write_further_stops(
 
     def write(name: str, proposal: planning.Proposal) -> Path:
         sequence = proposed_stops.sequence(proposal, fitted)
-        (out / name).write_text(tomli_w.dumps(sequence), encoding="utf-8")
+        write_text(out / name, tomli_w.dumps(sequence))
         return out / name
 
     for k in unclear:

@@ -12,6 +12,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from rollerrig.configs.printable import printable
+from rollerrig.realtime import standard_streams
+
 # exit statuses of the command line that several verbs return
 PASS = 0
 FAILED = 1
@@ -24,6 +27,34 @@ PERIOD_S = 4.9
 def print_message(text: str) -> None:
     """Print a line of progress, or a message, on standard error."""
     print(text, file=sys.stderr, flush=True)
+
+
+def rewrite_line(text: str) -> None:
+    """Write a text over the last line of the terminal on standard error, without a new line."""
+    print("\r" + printable(text), end="", file=standard_streams.drawing(sys.stderr), flush=True)
+
+
+def console(error: bool = False) -> Any:
+    """Return a console of rich on standard output, or on standard error.
+
+    It reads no text as markup, and makes hidden characters in what it draws visible.
+    """
+    # imported here because --json does not need it
+    from rich.console import Console
+
+    class PrintableConsole(Console):
+        """A console that makes hidden characters visible; its own sequences are controls."""
+
+        def render(self, *arguments: Any, **options: Any) -> Any:
+            """Yield the segments of what is drawn."""
+            for segment in super().render(*arguments, **options):
+                if segment.control:
+                    yield segment
+                else:
+                    yield segment._replace(text=printable(segment.text))
+
+    stream = standard_streams.drawing(sys.stderr if error else sys.stdout)
+    return PrintableConsole(file=stream, highlight=False, markup=False)
 
 
 @contextlib.contextmanager
@@ -53,26 +84,23 @@ def show(options: argparse.Namespace, result: Mapping[str, Any], *items: Any) ->
 
     With --json, the result is printed as one JSON object. Without it, the warnings of the result
     are printed, and then the items: a str is a line, a tuple (title, head, rows) is a table, and
-    anything else is printed as rich prints it.
+    anything else is printed as rich prints it. No str is read as the markup of rich.
     """
     if options.json:
         print(json.dumps(result, default=str))
         return PASS
 
-    # imported here because --json does not need it
-    from rich.console import Console
-
-    console = Console(highlight=False)
+    terminal = console()
     warnings = [f"warning: {warning}" for warning in result.get("warnings", ())]
     for item in (*warnings, *items):
         if isinstance(item, str):
-            # printed without markup and line breaks: users copy paths and commands from here
-            console.print(item, markup=False, soft_wrap=True)
+            # printed without line breaks: users copy paths and commands from here
+            terminal.print(item, soft_wrap=True)
         elif isinstance(item, tuple):
             title, head, rows = item
-            console.print(_table(title, head, rows))
+            terminal.print(_table(title, head, rows))
         else:
-            console.print(item)
+            terminal.print(item)
     return PASS
 
 

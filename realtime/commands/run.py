@@ -223,7 +223,7 @@ class ProgressLine:
         )
         now_s = time.monotonic()
         if self._on_terminal:
-            print("\r" + text, end="", file=sys.stderr, flush=True)
+            output.rewrite_line(text)
             self._open = True
         elif now_s - self._printed_s >= _PROGRESS_S:
             output.print_message(text)

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import check_no_link, make_folder, writing
 from rollerrig.configs.processes import children
 from rollerrig.realtime.commands import output, wsp
 from rollerrig.realtime.record import run_folder
-from rollerrig.realtime.record.files import writing
 
 if TYPE_CHECKING:
     from rollerrig.realtime.bench.scenario import Scenario
@@ -293,7 +293,9 @@ def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> 
         unit_map.load(options.unit_map)
 
     with writing(options.out):
-        options.out.mkdir(parents=True, exist_ok=True)
+        make_folder(options.out)
+    for sequence in sequences:
+        check_no_link(options.out / sequence.name)
 
 
 # --- playing ---

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import make_folder, write_text, writing
 from rollerrig.realtime.commands import output
-from rollerrig.realtime.record.files import writing
 
 if TYPE_CHECKING:
     from rollerrig.realtime.reports.study import StudyReport
@@ -37,7 +37,8 @@ def open_dataset(
 
     if all(are_runs):
         runs = [Path(name) for name in names]
-        dataset_folder = folder / "dataset"
+        with writing(folder):
+            dataset_folder = make_folder(folder, "dataset")
         if dataset_of_runs is not None:
             return dataset_of_runs(runs, dataset_folder), folder
         return dataset.load(run_dataset.from_folders(runs, dataset_folder)), folder
@@ -53,7 +54,7 @@ def report_folder(names: list[str], out: Path | None, verb: str) -> Path:
     """Return the folder of a report: `out`, else reports/VERB_NAME. The folder is created."""
     folder = out or Path("reports") / f"{verb}_{Path(names[0]).resolve().name}"
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
     return folder
 
 
@@ -70,15 +71,16 @@ def publish(
     listed here.
     """
     page = folder / f"{name}.html"
-    page.write_text(report.page, encoding="utf-8")
     data = json.dumps(report.result, indent=2) + "\n"
-    (folder / f"{name}.json").write_text(data, encoding="utf-8")
+    with writing(folder):
+        write_text(page, report.page)
+        write_text(folder / f"{name}.json", data)
+        if report.model is not None:
+            write_text(folder / report.model.file_name, report.model.toml)
 
     files = f"report: {page}"
     if has_recording:
         files += f", {folder / name}.rrd"
     if report.model is not None:
-        model = folder / report.model.file_name
-        model.write_text(report.model.toml, encoding="utf-8")
-        files += f"; model: {model}"
+        files += f"; model: {folder / report.model.file_name}"
     return output.show(given, report.result, *report.summary, files)

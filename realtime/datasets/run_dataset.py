@@ -15,9 +15,9 @@ import tomli_w
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.realtime.datasets import run_sensors
 from rollerrig.realtime.record import records
-from rollerrig.realtime.record.files import writing
 from rollerrig.rig import params
 from rollerrig.rig.identify.data.runs import Run
 from rollerrig.wsp_interface.signals import AXLES
@@ -80,8 +80,8 @@ def write(
     # in the file, [vehicle] and the name of the vehicle have one key
     text = tomli_w.dumps(content).replace("vehicle_set = ", "vehicle = ", 1)
     with writing(out, "give another folder"):
-        (out / "runs").mkdir(parents=True, exist_ok=True)
-        (out / "dataset.toml").write_text(f"# {head['title']}\n{text}", encoding="utf-8")
+        make_folder(out, "runs")
+        write_text(out / "dataset.toml", f"# {head['title']}\n{text}")
         for run in runs:
             _write_csv(out / "runs" / f"{run.name}.csv", run, rounded)
     return out
@@ -145,14 +145,15 @@ def _write_csv(path: Path, run: Run, rounded: bool) -> None:
             names.append(f"{stem}_{quantity.unit}")
             formats.append(f"%.{quantity.digits}f" if rounded else "%.17g")
         columns.append(values)
-    np.savetxt(
-        path,
-        np.column_stack(columns),
-        delimiter=",",
-        fmt=formats,
-        header=",".join(names),
-        comments="",
-    )
+    with replaced(path) as new:
+        np.savetxt(
+            new,
+            np.column_stack(columns),
+            delimiter=",",
+            fmt=formats,
+            header=",".join(names),
+            comments="",
+        )
 
 
 def from_folders(

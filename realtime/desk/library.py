@@ -8,11 +8,12 @@ import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import write_text, writing
 from rollerrig.configs.processes import children
 from rollerrig.realtime.record import compare, figures, records, run_folder, validity
 from rollerrig.realtime.record import export as formats
-from rollerrig.realtime.record.files import replaced, writing
 
 NOTE = "note.txt"
 FORMATS = {"csv": "CSV", "mdf4": "MDF4", "mat": "MAT", "svg": "Picture"}
@@ -73,10 +74,10 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
 
 
 def note(run: Path) -> str:
-    """The note in the folder of a run; empty if there is none."""
+    """The note in the folder of a run; empty if there is none that may be read."""
     try:
-        return (run / NOTE).read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError):
+        return user_files.read_text(run / NOTE, user_files.NOTE, within=run).strip()
+    except ConfigError:
         return ""
 
 
@@ -85,8 +86,8 @@ def write_note(run: Path, text: str) -> None:
 
     Raises ConfigError if this is not possible; the old note is kept then.
     """
-    with writing(run / NOTE, "make room; the old note is kept"), replaced(run / NOTE) as new:
-        new.write_text(text.strip() + "\n", encoding="utf-8")
+    with writing(run / NOTE, "make room; the old note is kept"):
+        write_text(run / NOTE, text.strip() + "\n")
 
 
 def compared(first: Path, second: Path) -> tuple[list[ComparedFigure], list[Any]]:

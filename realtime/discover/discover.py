@@ -15,15 +15,15 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from rollerrig.configs import store
+from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import check_no_link, make_folder, write_text, writing
 from rollerrig.configs.processes import children
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.bench import bench, options, scenario
 from rollerrig.realtime.datasets import run_dataset, run_sensors
 from rollerrig.realtime.discover import fault_signs
 from rollerrig.realtime.record import records
-from rollerrig.realtime.record.files import replaced, writing
 from rollerrig.realtime.reports import proposed_stops
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import decision
@@ -96,16 +96,17 @@ def _open_history(out: Path, rig: dict[str, Any]) -> dict[str, Any]:
     Raises ConfigError if the history belongs to another rig or seed.
     """
     with writing(out):
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out, "stops")
+        make_folder(out, "dataset")
     path = out / HISTORY
-    if not path.is_file():
+    if not path.exists():
         return rig | {"rounds": []}
     try:
-        history: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        history: dict[str, Any] = user_files.read_json(path, within=out)
         if all(history[key] == value for key, value in rig.items()):
             return history
         problem = f"it belongs to another rig or seed ({history['seed']})"
-    except (ValueError, KeyError) as error:
+    except (TypeError, KeyError) as error:
         problem = f"{HISTORY} cannot be read: {error!r}"
     raise ConfigError(f"{out}: {problem}; give another folder with --out")
 
@@ -115,8 +116,8 @@ def _write_history(out: Path, history: dict[str, Any]) -> None:
     last = history["rounds"][-1]
     result = {"verdict": last["verdict"], "causes": last["causes"], "stops_used": last["stops"]}
     text = json.dumps(history | result, indent=1) + "\n"
-    with writing(out), replaced(out / HISTORY) as new:
-        new.write_text(text, encoding="utf-8")
+    with writing(out):
+        write_text(out / HISTORY, text)
 
 
 def _stop_row(stop: Stop, reason: str) -> Row:
@@ -141,6 +142,8 @@ def _run_missing(rig: str, out: Path, rows: Sequence[Row], seed: int, log: Log) 
     """Return the folders of all stops, after those that are missing have been run."""
     folders = [out / "stops" / f"{number:02d}" for number in range(1, len(rows) + 1)]
     jobs = []
+    for folder in folders:
+        check_no_link(folder)
     for folder, row in zip(folders, rows, strict=True):
         stop = _stop_of(row)
         if not _has_run(rig, folder, stop):

@@ -9,8 +9,8 @@ import tomli_w
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import make_folder, write_text, writing
 from rollerrig.realtime.record import seal
-from rollerrig.realtime.record.files import writing
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.mechanisms.table import BY_NAME
 
@@ -128,8 +128,8 @@ def hide(scenario: str, seed: int, effects: int, out: Path, key: Path) -> None:
     write(out, content, hidden)
     lines = "".join(f"- {words}\n" for words in hidden["words"])
     with writing(key):
-        key.parent.mkdir(parents=True, exist_ok=True)
-        key.write_text(f"{out.name} hides:\n{lines}", encoding="utf-8")
+        make_folder(key.parent)
+        write_text(key, f"{out.name} hides:\n{lines}")
 
 
 def write(out: Path, scenario: Mapping[str, Any], hidden: Mapping[str, Any]) -> None:
@@ -144,8 +144,8 @@ def write(out: Path, scenario: Mapping[str, Any], hidden: Mapping[str, Any]) -> 
         f"# To find them from stops: rollerrig discover {out.name}\n"
     )
     with writing(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(head + tomli_w.dumps(content), encoding="utf-8")
+        make_folder(out.parent)
+        write_text(out, head + tomli_w.dumps(content))
 
 
 def causes(scenario: Path) -> set[str]:

@@ -17,9 +17,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import create, replaced
 from rollerrig.configs.processes.without import without
-from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.run_folder import CHANNELS, TAIL
 from rollerrig.wsp_interface.signals import COLUMNS
 
@@ -31,6 +32,9 @@ _DUTY = 0.1
 _BYTES_S = 50e6
 # writing goes on for this time before rows are taken in again
 _STEP_S = 0.03
+# A long run may be large in memory, but only if its file is large, too: measured channels cannot
+# be compressed to less than a tenth.
+_MOST_RATIO = 100
 # until the file is complete, Parquet keeps 50 kB of memory for each block
 _BLOCK_BYTES = 8 * len(COLUMNS) * (1 << 13)
 
@@ -40,7 +44,7 @@ class Channels:
 
     def __init__(self, folder: Path) -> None:
         self._folder = Path(folder)
-        self._tail = open(self._folder / TAIL, "wb+", buffering=0)  # noqa: SIM115 (open for the run)
+        self._tail = create(self._folder / TAIL, buffering=0)
         # the write that is under way; its size, its time so far, and when the next one is due
         self._saving: Iterator[None] | None = None
         self._written = 0
@@ -143,8 +147,10 @@ class Columns(Mapping[str, pa.ChunkedArray]):
                 f"{self._path}: no such file; give a run's folder, as 'rollerrig run ... --out DIR' "
                 "writes it"
             )
+        user_files.check(self._path, user_files.PARQUET, within=folder)
         with self._readable():
             self._file = pq.ParquetFile(self._path)
+        self._check_size()
         self._names: list[str] = self._file.schema_arrow.names
         if "time_s" not in self._names:
             raise ConfigError(
@@ -154,10 +160,24 @@ class Columns(Mapping[str, pa.ChunkedArray]):
         self._tail = np.empty((0, len(self._names)))
         self._tail = self._rows_of_tail(folder / TAIL)
 
+    def _check_size(self) -> None:
+        """Raise ConfigError if the columns are no numbers, or too large for the memory."""
+        metadata = self._file.metadata
+        others = unpacking.not_numbers(metadata)
+        if others:
+            raise ConfigError(
+                f"{self._path}: column {others[0]} is not a column of numbers; is it a recording of "
+                "a run?"
+            )
+        unpacking.check_parquet(self._path, metadata, _MOST_RATIO)
+
     def _rows_of_tail(self, path: Path) -> np.ndarray:
         """Return the rows of the tail that are later than those of the file, shape (n, columns)."""
         width = len(self._names)
-        count = path.stat().st_size // (8 * width) if path.is_file() else 0
+        count = 0
+        if path.is_file():
+            user_files.check(path, user_files.TAIL, within=path.parent)
+            count = path.stat().st_size // (8 * width)
         if not count:
             return np.empty((0, width))
         rows = np.memmap(path, np.float64, "r", shape=(count, width))

@@ -16,8 +16,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import make_folder, replaced, writing
 from rollerrig.configs.table import nearest
-from rollerrig.realtime.record.files import replaced, writing
 from rollerrig.realtime.record.records import Run
 from rollerrig.wsp_interface import signals
 
@@ -64,7 +64,7 @@ def write(
             f"{run.folder}: the record holds no samples, so there is nothing to export"
         )
     with writing(out, "give another file with --out, or make room"):
-        out.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(out.parent)
         return writers[kind](run, out)
 
 

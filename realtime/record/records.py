@@ -5,6 +5,7 @@ Parquet file are read from the tail, and an incomplete last line of the events i
 """
 
 import contextlib
+import itertools
 import json
 import re
 import tempfile
@@ -15,16 +16,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from rollerrig.configs import store
+from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.record import channels, validity
-from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.run_folder import CAN_LOG, EVENTS, SCENARIO, SUMMARY
 from rollerrig.wsp_interface import events as run_events
 from rollerrig.wsp_interface.events import Event
 from rollerrig.wsp_interface.signals import COLUMNS
 
 _FRAME = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTILINE)
+_LONGEST_LINE = 1_000_000  # bytes of an event
 
 
 class Run(NamedTuple):
@@ -61,7 +63,7 @@ def load(folder: Path | str) -> Run:
     return Run(
         folder,
         channels.load(folder),
-        store.parse(folder / SCENARIO),
+        store.parse(folder / SCENARIO, within=folder),
         events(folder),
         summary(folder),
     )
@@ -77,12 +79,16 @@ def each_event(folder: Path) -> Iterator[Event]:
     path = folder / EVENTS
     if not path.is_file():
         return
-    with path.open(encoding="utf-8", errors="replace", newline="\n") as lines:
-        for number, line in enumerate(lines, start=1):
+    with user_files.open_binary(path, user_files.EVENTS, within=folder) as lines:
+        for number in itertools.count(1):
+            # a line is limited, because a damaged file may be a single line
+            line = lines.readline(_LONGEST_LINE).decode("utf-8", errors="replace")
+            if not line:
+                break
             try:
-                event = run_events.from_json(json.loads(line))
+                event = run_events.from_json(user_files.parse_json(line))
             except (ValueError, KeyError, TypeError, AttributeError):
-                if not line.endswith("\n"):
+                if not line.endswith("\n") and len(line) < _LONGEST_LINE:
                     break  # cut off by a kill
                 raise ConfigError(
                     f"{path}, line {number}: not an event; a line is "
@@ -97,7 +103,9 @@ def frames(folder: Path) -> list[tuple[int, int, str]]:
     Empty without a file.
     """
     path = folder / CAN_LOG
-    text = path.read_text(encoding="ascii") if path.is_file() else ""
+    text = ""
+    if path.is_file():
+        text = user_files.read_text(path, user_files.CAN_LOG, within=folder)
     return [
         (1_000_000 * int(seconds) + int(micros), int(can_id, 16), data)
         for seconds, micros, can_id, data in _FRAME.findall(text)
@@ -109,10 +117,7 @@ def summary(folder: Path) -> dict[str, Any]:
     path = folder / SUMMARY
     if not path.is_file():
         return {}
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ConfigError(f"{path}: not valid JSON: {error}") from None
+    content = user_files.read_json(path, within=folder)
     if not isinstance(content, dict):
         raise ConfigError(f"{path}: an object is wanted, not {type(content).__name__}")
     return content
@@ -135,8 +140,7 @@ def write_summary(folder: Path, content: dict[str, Any]) -> None:
     """
     text = json.dumps(content, indent=2) + "\n"
     try:
-        with replaced(folder / SUMMARY) as new:
-            new.write_text(text, encoding="utf-8")
+        write_text(folder / SUMMARY, text)
     except OSError as error:
         kept = "its summary is lost"
         with contextlib.suppress(OSError):

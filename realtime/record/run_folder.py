@@ -5,11 +5,11 @@ name, and everything else is kept: notes, exports, folders. A folder without MAR
 is empty.
 """
 
-import json
 from pathlib import Path
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.record.files import writing
+from rollerrig.configs.output_files import make_folder, write_text, writing
 
 SCENARIO = "scenario.toml"
 CHANNELS = "channels.parquet"
@@ -27,15 +27,15 @@ MARK = ".rollerrig"
 def begin(folder: Path) -> None:
     """Make a run's folder, or remove the files of an earlier run from it. Raises ConfigError."""
     with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         if any(folder.iterdir()) and not _is_run(folder):
             raise ConfigError(
                 f"{folder} is not empty and not a run's folder: nothing in it is replaced; give a new "
                 "folder with --out"
             )
-        (folder / MARK).write_text(
+        write_text(
+            folder / MARK,
             "A folder of rollerrig run: its next run replaces the files of this one.\n",
-            encoding="utf-8",
         )
         for name in FILES:
             (folder / name).unlink(missing_ok=True)
@@ -46,6 +46,6 @@ def _is_run(folder: Path) -> bool:
     if (folder / MARK).is_file():
         return True
     try:
-        return "config_hash" in json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
-    except (OSError, ValueError, TypeError):
+        return "config_hash" in user_files.read_json(folder / SUMMARY, within=folder)
+    except (ConfigError, TypeError):
         return False

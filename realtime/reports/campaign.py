@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 
+from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.record import figures
 from rollerrig.realtime.reports import page, pdf
@@ -99,7 +100,7 @@ def write(
 ) -> Path:
     """Write the page, also as PDF if `on_paper`, and return its path. Raises OSError."""
     path = out / "report.html"
-    path.write_text(_page(plan, table, figure), encoding="utf-8")
+    write_text(path, _page(plan, table, figure))
     if on_paper:
         with page.on_paper():
             pdf.write(_page(plan, table, figure), path.with_suffix(".pdf"))

@@ -17,6 +17,7 @@ from typing import Any
 import matplotlib
 from matplotlib.figure import Figure
 
+from rollerrig.configs.printable import printable
 from rollerrig.realtime.pictures import colours
 
 # a colour that stands for the colour of the text
@@ -79,6 +80,8 @@ _MATPLOTLIB: Any = {
     # a fixed salt: the same data give the same file
     "svg.hashsalt": "rollerrig",
     "svg.fonttype": "none",
+    # a dollar sign in a name of a user begins no formula
+    "text.parse_math": False,
     "font.size": 9,
     "legend.fontsize": 8,
     "figure.facecolor": "none",
@@ -114,7 +117,8 @@ def element(tag: str, *parts: str, kind: str = "", **attributes: str) -> Markup:
 
 def page(title: str, *parts: str) -> str:
     """Return the whole document under its title."""
-    return (
+    # hidden characters are no HTML, and could mislead a reader
+    return printable(
         '<!doctype html><html lang="en"><meta charset="utf-8">'
         + element("title", title)
         + f"<style>{_STYLE}</style>"

@@ -16,8 +16,8 @@ from typing import Any
 import matplotlib
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import write_bytes
 from rollerrig.realtime.pictures import colours
-from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.reports.page import PNG
 
 _FONT = "DejaVu"
@@ -78,8 +78,7 @@ def write(page: str, path: Path) -> Path:
     body = page[page.index("<body>") : page.index(end) + len(end)]
     for part in ET.fromstring(body.replace("<br>", "<br/>")):
         _add_part(paper, part)
-    with replaced(path) as new:
-        new.write_bytes(bytes(paper.output()))
+    write_bytes(path, bytes(paper.output()))
     return path
 
 

@@ -20,7 +20,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.output_files import make_folder, write_text
+from rollerrig.configs.printable import printable
 from rollerrig.realtime.record.summary import finite
 from rollerrig.realtime.reports import page, pdf, stop
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
@@ -95,8 +98,8 @@ def write(
     paths = list(texts)
     try:
         for path, text in texts.items():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
+            make_folder(path.parent)
+            write_text(path, text)
         if on_paper:
             with page.on_paper():
                 pdf.write(html(outcomes, out, when, about), out / PDF)
@@ -203,7 +206,8 @@ def junit_xml(outcomes: Sequence[Outcome]) -> str:
         _add_suite(suites, outcome)
     ET.indent(suites)
     head = '<?xml version="1.0" encoding="utf-8"?>\n'
-    return head + ET.tostring(suites, encoding="unicode") + "\n"
+    # XML has no control characters
+    return head + printable(ET.tostring(suites, encoding="unicode")) + "\n"
 
 
 def _add_suite(suites: ET.Element, outcome: Outcome) -> None:
@@ -218,11 +222,9 @@ def _add_suite(suites: ET.Element, outcome: Outcome) -> None:
         ET.SubElement(properties, "property", name=key, value=value)
 
     for verdict in outcome.verdicts:
-        title = _printable(f"{verdict.what}: {verdict.limit}")
+        title = f"{verdict.what}: {verdict.limit}"
         case = ET.SubElement(suite, "testcase", name=title, classname=name)
-        text = _printable(
-            f"{verdict.value_text} ({verdict.limit}); {verdict.text}; source: {verdict.source}"
-        )
+        text = f"{verdict.value_text} ({verdict.limit}); {verdict.text}; source: {verdict.source}"
         tag = TAGS.get(verdict.result)
         if tag is not None:
             ET.SubElement(case, tag, message=text)
@@ -231,7 +233,7 @@ def _add_suite(suites: ET.Element, outcome: Outcome) -> None:
     if outcome.error:
         title = "the sequence was carried out"
         case = ET.SubElement(suite, "testcase", name=title, classname=name)
-        ET.SubElement(case, "error", message=_printable(outcome.error))
+        ET.SubElement(case, "error", message=outcome.error)
 
     for path, key in (
         ("testcase", "tests"),
@@ -240,13 +242,6 @@ def _add_suite(suites: ET.Element, outcome: Outcome) -> None:
         (".//skipped", "skipped"),
     ):
         suite.set(key, str(len(suite.findall(path))))
-
-
-def _printable(text: str) -> str:
-    # XML 1.0 has no control characters
-    return "".join(
-        character if character >= " " or character in "\n\t" else "?" for character in text
-    )
 
 
 # --- HTML ---
@@ -415,7 +410,7 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
         ("resolved scenario", outcome.folder / "scenario.toml"),
     ):
         if path.is_file():
-            text = path.read_text(encoding="utf-8")
+            text = user_files.read_text(path, user_files.TOML)
             parts.append(folded(f"{title}: {path.name}", element("pre", text)))
     return parts
 

@@ -15,8 +15,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
+from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.pictures import colours
-from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import Markup
@@ -74,8 +74,7 @@ def write(run: Run, out: Path) -> list[Path]:
         if event.code in (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
     ]
     radius_m = run.scenario["vehicle"]["wheel_radius_m"]
-    with replaced(out) as new:
-        new.write_text(str(picture(run.column, radius_m, marks)), encoding="utf-8")
+    write_text(out, str(picture(run.column, radius_m, marks)))
     return [out]
 
 

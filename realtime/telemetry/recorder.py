@@ -38,11 +38,11 @@ import rerun as rr
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.output_files import create, replaced
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records, run_folder, summary
 from rollerrig.realtime.record.events import Events
-from rollerrig.realtime.record.files import replaced
 from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing
 from rollerrig.wsp_interface import events as run_events
@@ -139,8 +139,8 @@ class Recorder:
 
         self.channels = channels.Channels(self._folder)
         # unbuffered: written lines survive the death of this process
-        self._can_log = open(self._folder / run_folder.CAN_LOG, "wb", buffering=0)  # noqa: SIM115
-        self._event_log = open(self._folder / run_folder.EVENTS, "wb", buffering=0)  # noqa: SIM115
+        self._can_log = create(self._folder / run_folder.CAN_LOG, buffering=0)
+        self._event_log = create(self._folder / run_folder.EVENTS, buffering=0)
         self._recording_id = recording_id(run_dir, rows)
         self._stream, self._drawing = self._open(self._folder / run_folder.RRD, index=False)
 

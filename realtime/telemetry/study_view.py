@@ -13,6 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from rollerrig.configs.output_files import replaced
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import BLUE, GREY, Colour
 from rollerrig.realtime.pictures.panel import Panel, Series
@@ -36,8 +37,11 @@ _PANEL_WIDTH = 1.6
 @contextmanager
 def _recording(path: Path, name: str) -> Iterator[rr.RecordingStream]:
     """A recording that is written to a file."""
-    with rr.RecordingStream(APPLICATION, recording_id=name) as recording:
-        recording.save(path)
+    with (
+        replaced(path) as new,
+        rr.RecordingStream(APPLICATION, recording_id=name) as recording,
+    ):
+        recording.save(new)
         yield recording
 
 

@@ -24,7 +24,9 @@ import rerun as rr
 from PIL import Image
 from rerun.experimental import ViewerClient
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.output_files import make_folder, replaced, writing
 from rollerrig.configs.processes import children
 from rollerrig.realtime.record import records, run_folder
 from rollerrig.realtime.telemetry import derived, scene, views
@@ -217,7 +219,7 @@ def recording_file(path: Path | str) -> Path:
     records.load(path)
     recording = path / run_folder.RRD
     if recording.is_file():
-        return recording
+        return user_files.check(recording, user_files.RRD, within=path)
     return overlay([path], recording)
 
 
@@ -229,6 +231,13 @@ def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
     bars of the viewer. Raises ConfigError if a folder is not a run folder.
     """
     loaded = [records.load(run) for run in runs]
+    with writing(into), replaced(into, ".rrd") as new:
+        _draw_over(loaded, new, bare)
+    return into
+
+
+def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
+    """Draw several runs into a new file, as `overlay`."""
     first = loaded[0]
     names = _entity_names([run.folder for run in loaded[1:]])
 
@@ -258,7 +267,6 @@ def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
 
     drawing.result("\n\n".join(derived.result_text(run.summary) for run in loaded))
     stream.disconnect()
-    return into
 
 
 def _entity_names(folders: Sequence[Path]) -> list[str]:
@@ -314,7 +322,7 @@ def picture(
         ConfigError: a folder is not a run folder.
         RollerrigError: the viewer cannot draw.
     """
-    png = Path(png).resolve()
+    png = Path(png).absolute()
     if time_s is None:
         time_s = float(records.load(paths[0]).column("time_s").max(initial=0.0)) / 2.0
     with tempfile.TemporaryDirectory() as name:
@@ -326,8 +334,10 @@ def picture(
     image = Image.open(io.BytesIO(screenshot))
     height_with_bar = size[1] + _TITLE_BAR
     top = _TITLE_BAR * image.height // height_with_bar
-    png.parent.mkdir(parents=True, exist_ok=True)
-    image.crop((0, top, image.width, image.height)).save(png)
+    with writing(png, "give another file with --png"):
+        make_folder(png.parent)
+        with replaced(png, ".png") as new:
+            image.crop((0, top, image.width, image.height)).save(new)
     return png
 
 

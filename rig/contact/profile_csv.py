@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
 
 FEWEST_POINTS = 10
@@ -74,13 +75,8 @@ def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
 
 def _numbers(path: Path, kind: Kind) -> list[tuple[int, float, float]]:
     """Return the number of the line and both coordinates in mm of each point."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"{path}: the {kind.name} profile cannot be read ({error}); give s1002, "
-            "uic60 or a CSV file of two columns in mm"
-        ) from None
+    remedy = f"for the {kind.name} give s1002, uic60 or a CSV file of two columns in mm"
+    text = user_files.read_text(path, user_files.PROFILE, None, remedy, "utf-8-sig")
 
     points: list[tuple[int, float, float]] = []
     for number, line in enumerate(text.splitlines(), 1):

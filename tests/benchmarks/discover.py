@@ -15,10 +15,10 @@ from rich.table import Table
 from sealed import score
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import replaced, writing
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say
 from rollerrig.realtime.discover import discover, sealed_rig
-from rollerrig.realtime.record.files import replaced, writing
 
 RIGS = 40
 MOST_STOPS = 9

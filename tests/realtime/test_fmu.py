@@ -241,7 +241,7 @@ def test_an_fmu_without_a_binary_for_this_machine_says_which_it_has(tmp_path, mo
     ("content", "said"),
     [
         (b"no archive", "is not an FMU, which is a ZIP archive"),
-        (None, "No such file"),
+        (None, "no such file"),
         (b"PK\5\6" + bytes(18), "contains no modelDescription.xml"),
     ],
 )

@@ -27,8 +27,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.record.files import writing
+from rollerrig.configs.output_files import writing
 from sealed import baselines, work
 from sealed.cases import SETS
 
@@ -101,8 +102,8 @@ def read(path: Path) -> dict[str, Answer]:
     content = {}
     try:
         for file in files:
-            content[file] = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
+            content[file] = user_files.read_json(file)
+    except ConfigError as error:
         raise ConfigError(
             f"{path}: no answers can be read ({error}); give a JSON file with one answer per set, "
             "or a folder with one file SET.json per set"

@@ -27,9 +27,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import write_text, writing
 from rollerrig.realtime.record import seal
-from rollerrig.realtime.record.files import writing
 from sealed import work
 
 # module of `tests/generator` by the name on the command line
@@ -140,11 +141,11 @@ def read_key(folder: Path) -> dict[str, Any]:
     """Return the key of an exported benchmark. Raises ConfigError where there is none."""
     path = folder / KEY
     try:
-        text = path.read_text(encoding="ascii")
+        text = user_files.read_text(path, user_files.KEY, within=folder)
         if not text.startswith(_FORMAT):
             raise ConfigError("its first line is wrong")
         return seal.decode(text.removeprefix(_FORMAT), "its text")
-    except (OSError, ValueError, ConfigError) as error:
+    except ConfigError as error:
         raise ConfigError(
             f"{path} is no key of a benchmark ({error}); give the folder that "
             "rollerrig bench explain --export wrote"
@@ -152,11 +153,8 @@ def read_key(folder: Path) -> dict[str, Any]:
 
 
 def _write_key(folder: Path, key: dict[str, Any]) -> None:
-    # written under another name first, so that an interruption leaves the previous key
-    part = folder / f"{KEY}.part"
     with writing(folder / KEY, "give another folder"):
-        part.write_text(_FORMAT + seal.encode(key), encoding="ascii")
-        part.replace(folder / KEY)
+        write_text(folder / KEY, _FORMAT + seal.encode(key))
 
 
 def _make(folder: Path, by: str, job: tuple[str, Case]) -> tuple[str, Case, dict[str, Any]]:

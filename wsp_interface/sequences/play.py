@@ -9,7 +9,6 @@ full.
 import csv
 import math
 import tempfile
-import tomllib
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -17,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from rollerrig.configs import output_files, store
 from rollerrig.configs.errors import RollerrigError, UnitError
 from rollerrig.wsp_interface import events, own_bench, unit_choice
 from rollerrig.wsp_interface.events import Code
@@ -139,7 +139,7 @@ def on_running_bench(
     """
     outcome = Outcome(sequence, folder)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        output_files.make_folder(folder.parent, folder.name)
         with harness:
             _check_start(sequence, harness)
             play(sequence, harness, outcome)
@@ -380,7 +380,7 @@ def _record_of(
 ) -> Record:
     """Return the data for the measures. Without a scenario, that of the run's folder counts."""
     if scenario is None:
-        scenario = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
+        scenario = store.parse(folder / "scenario.toml", within=folder)
     faults_s = [
         _acts_s(event)
         for event in harness.events
@@ -422,7 +422,10 @@ def _save_trace(folder: Path, harness: Harness) -> None:
 
 
 def _write_trace(folder: Path, harness: Harness) -> None:
-    with (folder / TRACE).open("w", newline="", encoding="utf-8") as file:
+    with (
+        output_files.replaced(folder / TRACE) as new,
+        new.open("w", newline="", encoding="utf-8") as file,
+    ):
         out = csv.writer(file)
         out.writerow(COLUMNS)
         out.writerows([f"{value:.9g}" for value in row] for row in harness.trace)

@@ -24,7 +24,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rollerrig.configs import store
+from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
 from rollerrig.wsp_interface import unit_choice
@@ -160,7 +160,7 @@ class _Source:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.lines = path.read_text(encoding="utf-8").splitlines()
+        self.lines = user_files.read_text(path, user_files.TOML).splitlines()
 
     def line(self, table: str = "", number: int = 0, key: str = "") -> int:
         """Return the line of a key, from 1: at the top, or in the number-th `[[table]]` (from 0).

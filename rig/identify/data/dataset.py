@@ -7,17 +7,17 @@ become warnings, which the report repeats. The format is described in the README
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 import pyarrow.csv
 import pyarrow.parquet
 
-from rollerrig.configs import store, table
+from rollerrig.configs import store, table, toml_text, unpacking, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, flag, number
 from rollerrig.rig import params
@@ -78,6 +78,9 @@ CHANNELS = (
     *columns_of_axles("brake_torque", "Nm"),
     *columns_of_axles("surface_speed", "m_s"),
 )
+FILE_REMEDY = "correct `file` in dataset.toml"
+MOST_COLUMNS = 10_000
+MOST_TEXT_BYTES = 256_000_000  # of a column of texts
 TABLES = ("vehicle", "adhesion", "contact", "brake", "accuracy", "axles", "run")
 MODEL_TABLES = ("vehicle", "adhesion", "contact", "brake")
 
@@ -143,17 +146,11 @@ def parse(path: Path) -> dict[str, Any]:
     A file may have both a key `vehicle = "name"` and a table [vehicle], which TOML forbids. The key
     is therefore renamed to `vehicle_set` before the text is parsed.
     """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    text = user_files.read_text(path, user_files.TOML, within=path.parent)
     # the key can only be above the first table, which begins with "[" at the start of a line
     top, bracket, rest = text.partition("\n[")
     top = re.sub(r"^vehicle(\s*=)", r"vehicle_set\1", top, flags=re.MULTILINE)
-    try:
-        content = tomllib.loads(top + bracket + rest)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    content = toml_text.parse(top + bracket + rest, str(path))
     # the pattern above does not match an indented or a quoted key
     if isinstance(content.get("vehicle"), str):
         content["vehicle_set"] = content.pop("vehicle")
@@ -228,20 +225,58 @@ def _axle_positions(given: Any, sections: Mapping[str, Any], where: str) -> np.n
     return positions
 
 
-def read_table(path: Path) -> pa.Table:
-    """Return the table of a CSV or Parquet file. Raises ConfigError."""
+def read_table(path: Path, folder: Path) -> pa.Table:
+    """Return the table of a CSV or Parquet file of a dataset in a folder. Raises ConfigError."""
     try:
         if path.suffix.lower() == ".parquet":
-            return pyarrow.parquet.ParquetFile(path).read()
-        content = path.read_bytes()
+            return _read_parquet(path, folder)
+        content = user_files.read_bytes(path, user_files.CSV, folder, FILE_REMEDY)
         # skip the comment lines at the top of a CSV file
         while content.startswith(b"#"):
             content = content[content.index(b"\n") + 1 :]
+        check_columns(path, content.partition(b"\n")[0].count(b",") + 1)
         return pyarrow.csv.read_csv(pa.BufferReader(content))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; correct `file` in dataset.toml") from None
     except (pa.ArrowInvalid, ValueError, OSError) as error:
         raise ConfigError(f"{path}: cannot be read as a table: {error}") from None
+
+
+def check_columns(path: Path, count: int) -> None:
+    """Raise ConfigError if a file has more columns than are allowed."""
+    if count > MOST_COLUMNS:
+        raise ConfigError(
+            f"{path}: has {count} columns; at most {MOST_COLUMNS} are allowed: leave out what is not "
+            "needed"
+        )
+
+
+def _read_parquet(path: Path, folder: Path) -> pa.Table:
+    """Return the table of a Parquet file. Raises ConfigError, and what pyarrow raises."""
+    user_files.check(path, user_files.PARQUET, folder, FILE_REMEDY)
+    metadata = pyarrow.parquet.read_metadata(path)
+    check_columns(path, metadata.num_columns)
+    unpacking.check_parquet(path, metadata)
+
+    texts = unpacking.text_columns(metadata)
+    data = pyarrow.parquet.ParquetFile(path, read_dictionary=texts).read()
+    for place, name in enumerate(data.column_names):
+        values = data.column(place)
+        if pa.types.is_dictionary(values.type):
+            _check_text_size(path, name, values)
+            data = data.set_column(place, name, values.cast(values.type.value_type))
+    return data
+
+
+def _check_text_size(path: Path, name: str, values: pa.ChunkedArray) -> None:
+    """Raise ConfigError if a column of texts, read as dictionary, is too large as texts."""
+    size = 0
+    for chunk in values.chunks:
+        lengths = pyarrow.compute.binary_length(chunk.dictionary)
+        size += pyarrow.compute.sum(lengths.take(chunk.indices)).as_py() or 0
+    if size > MOST_TEXT_BYTES:
+        raise ConfigError(
+            f"{path}: the texts of column '{name}' need {size / 1e6:.4g} MB; at most "
+            f"{MOST_TEXT_BYTES / 1e6:.4g} MB are allowed: leave the column out"
+        )
 
 
 def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
@@ -277,9 +312,10 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
         raise ConfigError(f"{where}: file is missing; give the name of this run's data file")
     path = dataset.folder / entry["file"]
     if path.suffix.lower() in mdf.SUFFIXES:
+        user_files.check(path, user_files.MDF, dataset.folder, FILE_REMEDY)
         data = mdf.read(path, dataset.sample_time_s, CHANNELS, dataset.warnings)
     else:
-        data = read_table(path)
+        data = read_table(path, dataset.folder)
 
     if entry["held"]:
         mass_kg = math.inf  # so that the forces of the wheels do not change the speed
@@ -329,7 +365,8 @@ def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str,
     if not names or not all(names):
         toml = dataset.folder / "dataset.toml"
         raise ConfigError(f'{toml}: no data file is given; write file = "curve.csv"')
-    files = [(dataset.folder / name, read_table(dataset.folder / name)) for name in names]
+    paths = [dataset.folder / name for name in names]
+    files = [(path, read_table(path, dataset.folder)) for path in paths]
     first_file = files[0][0]
 
     creepage = _joined_columns(files, "creepage", None)

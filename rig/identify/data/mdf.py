@@ -9,15 +9,19 @@ Source of the format: ASAM MDF 4.1.
 """
 
 import math
+import mmap
+import struct
+from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from scipy.interpolate import CubicSpline
 from scipy.signal import resample_poly
 
+from rollerrig.configs import unpacking
 from rollerrig.configs.errors import ConfigError
 
 SUFFIXES = (".mf4", ".mdf")
@@ -36,6 +40,23 @@ _LEAST_SHIFT = 0.01  # share of a sample; smaller shifts are ignored
 _LEAST_SAMPLES = 4  # a cubic spline needs them
 _LONGEST_STEP = 1.5  # times the typical step; a longer one is a gap
 _LEAD_CHANNEL = "wheel_speed_1_rad_s"
+
+# what a file may need in memory
+_MOST_BYTES = 1_000_000_000
+_STAMP_BYTES = 8
+
+# a compressed block
+_ZIPPED = b"##DZ"
+_ZIP_HEADER = struct.Struct("<26xB5xQQ")
+_DEFLATE = (0, 1)  # methods: plain, and with transposed bytes
+
+
+class _ZipHeader(NamedTuple):
+    """The header of a compressed block."""
+
+    method: int
+    unpacked_bytes: int
+    packed_bytes: int
 
 
 def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str]) -> pa.Table:
@@ -87,16 +108,18 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
             f"{path}: MDF files need the package asammdf, which is not installed; install the extra: "
             "pip install 'rollerrig[mdf]'"
         ) from None
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file; correct `file` in dataset.toml")
+    _check_blocks(path)
 
     repeated = []
     signals = {}
     try:
         with MDF(path) as file:
+            _check_size(path, file.groups)
             repeated = [name for name in names if len(file.channels_db.get(name, ())) > 1]
             if not repeated:
                 signals = {name: file.get(name) for name in names if name in file.channels_db}
+    except ConfigError:
+        raise
     except Exception as error:  # the parser of asammdf raises many types
         raise ConfigError(f"{path}: cannot be read as MDF: {error}") from None
     if repeated:
@@ -110,6 +133,52 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
             "described in the README"
         )
     return signals
+
+
+def _check_blocks(path: Path) -> None:
+    """Raise ConfigError if the compressed blocks of a file unpack to more than the limit."""
+    with path.open("rb") as file:
+        if not path.stat().st_size:
+            return  # an empty file cannot be mapped
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            unpacked = 0
+            at = content.find(_ZIPPED)
+            while at >= 0 and unpacked <= _MOST_BYTES:
+                unpacked += _unpacked_bytes(content, at)
+                at = content.find(_ZIPPED, at + 1)
+    if unpacked > _MOST_BYTES:
+        raise _too_large(path)
+
+
+def _unpacked_bytes(content: mmap.mmap, at: int) -> int:
+    """Return the size to which the compressed block at a place unpacks."""
+    if at + _ZIP_HEADER.size > len(content):
+        return 0
+    header = _ZipHeader(*_ZIP_HEADER.unpack_from(content, at))
+    begin = at + _ZIP_HEADER.size
+    if header.method not in _DEFLATE:
+        return int(header.unpacked_bytes)
+    with memoryview(content) as view, view[begin : begin + header.packed_bytes] as packed:
+        return unpacking.inflated_bytes(packed, _MOST_BYTES)
+
+
+def _check_size(path: Path, groups: Iterable[Any]) -> None:
+    """Raise ConfigError if the channels of a file need more memory than the limit."""
+    needed = 0
+    for group in groups:
+        channel_group = group.channel_group
+        # a sample has a stamp, also if the group stores none
+        row_bytes = getattr(channel_group, "samples_byte_nr", 0) + _STAMP_BYTES
+        needed += row_bytes * channel_group.cycles_nr
+    if needed > _MOST_BYTES:
+        raise _too_large(path)
+
+
+def _too_large(path: Path) -> ConfigError:
+    return ConfigError(
+        f"{path}: its channels need more than {_MOST_BYTES / 1e6:.4g} MB of memory, which are "
+        "allowed: split it, or export only the channels that are needed"
+    )
 
 
 def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray]:

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv
 
-from rollerrig.configs import table
+from rollerrig.configs import table, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.data import dataset, mdf
 
@@ -41,8 +41,10 @@ class Column(NamedTuple):
     unit: str
 
 
-def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str, Column]:
-    """Return the columns of a file that have these names.
+def read(
+    path: Path, names: Sequence[str], head: Mapping[str, Any], folder: Path
+) -> dict[str, Column]:
+    """Return the columns of a file that have these names, from a dataset in `folder`.
 
     `head` holds the keys `separator` and `decimal` of dataset.toml, and for the column of the
     stamps its name `time` and its unit `time_unit`. MDF4 and rosbag2 need none of these keys: their
@@ -51,15 +53,17 @@ def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str,
     """
     suffix = path.suffix.lower()
     if path.is_dir() or suffix in _ROSBAG_SUFFIXES:
+        _check_rosbag(path, folder)
         return _read_rosbag(path, names)
     if suffix in mdf.SUFFIXES:
+        user_files.check(path, user_files.MDF, folder, dataset.FILE_REMEDY)
         return _read_mdf(path, names)
 
     units: dict[str, str] = {}
     if suffix == ".parquet":
-        data = dataset.read_table(path)
+        data = dataset.read_table(path, folder)
     else:
-        data, units = _read_csv(path, head)
+        data, units = _read_csv(path, head, folder)
     for name in (head["time"], *names):
         _check_column(path, name, data.column_names)
 
@@ -82,17 +86,17 @@ def read(path: Path, names: Sequence[str], head: Mapping[str, Any]) -> dict[str,
     return columns
 
 
-def column_names(path: Path, head: Mapping[str, Any]) -> list[str]:
+def column_names(path: Path, head: Mapping[str, Any], folder: Path) -> list[str]:
     """Return the names of the columns of a CSV or Parquet file.
 
     The list is empty for other files: their channels must be in dataset.toml.
     """
     suffix = path.suffix.lower()
     if suffix == ".parquet":
-        return list(dataset.read_table(path).column_names)
+        return list(dataset.read_table(path, folder).column_names)
     if suffix == ".csv":
         # called before [channels] is known, so the column of the stamps has its standard name
-        data, _ = _read_csv(path, {**head, "time": "time_s"})
+        data, _ = _read_csv(path, {**head, "time": "time_s"}, folder)
         return list(data.column_names)
     return []
 
@@ -133,12 +137,11 @@ def _read_mdf(path: Path, names: Sequence[str]) -> dict[str, Column]:
 # --- CSV ---
 
 
-def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, str]]:
+def _read_csv(path: Path, head: Mapping[str, Any], folder: Path) -> tuple[pa.Table, dict[str, str]]:
     """Return the table, and the units by column where the second line holds units."""
-    try:
-        all_lines = path.read_text("utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read as text: {error}") from None
+    all_lines = user_files.read_text(
+        path, user_files.CSV, folder, dataset.FILE_REMEDY, encoding="utf-8-sig"
+    ).splitlines()
     # comment lines are allowed at the top only
     lines = list(itertools.dropwhile(lambda line: line.startswith("#"), all_lines))
     # the names, then either the units and a sample, or two samples
@@ -154,6 +157,7 @@ def _read_csv(path: Path, head: Mapping[str, Any]) -> tuple[pa.Table, dict[str, 
     elif separator == "auto":
         separator = max(_SEPARATORS, key=lines[0].count)
 
+    dataset.check_columns(path, lines[0].count(separator) + 1)
     names = next(csv.reader(lines[:1], delimiter=separator))
     second_line = next(csv.reader(lines[1:2], delimiter=separator))
     units = _units_of_line(names, second_line, head["time"])
@@ -236,6 +240,15 @@ def _numbers(path: Path, values: Any, name: str, decimal: str) -> np.ndarray:
 
 
 # --- rosbag2 ---
+
+
+def _check_rosbag(path: Path, folder: Path) -> None:
+    """Raise ConfigError unless every file of a rosbag2 recording may be opened."""
+    files = [path]
+    if path.is_dir():
+        files = sorted(path.iterdir())
+    for file in files:
+        user_files.check(file, user_files.ROSBAG, folder, dataset.FILE_REMEDY)
 
 
 def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:

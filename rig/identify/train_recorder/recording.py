@@ -178,7 +178,7 @@ def load(folder: Path | str) -> Recording:
 
     if channel_tables is None:
         # columns with standard names need no table
-        names = files.column_names(place / run_rows[0]["file"], head)
+        names = files.column_names(place / run_rows[0]["file"], head, place)
         channel_tables = {name: {} for name in names if _parse_key(name) is not None}
     if not isinstance(channel_tables, Mapping):
         raise ConfigError(f"{path}: channels is not a table; write [channels]")
@@ -191,7 +191,7 @@ def load(folder: Path | str) -> Recording:
         name = Path(row["file"]).stem
         if name in {run.name for run in runs}:
             name = f"{name}_{len(runs) + 1}"
-        channels = _load_channels(place / row["file"], file_head, sources)
+        channels = _load_channels(place / row["file"], file_head, sources, place)
         runs.append(Run(name, row["date"], row["vehicle_id"], channels))
     return Recording(place.name, runs, notes)
 
@@ -307,10 +307,13 @@ def _channel_source(
 
 
 def _load_channels(
-    path: Path, head: Mapping[str, Any], sources: list[_ChannelSource]
+    path: Path, head: Mapping[str, Any], sources: list[_ChannelSource], folder: Path
 ) -> dict[str, Channel]:
-    """Return the channels of a file by name, in SI units, with stamps from the first sample on."""
-    columns = files.read(path, [source.column for source in sources], head)
+    """Return the channels of a file by name, in SI units, with stamps from the first sample on.
+
+    The file belongs to a dataset in `folder`.
+    """
+    columns = files.read(path, [source.column for source in sources], head, folder)
     first_s = min(float(column.time_s.min()) for column in columns.values() if column.time_s.size)
 
     channels = {}

@@ -1,7 +1,12 @@
-"""Standard streams without a reader: they change neither a run nor its exit status.
+"""Standard streams that do no harm: not without a reader, and not to a terminal.
 
 A reader may go away (`rollerrig run ... | head`), a terminal may vanish, and a standard stream may
-be closed from the start (`2>&-`). Output that has no reader is dropped.
+be closed from the start (`2>&-`). Output that has no reader is dropped, so that it changes neither
+a run nor its exit status.
+
+A name of a user may contain characters that act on a terminal. Everything that is printed passes
+`printable`, also logs, usage errors and tracebacks. Only a library that draws on a terminal writes
+its own sequences, through `drawing`.
 """
 
 import errno
@@ -9,6 +14,8 @@ import os
 import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
+
+from rollerrig.configs.printable import printable, printable_drawing
 
 # errors of a write without a reader: of a pipe, and of a terminal that has vanished
 _NO_READER = (errno.EPIPE, errno.EIO)
@@ -31,18 +38,24 @@ _STANDARD_STREAMS = (
 
 
 class Stream:
-    """A standard stream that drops output without a reader.
+    """A standard stream that drops output without a reader, and makes hidden characters visible.
 
     All other attributes are those of the wrapped stream.
     """
 
-    def __init__(self, stream: Any) -> None:
+    def __init__(self, stream: Any, clean: Callable[[str], str] = printable) -> None:
         self._stream = stream
+        self._clean = clean
 
     def write(self, text: str) -> int:
         """Write a text and return its number of characters."""
-        self._attempt(lambda: self._stream.write(text))
+        shown = self._clean(text)
+        self._attempt(lambda: self._stream.write(shown))
         return len(text)
+
+    def for_drawing(self) -> "Stream":
+        """Return this stream for a library that draws: its own sequences pass."""
+        return Stream(self._stream, printable_drawing)
 
     def flush(self) -> None:
         """Write the buffered output to the file."""
@@ -65,8 +78,13 @@ class Stream:
             os.close(null_device)
 
 
+def drawing(stream: Any) -> Any:
+    """Return a stream for a library that draws on terminals; other streams stay as they are."""
+    return stream.for_drawing() if isinstance(stream, Stream) else stream
+
+
 def make_harmless() -> None:
-    """Let the standard streams of this process drop output without a reader.
+    """Let the standard streams of this process drop output without a reader, and filter it.
 
     Streams that are closed are connected to /dev/null.
     """
