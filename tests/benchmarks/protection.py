@@ -140,11 +140,12 @@ def unit_of(band: float) -> logic.Params:
 def _stops(jobs: list, unit: str | logic.Params) -> dict[tuple[str, int], StopFigures]:
     """Run stops; return the figures of each. A vehicle that does not stop has no distance."""
     result = {}
-    for tag, _, channels in four_stops.together(jobs, unit):
+    for finished in four_stops.together(jobs, unit):
+        channels = finished.channels
         stands = channels["vehicle_speed_m_s"][-1] < 0.1
         distance_m = float(channels["position_m"][-1]) if stands else math.inf
         longest_lock_s = max(float(channels[name][-1]) for name in _LOCKS)
-        result[tag] = StopFigures(distance_m, longest_lock_s)
+        result[finished.tag] = StopFigures(distance_m, longest_lock_s)
     return result
 
 

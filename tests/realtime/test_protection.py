@@ -71,8 +71,15 @@ def test_without_wsp_wheels_lock_and_the_stop_is_longer(cases, name, speed_km_h)
 @pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
 def test_the_best_slip_band_is_neither_the_narrowest_nor_the_widest(cases, name, speed_km_h):
     case = cases[name, speed_km_h]
-    assert case.best_m < case.by_band[BANDS[0]].distance_m
-    assert case.best_m < case.by_band[BANDS[-1]].distance_m
+    narrowest_m = case.by_band[BANDS[0]].distance_m
+    widest_m = case.by_band[BANDS[-1]].distance_m
+    assert case.best_m < narrowest_m
+    if (name, speed_km_h) == ("soap", 80):
+        # adhesion nearly suffices: with any band above 16 % a wheel slides so little that the
+        # upper edge never acts
+        assert case.best_m == widest_m
+    else:
+        assert case.best_m < widest_m
 
 
 @pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
