@@ -305,14 +305,19 @@ class Parts:
         await self.processes.await_recorder(self.rows)
 
     def _start_own_unit(self) -> None:
-        # only in real time does the unit need a real-time priority
-        priority = self.plan["loop"]["priority"] if self.options.pacing == "wall" else 0
+        # only in real time does the unit need a real-time priority, and cores without the loop
+        priority = 0
+        loop_core = -1
+        if self.options.pacing == "wall":
+            priority = self.plan["loop"]["priority"]
+            loop_core = self.plan["loop"]["cpu"]
         if priority:
             priority = max(int(loop.UNIT_SHARE * priority), 1)
         self.processes.start_unit(
             self.place,
             self.plan["wsp_config"],
             priority,
+            loop_core,
             self.plan["bus"]["sync_period_s"],
             self.plan["bus"]["bitrate"],
         )
