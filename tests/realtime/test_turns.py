@@ -6,7 +6,7 @@ import signal
 import threading
 import time
 
-from bench_process import MAGNETS, BenchProcess, SimpleUnit
+from bench_process import MAGNETS, BenchProcess, SimpleUnit, until
 from benchmarks import repeat
 
 from rollerrig.realtime.record import records
@@ -48,6 +48,8 @@ def bench_with_harness(out, *arguments):
 def play(out, slow):
     """Play the actions on a bench; before each of them, and before its cycle, call slow."""
     bench = bench_with_harness(out)
+    # as a sequence does: the bench reports that it waits for the harness when its unit is there
+    until(lambda: bench.reported(Code.UNIT_READY), "the unit")
     with Harness(buses.open_client(bench.address(), 60.0)) as rig:
         unit = bench.child("wsp")
         for cycle in range(CYCLES):
