@@ -7,6 +7,7 @@ is the time since the real-time thread began.
 
 import asyncio
 import json
+import shlex
 import time
 from collections.abc import Callable
 from typing import Any
@@ -342,7 +343,7 @@ class Parts:
             bus,
             is_there,
             f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
-            f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait",
+            f"start one ('rollerrig wsp --bus {shlex.quote(self.place)}') or wait longer with --wait",
         )
         if not self.stopping:
             self.event(Code.UNIT_READY)
@@ -353,7 +354,7 @@ class Parts:
             bus,
             lambda: bus.harness.joined,
             f"no harness on {self.place}",
-            f"start one ('rollerrig sequence ... --bus {self.place}') or run without --harness",
+            f"start one ('rollerrig sequence ... --bus {shlex.quote(self.place)}') or run without --harness",
         )
 
     def _report_waiting(self, awaited: str) -> None:

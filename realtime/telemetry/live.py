@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.processes import children
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
@@ -75,9 +76,7 @@ def start(run_dir: Path, rows: Ring, events: Ring, unit: str = "") -> subprocess
 
 def _command(run_dir: Path, rows: Path, events: Path, *more: str) -> list[str]:
     return [
-        sys.executable,
-        "-m",
-        _MODULE,
+        *children.module(_MODULE),
         str(run_dir),
         "--rows",
         str(rows),
