@@ -276,9 +276,9 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
-    rows = Ring(given.rows, np.float64)
+    rows = Ring(given.rows, np.float64, width=len(signals.COLUMNS))
     if given.worker:
-        events = Ring(given.events, np.int64)
+        events = Ring(given.events, np.int64, width=ring.EVENT_WORDS)
         serve(given.run_dir, rows, events, given.port, given.unit)
         # an ordinary exit waits for Rerun's clients, and a client may have stalled
         sys.stderr.flush()
