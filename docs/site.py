@@ -17,7 +17,7 @@ ROOT = Path(__file__).parent.parent
 # page of the site -> file of the repository
 AT_ROOT = {
     "index.md": "README.md",
-    **{name: name for name in ("CONTRIBUTING.md", "CHANGELOG.md", "DECISIONS.md")},
+    **{name: name for name in ("SECURITY.md", "CONTRIBUTING.md", "CHANGELOG.md", "DECISIONS.md")},
 }
 LINK = re.compile(r"(!?\[([^\]]*)\])\(([^)\s#:]*)(#[^)\s]*)?\)")
 

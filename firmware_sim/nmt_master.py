@@ -147,7 +147,7 @@ class NmtMaster:
         health.state = state
         health.lost = False
         lost_at_ns = self.now_ns + self.patience_ms[node] * MS
-        self.timers.set(f"lost {node}", lost_at_ns, partial(self._lose, node))
+        self.timers.set(f"lost {node}", lost_at_ns, partial(self._lose, node), times_out=True)
 
         if state is State.INITIALISING:
             health.started = False

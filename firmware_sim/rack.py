@@ -11,8 +11,13 @@ from functools import partial
 from typing import Any, Protocol
 
 from rollerrig.firmware_sim.cia301.communication import EXTENDED
-from rollerrig.firmware_sim.cia301.host import NEVER, Timers
+from rollerrig.firmware_sim.cia301.host import MS, NEVER, Timers
 from rollerrig.wsp_interface.bus.frames import Frame
+
+# an alarm that is this late shows that the process stood still
+_STOOD_STILL_NS = 20 * MS
+# in this time it takes the frames that have come meanwhile
+_GRACE_NS = 50 * MS
 
 Handler = Callable[[Frame], None]
 Gate = Callable[[Any, Frame, Callable[[], None]], bool]
@@ -60,6 +65,7 @@ class Rack:
         self.deferred: Callable[[Frame, Callable[[], None], int], Any] | None = None
         self.gate: Gate | None = None
         self._send: Callable[[Frame], Any] = lambda frame: None
+        self._in_real_time = False
         # the listeners of each identifier, and of each remote request (~identifier); empty: not
         # built
         self._table: dict[int, list[tuple[Member, Handler]]] = {}
@@ -114,6 +120,10 @@ class Rack:
         for _, handler in self._listeners(frame):
             handler(frame)
 
+    def in_real_time(self) -> None:
+        """From now on time goes on while this process stands still."""
+        self._in_real_time = True
+
     def advance_clock(self, now_ns: int) -> None:
         """Advance the clocks of all members to `now_ns`; they do nothing yet."""
         for member in self.members:
@@ -121,6 +131,7 @@ class Rack:
 
     def poll(self, now_ns: int) -> None:
         """Let all members do what is due at `now_ns`."""
+        self._excuse_silence(now_ns)
         for member in self._powered():
             member.poll(now_ns)
 
@@ -130,8 +141,19 @@ class Rack:
 
     def ring(self, now_ns: int) -> None:
         """Let the alarms go off that are due; everything else waits for `poll`."""
+        self._excuse_silence(now_ns)
         for member in self._powered():
             member.timers.poll(now_ns, member)
+
+    def _excuse_silence(self, now_ns: int) -> None:
+        """Put off the time-outs if this process stood still.
+
+        Frames that came meanwhile have not been read, and members have not sent theirs. A member
+        would take their senders for silent.
+        """
+        if self._in_real_time and now_ns - self.next_ns() > _STOOD_STILL_NS:
+            for member in self.members:
+                member.timers.excuse(now_ns + _GRACE_NS)
 
     def _powered(self) -> Iterable[Member]:
         return (member for member in self.members if id(member) not in self.off)

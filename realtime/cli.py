@@ -17,6 +17,7 @@ from importlib import metadata
 from typing import NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
 from rollerrig.realtime import standard_streams
 from rollerrig.realtime.commands import (
@@ -241,6 +242,9 @@ def _shortened(message: str) -> str:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     standard_streams.make_harmless()
+    if argv is None:
+        # this process is the program `rollerrig`, and not a function call in another program
+        children.keep_working_folder_out()
     top = parser()
 
     # a shell sets this variable when the user presses Tab; argcomplete then exits the process

@@ -339,6 +339,39 @@ def opens_files(name):
     return False
 
 
+@pytest.mark.parametrize("name", FILES)
+def test_no_file_reads_objects_of_python_or_starts_a_shell(name):
+    """A pickle in a file of data, or a name in a line for a shell, would run code."""
+    assert not packages_of(name) & {
+        "pickle",
+        "marshal",
+        "shelve",
+        "dill",
+        "joblib",
+        "runpy",
+        "yaml",
+    }
+    calls = [node for node in ast.walk(tree(name)) if isinstance(node, ast.Call)]
+    called = {ast.unparse(call.func) for call in calls}
+    assert not called & {"os.system", "os.popen", "subprocess.getoutput", "numpy.load", "np.load"}
+    keywords = {keyword.arg for call in calls for keyword in call.keywords}
+    assert not keywords & {"shell", "allow_pickle"}
+
+
+def test_only_one_file_starts_python_and_worker_processes():
+    # that file keeps the working folder out of the imports of a child
+    starting = set()
+    for name in FILES:
+        attributes = {
+            ast.unparse(node) for node in ast.walk(tree(name)) if isinstance(node, ast.Attribute)
+        }
+        processes = {dotted for dotted in imports(name) if dotted.startswith("multiprocessing")}
+        pools = {"concurrent.futures.ProcessPoolExecutor"} & imports(name)
+        if "sys.executable" in attributes or processes or pools:
+            starting.add(name)
+    assert starting == {"configs/processes/children"}
+
+
 @pytest.mark.parametrize("folder", folders(FOLDERS[1:]))
 def test_a_folder_has_a_limited_number_of_modules(folder):
     modules = [name for name in MODULE_FILES if name.rpartition("/")[0] == folder]

@@ -4,6 +4,8 @@ import re
 import tomllib
 from pathlib import Path
 
+import licences
+from packaging.utils import canonicalize_name
 from written_docs import ALL_ITEMS, conformance
 
 from rollerrig.configs import store
@@ -50,6 +52,29 @@ def test_the_page_of_faults_is_up_to_date(docs):
     text = read(docs / "faults.md")
     assert text == catalogue.markdown(), "run: make docs"
     assert [kind.name for kind in catalogue.CATALOGUE if f"| `{kind.name}` |" not in text] == []
+
+
+def test_the_page_of_licences_has_every_installed_package_and_its_declared_licence(docs):
+    page = read(docs / "licences.md")
+    copyleft_part, _, all_part = page.partition("## All packages")
+    for package in licences.packages():
+        assert f"{package.row}\n" in all_part, "run: make docs"
+        assert (f"{package.row}\n" in copyleft_part) == licences.is_copyleft(package)
+
+    # a package on the page that is not installed here is one that another Python version needs
+    listed = re.findall(r"^\| ([a-z0-9-]+) \|", all_part, re.MULTILINE)
+    assert len(listed) > 100
+    pinned = {
+        canonicalize_name(line.partition("==")[0])
+        for line in read(ROOT / "constraints.txt").splitlines()
+    }
+    assert set(listed) - pinned - {"package"} == set()
+
+
+def test_copyleft_licences_of_dependencies_are_known():
+    # a new one needs a decision
+    copyleft = {package.name for package in licences.packages() if licences.is_copyleft(package)}
+    assert copyleft == {"asammdf", "bidict", "certifi", "docutils", "fpdf2", "orjson", "python-can"}
 
 
 def test_the_settings_on_the_page_of_modbus_are_the_defaults(docs):

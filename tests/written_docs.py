@@ -8,6 +8,7 @@ these marks.
 import inspect
 import re
 
+import licences
 import pytest
 import test_architecture
 from benchmarks import explain
@@ -44,6 +45,7 @@ def write(folder, items):
     """Write the generated pages and tables into a folder; `items`: all tests."""
     (folder / "faults.md").write_text(catalogue.markdown(), encoding="utf-8")
     (folder / "events.md").write_text(events.markdown(), encoding="utf-8")
+    (folder / "licences.md").write_text(licences.markdown(), encoding="utf-8")
     (folder / "conformance.md").write_text(conformance(items), encoding="utf-8")
     for name in TABLES:
         text = (folder / name).read_text(encoding="utf-8")

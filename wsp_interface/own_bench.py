@@ -10,7 +10,6 @@ import contextlib
 import json
 import shlex
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -108,22 +107,22 @@ def start(
         data = scenario_of(scenario, **requirements)
         path.write_text(tomli_w.dumps(data), encoding="utf-8")
         command = children.command(
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
-            "run",
-            str(path),
-            "--pacing",
-            pacing,
-            "--wsp",
-            wsp,
-            "--seed",
-            str(seed),
-            "--harness",
-            "--out",
-            str(folder),
-            "--json",
-            *arguments,
+            *children.module(
+                "rollerrig.realtime.cli",
+                "run",
+                str(path),
+                "--pacing",
+                pacing,
+                "--wsp",
+                wsp,
+                "--seed",
+                str(seed),
+                "--harness",
+                "--out",
+                str(folder),
+                "--json",
+                *arguments,
+            )
         )
         process = subprocess.Popen(
             command,
@@ -209,6 +208,7 @@ def program(command: str, log: Path) -> Companion:
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=output,
+                env=children.users_environment(),
             )
         try:
             yield Program(command, process, log)
@@ -259,9 +259,7 @@ def draw(folder: Path) -> Path:
     There is no picture if the record is empty.
     """
     out = folder / "stop.svg"
-    command = [
-        sys.executable,
-        "-m",
+    command = children.module(
         "rollerrig.realtime.cli",
         "export",
         str(folder),
@@ -269,7 +267,7 @@ def draw(folder: Path) -> Path:
         "svg",
         "--out",
         str(out),
-    ]
+    )
     subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
     return out
 

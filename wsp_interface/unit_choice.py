@@ -6,6 +6,7 @@ program. It may choose an FMU only if the user has allowed this file with `--all
 """
 
 import re
+import shlex
 from pathlib import Path
 from typing import NamedTuple
 
@@ -71,19 +72,13 @@ class AllowList(NamedTuple):
             raise ConfigError(f"{where}: {error}") from None
         for file in fmus_of(unit):
             if file.resolve() not in self.files:
+                # a user pastes the option into a shell, where a name must not become a command
+                quoted = shlex.quote(str(file))
                 raise ConfigError(
                     f"{where}: {FMU}{file} is a program, and data starts no program; if you trust "
-                    f"this file, allow it on the command line with {ALLOW_UNIT} {file}"
+                    f"this file, allow it on the command line with {ALLOW_UNIT} {quoted}"
                 )
         return unit
-
-    @property
-    def words(self) -> list[str]:
-        """The options that give this list to another `rollerrig` command line."""
-        words = []
-        for file in self.files:
-            words += [ALLOW_UNIT, str(file)]
-        return words
 
 
 # allows no FMU

@@ -6,6 +6,9 @@ started without this: the recorder, which finishes its files, and a viewer.
 
 A program that has loaded the packages of its children forks them (`Forked`). Otherwise each child
 would load the packages again, which takes half a second.
+
+No child imports from the working folder: a file can.py or numpy.py that lies there would run in the
+place of the package (`module`, `keep_working_folder_out`).
 """
 
 import ctypes
@@ -37,9 +40,40 @@ _USER_ERROR = 2
 
 _LONGEST_LINE = 20_000  # bytes of the last line of a log
 
+# Python sets no folder of the program's surroundings as the first place of imports where this
+# variable is not empty. The value marks that this file has set it.
+_SAFE_PATH = "PYTHONSAFEPATH"
+_SET_HERE = "rollerrig"
+
 _STDIN = 0
 _STDOUT = 1
 _STDERR = 2
+
+
+def module(name: str, *words: str) -> list[str]:
+    """Return the command of a Python module of an installed package, with its arguments.
+
+    `python -m` alone would import from the working folder first; -P prevents that.
+    """
+    return [sys.executable, "-P", "-m", name, *words]
+
+
+def keep_working_folder_out() -> None:
+    """Make the Python programs that this process starts import nothing from the working folder.
+
+    A program calls this when it begins. It also holds for the workers of a `pool`, and for programs
+    that they start.
+    """
+    if not os.environ.get(_SAFE_PATH):
+        os.environ[_SAFE_PATH] = _SET_HERE
+
+
+def users_environment() -> dict[str, str]:
+    """Return the environment for a program of the user, which may import files next to itself."""
+    environment = dict(os.environ)
+    if environment.get(_SAFE_PATH) == _SET_HERE:
+        del environment[_SAFE_PATH]
+    return environment
 
 
 def command(*words: str, by: int = signal.SIGTERM) -> list[str]:

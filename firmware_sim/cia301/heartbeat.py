@@ -104,7 +104,10 @@ class Consumer:
         node = self.node
         if patience_ns:
             node.timers.set(
-                f"partner {partner}", node.now_ns + patience_ns, lambda: self._lose(partner)
+                f"partner {partner}",
+                node.now_ns + patience_ns,
+                lambda: self._lose(partner),
+                times_out=True,
             )
         if partner in self.lost:
             self.lost.discard(partner)

@@ -6,7 +6,7 @@ nanoseconds.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 from canopen.objectdictionary import ObjectDictionary
 
@@ -25,6 +25,14 @@ S = 1_000_000_000  # ns
 _CATCH_UP_NS = 5 * MS
 
 
+class Alarm(NamedTuple):
+    """A call at a time; `times_out` as in `Timers.set`."""
+
+    due_ns: int
+    call: Callable[[], None]
+    times_out: bool
+
+
 class Timers:
     """A few named alarms. The caller of `poll` passes the time.
 
@@ -33,12 +41,14 @@ class Timers:
     """
 
     def __init__(self) -> None:
-        self._due: dict[str, tuple[int, Callable[[], None]]] = {}
+        self._due: dict[str, Alarm] = {}
         self.next_ns = NEVER
 
-    def set(self, name: str, due_ns: int, call: Callable[[], None]) -> None:
-        """Call once at `due_ns`."""
-        self._due[name] = (due_ns, call)
+    def set(
+        self, name: str, due_ns: int, call: Callable[[], None], times_out: bool = False
+    ) -> None:
+        """Call once at `due_ns`. `times_out`: the alarm means that another node is silent."""
+        self._due[name] = Alarm(due_ns, call, times_out)
         self.next_ns = min(self.next_ns, due_ns)
 
     def cancel(self, name: str) -> None:
@@ -54,6 +64,12 @@ class Timers:
         """Return whether an alarm of this name waits."""
         return name in self._due
 
+    def excuse(self, until_ns: int) -> None:
+        """Let no time-out go off before `until_ns`: the frames that it waits for may be there."""
+        for name, alarm in self._due.items():
+            if alarm.times_out and alarm.due_ns < until_ns:
+                self._due[name] = alarm._replace(due_ns=until_ns)
+
     def poll(self, now_ns: int, owner: Any) -> None:
         """Call every alarm that is due, the earliest first.
 
@@ -64,13 +80,12 @@ class Timers:
             self.next_ns = due_ns
             if due_ns <= now_ns:
                 owner.now_ns = max(due_ns, now_ns - _CATCH_UP_NS)
-                _, call = self._due.pop(name)
-                call()
+                self._due.pop(name).call()
         owner.now_ns = now_ns
 
     def _earliest(self) -> tuple[int, str]:
         """Return time and name of the earliest alarm; at equal times the first by name."""
-        times = [(due_ns, name) for name, (due_ns, _) in self._due.items()]
+        times = [(alarm.due_ns, name) for name, alarm in self._due.items()]
         return min(times, default=(NEVER, ""))
 
 

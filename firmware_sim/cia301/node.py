@@ -183,7 +183,9 @@ class Node(Host):
         alarm = f"sdo {server}"
         transfer.on_request(frame.data)
         if transfer.active is not None:
-            self.timers.set(alarm, self.now_ns + SDO_TIME_OUT_MS * MS, transfer.time_out)
+            self.timers.set(
+                alarm, self.now_ns + SDO_TIME_OUT_MS * MS, transfer.time_out, times_out=True
+            )
         else:
             self.timers.cancel(alarm)
 

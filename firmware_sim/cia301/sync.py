@@ -62,7 +62,7 @@ class SyncConsumer:
             node.emergency.clear(SYNC_MISSING)
         self.at_ns = max(frame.time_ns, node.now_ns)
         if self._patience_ns:
-            node.timers.set("sync", self.at_ns + self._patience_ns, self._miss)
+            node.timers.set("sync", self.at_ns + self._patience_ns, self._miss, times_out=True)
         for apply in self._receive:
             apply()
         for call in node.on_sync:

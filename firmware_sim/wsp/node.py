@@ -16,6 +16,7 @@ bits in the first manufacturer byte). The unit starts itself after boot-up, as C
 (1F80h). Source: CiA 301 (NMT, heartbeat, PDO).
 """
 
+import gc
 import logging
 import os
 import signal
@@ -29,6 +30,7 @@ from typing import Any, Protocol
 import can
 import numpy as np
 
+from rollerrig.configs.processes import memory
 from rollerrig.firmware_sim.cia301.nmt import STATE_AFTER, Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import rig_objects as rig
@@ -312,8 +314,9 @@ def main(
 ) -> int:
     """Run the reference WSP on a bus until the bus ends, or SIGINT or SIGTERM comes. Returns 0.
 
-    With a `priority` above 0 it requests SCHED_FIFO, and continues if that is refused. Raises
-    ConfigError for a wrong `config` (name or TOML path), BusError if the bus cannot be opened.
+    With a `priority` above 0 it requests SCHED_FIFO and locked memory, and continues if they are
+    refused. Raises ConfigError for a wrong `config` (name or TOML path), BusError if the bus cannot
+    be opened.
     """
     wsp = Reference(logic.load(config))
     return serve(lambda bus: Unit(bus, wsp, lockstep_s), bus_address, priority, lockstep_s)
@@ -336,9 +339,20 @@ def serve(
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda number, frame: unit.stop())
         if priority:
-            _request_priority(priority)
+            _be_punctual(priority)
         unit.run()
     return 0
+
+
+def _be_punctual(priority: int) -> None:
+    """Request what keeps a unit in real time from being late, and continue if it is refused."""
+    # what is loaded now stays: no collection looks at it again
+    gc.collect()
+    gc.freeze()
+    reason = memory.lock()
+    if reason:
+        print(f"info: locked memory was refused: {reason}", flush=True)
+    _request_priority(priority)
 
 
 def _request_priority(priority: int) -> None:

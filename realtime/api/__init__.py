@@ -180,7 +180,7 @@ def _call_command(words: list[str]) -> dict[str, Any]:
     with (
         tempfile.TemporaryFile("w+", encoding="utf-8") as output,
         subprocess.Popen(
-            children.command(sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"),
+            children.command(*children.module("rollerrig.realtime.cli", *words, "--json")),
             text=True,
             stdin=subprocess.DEVNULL,
             stdout=output,

@@ -25,7 +25,9 @@ from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.wsp_interface.signals import AXLES
 
 STEP_S = 0.01
+# resources of the FMU: the resolved scenario, and the name of the model
 _SCENARIO = "scenario.toml"
+_NAME = "model_name.txt"
 # the rig never ends its run: the importing tool decides
 _ENDLESS = 1 << 60
 # how far a step may be from a whole number of ticks, in ticks
@@ -47,7 +49,9 @@ _OUTPUTS = (
     ("wheel_load", "wheel_load", "N"),
     ("adhesion", "adhesion", None),
 )
-_SCRIPT = '''"""The rig of scenario {name}. Python with rollerrig must be installed where this runs."""
+# The program in every FMU. It is the same for all scenarios: nothing of a scenario, not even its
+# name, becomes part of a program.
+_SCRIPT = '''"""The rig of a scenario. Python with rollerrig must be installed where this runs."""
 
 from pythonfmu3 import Fmi3Slave
 from rollerrig.realtime.bench import as_fmu
@@ -56,8 +60,8 @@ from rollerrig.realtime.bench import as_fmu
 class Rig(Fmi3Slave):
     def __init__(self, **given):
         super().__init__(**given)
-        self.modelName = {identifier!r}
         self.rig = as_fmu.Rig(self.resources)
+        self.modelName = self.rig.name
         as_fmu.declare(self, self.rig)
 
     def do_step(self, current_time, step_size):
@@ -79,12 +83,13 @@ class Port(NamedTuple):
 class Rig:
     """A rig at its initial speed, ready to be stepped; `resources` holds its scenario.
 
-    Raises ConfigError.
+    `name` is the name of the model. Raises ConfigError.
     """
 
     def __init__(self, resources: str | Path) -> None:
         """Build and compile it."""
         plan = scenario.load(str(Path(resources) / _SCENARIO))
+        self.name = (Path(resources) / _NAME).read_text(encoding="utf-8")
         self.time_s = 0.0
         self._tick_hz = plan["loop"]["tick_hz"]
         data = tick_data.build(plan, ring.Memory(1, len(signals.COLUMNS)))
@@ -231,12 +236,12 @@ def write(plan: Scenario, out: Path) -> int:
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as place, writing(out):
         folder = Path(place)
         (folder / _SCENARIO).write_text(scenario.dump(plan), encoding="utf-8")
-        script = _SCRIPT.format(name=plan.name, identifier=_identifier(plan.name))
-        (folder / "rig.py").write_text(script, encoding="utf-8")
+        (folder / _NAME).write_text(_identifier(plan.name), encoding="utf-8")
+        (folder / "rig.py").write_text(_SCRIPT, encoding="utf-8")
         made = FmuBuilder.build_FMU(
             folder / "rig.py",
             folder / "made",
-            [folder / _SCENARIO],
+            [folder / _SCENARIO, folder / _NAME],
             needsExecutionTool=True,
             canHandleVariableCommunicationStepSize=True,
         )

@@ -20,6 +20,8 @@ from rollerrig.wsp_interface.rig_objects import HARNESS, HARNESS_ANSWER_ID, MAGN
 _LOOK_S = 0.1
 # looks until the unit of the bench, whose connection is closed, should have exited
 _LOOKS_AFTER_END = 20
+# looks that a harness which has ended the run has to leave
+_LOOKS_TO_LEAVE = 50
 # a partner that is there but may be slow gets so many times --answer-wait: a unit whose process
 # runs, a harness at a breakpoint
 _PATIENCE = 6
@@ -133,16 +135,23 @@ async def _wait(parts: Parts, bus: RigBus, partner: Partner, wait_s: float) -> _
     The wait is counted in looks, not by the clock: a bench that was stopped itself has not waited.
     """
     looks_after_end = 0
+    looks_after_stop = 0
     for _ in range(max(round(wait_s / _LOOK_S), 1)):
-        if partner.answered.is_set() or parts.stopping:
+        if partner.answered.is_set():
             return _Answer.HERE
+        if parts.stopping:
+            # a harness that has ended the run leaves next, and the log shall have that always
+            leaves = partner is bus.harness_partner and bus.harness.joined and not partner.gone
+            if not leaves or looks_after_stop >= _LOOKS_TO_LEAVE:
+                return _Answer.HERE
+            looks_after_stop += 1
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(_LOOK_S):
                 await partner.answered.wait()
         if partner.answered.is_set():
             return _Answer.HERE
         parts.processes.watch(starting=True)
-        if partner.gone:
+        if partner.gone and not parts.stopping:
             looks_after_end += 1
             # the exit of a process tells more than the end of its connection
             may_exit = bus.own_unit and partner is bus.unit_partner

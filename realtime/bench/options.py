@@ -9,7 +9,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -74,7 +73,7 @@ def start_recorder() -> subprocess.Popen[bytes]:
     It exits if none comes.
     """
     return subprocess.Popen(
-        [sys.executable, "-m", _RECORDER],
+        children.module(_RECORDER),
         stdin=subprocess.PIPE,
         stdout=subprocess.DEVNULL,
         start_new_session=True,
@@ -88,7 +87,7 @@ def unit_command(*words: str) -> list[str]:
     SIGKILL, because a unit that a fault has stopped reacts to no other signal.
     """
     return children.command(
-        sys.executable, "-m", "rollerrig.realtime.cli", "wsp", *words, by=signal.SIGKILL
+        *children.module("rollerrig.realtime.cli", "wsp", *words), by=signal.SIGKILL
     )
 
 
@@ -124,7 +123,7 @@ def _fork(unit: Callable[[], int] | None) -> dict[str, subprocess.Popen[bytes]]:
     """Fork recorder and unit, each when the libraries that it shares with the bench are loaded."""
     from rollerrig.realtime.record import summary  # noqa: F401
 
-    recorder = children.Forked((sys.executable, "-m", _RECORDER), _record)
+    recorder = children.Forked(children.module(_RECORDER), _record)
     processes: dict[str, subprocess.Popen[bytes]] = {"recorder": recorder}
     if unit:
         from rollerrig.firmware_sim.wsp import node  # noqa: F401

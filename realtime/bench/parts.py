@@ -7,6 +7,7 @@ is the time since the real-time thread began.
 
 import asyncio
 import json
+import shlex
 import time
 from collections.abc import Callable
 from typing import Any
@@ -305,14 +306,19 @@ class Parts:
         await self.processes.await_recorder(self.rows)
 
     def _start_own_unit(self) -> None:
-        # only in real time does the unit need a real-time priority
-        priority = self.plan["loop"]["priority"] if self.options.pacing == "wall" else 0
+        # only in real time does the unit need a real-time priority, and cores without the loop
+        priority = 0
+        loop_core = -1
+        if self.options.pacing == "wall":
+            priority = self.plan["loop"]["priority"]
+            loop_core = self.plan["loop"]["cpu"]
         if priority:
             priority = max(int(loop.UNIT_SHARE * priority), 1)
         self.processes.start_unit(
             self.place,
             self.plan["wsp_config"],
             priority,
+            loop_core,
             self.plan["bus"]["sync_period_s"],
             self.plan["bus"]["bitrate"],
         )
@@ -337,7 +343,7 @@ class Parts:
             bus,
             is_there,
             f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
-            f"start one ('rollerrig wsp --bus {self.place}') or wait longer with --wait",
+            f"start one ('rollerrig wsp --bus {shlex.quote(self.place)}') or wait longer with --wait",
         )
         if not self.stopping:
             self.event(Code.UNIT_READY)
@@ -348,7 +354,7 @@ class Parts:
             bus,
             lambda: bus.harness.joined,
             f"no harness on {self.place}",
-            f"start one ('rollerrig sequence ... --bus {self.place}') or run without --harness",
+            f"start one ('rollerrig sequence ... --bus {shlex.quote(self.place)}') or run without --harness",
         )
 
     def _report_waiting(self, awaited: str) -> None:

@@ -82,14 +82,22 @@ class Processes:
             )
 
     def start_unit(
-        self, place: str, config: str, priority: int, sync_period_s: float, bitrate: int
+        self,
+        place: str,
+        config: str,
+        priority: int,
+        loop_core: int,
+        sync_period_s: float,
+        bitrate: int,
     ) -> None:
         """Start the unit of the bench on the bus at an address, of `bitrate` in bit/s.
 
-        It requests a real-time `priority` where that is above 0.
+        It requests a real-time `priority` where that is above 0, and leaves the core of the loop
+        (-1: any core).
         """
         options = self.options
         words = ["--bus", place, "--config", config, "--priority", str(priority)]
+        words += ["--leave-core", str(loop_core)]
         if options.pacing == "lockstep":
             words += ["--lockstep", str(sync_period_s)]
         environment = dict(os.environ)

@@ -446,6 +446,7 @@ class RigBus:
     def keep_time(self) -> None:
         """From now on alarms go off by themselves, by the wall clock. Call it in the event loop."""
         self._alarm = Alarm()
+        self.rack.in_real_time()
         asyncio.get_running_loop().add_reader(self._alarm.fileno, self._hear)
 
     def close(self) -> None:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rollerrig.configs.processes import memory
 from rollerrig.realtime.bench import tick_data
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus
@@ -69,7 +70,7 @@ async def _run_held_and_free(parts: Parts, bus: RigBus, plc: "Plc") -> None:
             await asyncio.sleep(LINGER_S)
     finally:
         loop.prefer_bus_thread(0)
-        clock.unlock_memory()
+        memory.unlock()
         bus.close()
         running.remove_reader(descriptor)
         os.close(descriptor)

@@ -8,7 +8,6 @@ separate process, and the time until its first progress line in wall pacing is m
 import argparse
 import signal
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -108,7 +107,7 @@ def _start() -> float:
     with tempfile.TemporaryDirectory(prefix="rollerrig-start-") as place:
         log = Path(place) / "stderr"
         command = [
-            *(sys.executable, "-m", "rollerrig.realtime.cli", "run", SCENARIO),
+            *children.module("rollerrig.realtime.cli", "run", SCENARIO),
             *("--pacing", "wall", "--out", str(Path(place) / "run")),
             *("--set", "bus.interface=hub"),
             *("--set", "bus.socketcand_port=0"),

@@ -7,7 +7,6 @@ measured runs in the event loop of the bus thread, next to the run.
 import asyncio
 import contextlib
 import json
-import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable, Iterator
@@ -82,7 +81,7 @@ async def client(*arguments: object) -> Any:
 
     Raises RollerrigError with its last words when it fails.
     """
-    words = [sys.executable, "-m", "rollerrig.realtime.benchmarks.client", *map(str, arguments)]
+    words = children.module("rollerrig.realtime.benchmarks.client", *map(str, arguments))
     process = await asyncio.create_subprocess_exec(
         *children.command(*words),
         stdin=asyncio.subprocess.DEVNULL,

@@ -9,6 +9,8 @@ chunks were spread: over the cores of this machine, or over a Dask cluster.
 import hashlib
 import itertools
 import json
+import re
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -49,6 +51,14 @@ RANGE = (
 )
 # units that a campaign knows without importing a module
 _NAMED_UNITS = ("reference", "none")
+# package.module:function
+_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", re.ASCII)
+_UNIT_IS = (
+    "write package.module:function of an installed package, where the function returns a unit: "
+    "a call from 8 integers to a byte"
+)
+# the option of the command line without which a plan runs no code
+ALLOW_CODE = "--allow-code"
 # after worker processes of this machine have died so often, a campaign stops with an error
 DEATHS = 4
 
@@ -74,10 +84,11 @@ class Plan(NamedTuple):
 # --- the plan ---
 
 
-def load(name: str, **heads: Any) -> Plan:
+def load(name: str, allow_code: bool = False, **heads: Any) -> Plan:
     """Return a plan by name or path; `heads` replace values at its top. Raises ConfigError.
 
-    The first and the last run are resolved, to find bad values early.
+    A unit that is a Python function is refused without `allow_code`, because a plan is data, and
+    data runs no code. The first and the last run are resolved, to find bad values early.
     """
     content, path = store.load("campaigns", name)
     content = content | heads
@@ -95,6 +106,7 @@ def load(name: str, **heads: Any) -> Plan:
     is_matrix = head["design"] == "matrix"
     points = _matrix(vary, path) if is_matrix else _random(vary, head, path)
     plan = Plan(head, tuple(vary), tuple(points))
+    _check_unit(head["unit"], path, allow_code)
     _unit(head["unit"])
     resolve(plan, 0)
     resolve(plan, len(plan.points) - 1)
@@ -162,18 +174,33 @@ def _at(span: Mapping[str, Any], share: float) -> float:
     return float(low + (high - low) * share)
 
 
+def _check_unit(name: str, path: Path, allow_code: bool) -> None:
+    """Raise ConfigError unless a unit is one of the named ones, or code that the user allows."""
+    if name in _NAMED_UNITS:
+        return
+    if not _FUNCTION.fullmatch(name):
+        raise ConfigError(
+            f'{path}: unit = "{name}"; allowed are reference, none, and package.module:function'
+        )
+    if not allow_code:
+        raise ConfigError(
+            f'{path}: unit = "{name}" is code, and a plan runs no code; if you trust this plan and '
+            f"this function, allow it on the command line with {ALLOW_CODE}"
+        )
+
+
 def _unit(name: str) -> str | free.UnitCall:
-    """Return the unit of a plan. Raises ConfigError if it cannot be imported."""
+    """Return the unit of a plan that `load` has checked. Raises ConfigError if it has none."""
     if name in _NAMED_UNITS:
         return name
     module, _, function = name.partition(":")
     try:
-        return getattr(import_module(module), function)()
-    except (ImportError, AttributeError, ValueError) as error:
-        raise ConfigError(
-            f'unit = "{name}": {error}; write reference, none, or package.module:function, '
-            "where the function returns a unit: a call from 8 integers to a byte"
-        ) from None
+        unit = getattr(import_module(module), function)()
+    except Exception as error:  # of any kind: it is code of the user
+        raise ConfigError(f'unit = "{name}": {error!r}; {_UNIT_IS}') from None
+    if not callable(unit):
+        raise ConfigError(f'unit = "{name}": the function returns {unit!r}; {_UNIT_IS}')
+    return unit
 
 
 def resolve(plan: Plan, number: int) -> scenario.Scenario:
@@ -191,13 +218,16 @@ def settings(plan: Plan, number: int) -> tuple[str, ...]:
 
 def command(plan: Plan, number: int) -> str:
     """Return the command line that repeats a run and records it."""
-    options = " ".join(f"--set {setting}" for setting in settings(plan, number))
     unit = plan.head["unit"]
     pacing = "free"
     if unit not in _NAMED_UNITS:
         unit = "external"
         pacing = "lockstep"
-    return f"rollerrig run {plan.head['scenario']} --pacing {pacing} --wsp {unit} {options}"
+    words = ["rollerrig", "run", plan.head["scenario"], "--pacing", pacing, "--wsp", unit]
+    for setting in settings(plan, number):
+        words += ["--set", setting]
+    # a user pastes it into a shell, so what is in the plan must not become another command
+    return shlex.join(words)
 
 
 # --- a chunk ---
@@ -352,7 +382,9 @@ def result(out: Path) -> pa.Table:
     """Return all rows of a result folder, sorted by run. Raises ConfigError if there are none."""
     paths = sorted((out / "results").glob("part-*.parquet"))
     if not paths:
-        raise ConfigError(f"{out}: no results; run 'rollerrig campaign PLAN --out {out}'")
+        raise ConfigError(
+            f"{out}: no results; run 'rollerrig campaign PLAN' with this folder as --out"
+        )
     tables = []
     for path in paths:
         user_files.check(path, user_files.PARQUET, within=out)

@@ -41,6 +41,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "processes on this machine",
     )
     parser.add_argument(
+        "--allow-code",
+        action="store_true",
+        help="let the plan name a Python function as the unit (unit = package.module:function); it "
+        "runs with your rights, so allow it only for plans that you trust",
+    )
+    parser.add_argument(
         "--worst",
         default="stop_distance_m",
         metavar="FIGURE",
@@ -64,7 +70,7 @@ def call(options: argparse.Namespace) -> int:
     # all that can be wrong is checked before the first run
     if options.pdf:
         pdf.check()
-    plan = campaign.load(options.plan)
+    plan = campaign.load(options.plan, options.allow_code)
     if options.worst not in figures.BY_NAME:
         raise ConfigError(f"--worst {options.worst}: allowed are {', '.join(figures.BY_NAME)}")
     if options.workers < 0:

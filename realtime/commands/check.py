@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.processes import memory
 from rollerrig.realtime.commands import output, wsp
 
 # exit statuses
@@ -366,11 +367,9 @@ def priority() -> Finding:
 
 def memory_lock() -> Finding:
     """Check whether pages may be locked in memory. They are unlocked again."""
-    from rollerrig.realtime.loop import clock
-
     name = "memory lock"
-    reason = clock.lock_memory()
-    clock.unlock_memory()
+    reason = memory.lock()
+    memory.unlock()
     if not reason:
         return Finding(name, State.OK, "allowed")
 

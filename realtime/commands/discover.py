@@ -2,6 +2,7 @@
 
 import argparse
 import secrets
+import shlex
 from pathlib import Path
 
 from rollerrig.realtime.commands import explain, output
@@ -55,7 +56,8 @@ def hide(options: argparse.Namespace) -> int:
     return output.show(
         options,
         {"rig": str(options.out), "key": str(key)},
-        f"sealed rig: {options.out}; search it with: rollerrig discover {options.out}",
+        f"sealed rig: {options.out}; search it with: "
+        f"rollerrig discover {shlex.quote(str(options.out))}",
         f"key, to be read after the search: {key}",
     )
 

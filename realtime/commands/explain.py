@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import shlex
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -259,5 +260,6 @@ def _write_further_stops(
     for file, proposal in zip(files, proposals, strict=True):
         title = proposed_stops.title(proposal.stop)
         reason = proposed_stops.reason(proposal)
-        lines.append(f"Next: {title}; {reason}: rollerrig sequence {file}")
+        command = shlex.join(["rollerrig", "sequence", str(file)])
+        lines.append(f"Next: {title}; {reason}: {command}")
     return lines

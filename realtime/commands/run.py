@@ -3,6 +3,7 @@
 import argparse
 import asyncio
 import itertools
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -183,7 +184,7 @@ def _items(result: dict[str, Any], out: Path) -> list[Any]:
 
     items: list[Any] = [
         summary.table(result),
-        f"recorded in {out}; open it with: rollerrig view {out}",
+        f"recorded in {out}; open it with: rollerrig view {shlex.quote(str(out))}",
     ]
     for reason in result["invalid_because"]:
         items.append(Text(f"not valid: {reason}", "bold red"))

@@ -34,6 +34,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="real-time priority to request (default: none)",
     )
     parser.add_argument(
+        "--leave-core",
+        type=int,
+        default=-1,
+        metavar="N",
+        help="core that is left to the bench: run on the others, if there are any (default: none)",
+    )
+    parser.add_argument(
         "--lockstep",
         type=float,
         default=0.0,
@@ -140,6 +147,7 @@ def call(options: argparse.Namespace) -> int:
     """Run a WSP unit until its bus ends. Returns the exit status."""
     if options.log:
         _redirect_output(options.log)
+    _leave_core(options.leave_core)
     if options.fmu:
         return _run_fmus(options)
 
@@ -158,6 +166,13 @@ def _redirect_output(path: Path) -> None:
     with open(path, "ab", buffering=0) as log:
         os.dup2(log.fileno(), sys.stdout.fileno())
         os.dup2(log.fileno(), sys.stderr.fileno())
+
+
+def _leave_core(core: int) -> None:
+    """Run on all allowed cores but one; on that one, too, if there is no other."""
+    others = os.sched_getaffinity(0) - {core}
+    if others:
+        os.sched_setaffinity(0, others)
 
 
 def _run_fmus(options: argparse.Namespace) -> int:

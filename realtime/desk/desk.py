@@ -26,7 +26,7 @@ from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.telemetry import viewer
 from rollerrig.wsp_interface import unit_choice
-from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.events import Code, Event
 from rollerrig.wsp_interface.unit_choice import AllowList
 
 _READ_S = 0.1
@@ -173,13 +173,23 @@ class Desk:
                 self.alarm("error", text)
 
     def _look_at(self, bench: reader.Bench) -> None:
-        for event in bench.poll():
+        for event in self._new_events(bench):
             if event.level != "info":
                 alarm = Alarm(event.time_s, event.level, event.text, bench.key, code=event.code)
                 self.alarms.appendleft(alarm)
         if bench.ended == "killed" and not self._is_known_as_killed(bench):
             text = f"the bench was killed (process {bench.pid}): its recorder keeps the data so far"
             self.alarm("error", text, bench.key, Code.BENCH_KILLED)
+
+    def _new_events(self, bench: reader.Bench) -> list[Event]:
+        """Read the bench. Damaged rings are one alarm; the desk keeps its other connections."""
+        try:
+            return bench.poll()
+        except RollerrigError as error:
+            if str(error) != self._last_failure:
+                self._last_failure = str(error)
+                self.alarm("error", str(error), bench.key)
+            return []
 
     def _is_known_as_killed(self, bench: reader.Bench) -> bool:
         """Whether there is already an alarm that this bench was killed."""

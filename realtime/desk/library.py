@@ -2,7 +2,6 @@
 
 import datetime
 import subprocess
-import sys
 import tempfile
 import zipfile
 from pathlib import Path
@@ -125,10 +124,9 @@ def export(run: Path, kind: str) -> tuple[str, bytes]:
     """
     with tempfile.TemporaryDirectory(prefix="rollerrig-desk-") as folder:
         out = Path(folder) / f"{run.name}{formats.SUFFIX[kind]}"
-        command = [sys.executable, "-m", "rollerrig.realtime.cli"]
-        command += ["export", str(run), "--format", kind, "--out", str(out), "--json"]
+        words = ["export", str(run), "--format", kind, "--out", str(out), "--json"]
         done = subprocess.run(
-            children.command(*command),
+            children.command(*children.module("rollerrig.realtime.cli", *words)),
             capture_output=True,
             text=True,
             stdin=subprocess.DEVNULL,

@@ -7,14 +7,15 @@ temporary file, whose lines the page shows. Its result is the JSON object that `
 import json
 import os
 import re
+import shlex
 import signal
 import subprocess
-import sys
 import tempfile
 from pathlib import Path
 from typing import IO, Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.processes import children
 
 # lines of progress, which the next line of progress replaces
 _PROGRESS_LINE = re.compile(r"compiling: |\d+ of \d+ .*\(\d+ s\)$")
@@ -37,7 +38,7 @@ class Program:
             self._result_file = tempfile.TemporaryFile()  # noqa: SIM115
             self._message_file = tempfile.TemporaryFile()  # noqa: SIM115
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "rollerrig.realtime.cli", verb, "--json", *rest],
+                children.module("rollerrig.realtime.cli", verb, "--json", *rest),
                 cwd=folder,
                 stdout=self._result_file,
                 stderr=self._message_file,
@@ -53,7 +54,7 @@ class Program:
     @property
     def title(self) -> str:
         """The command line as it would be typed."""
-        return " ".join(["rollerrig", *self.words])
+        return shlex.join(["rollerrig", *self.words])
 
     @property
     def pid(self) -> int:

@@ -101,7 +101,10 @@ class Bench:
         return float(self.newest[COLUMNS.index(column)])
 
     def poll(self) -> list[Event]:
-        """Read new rows and events, and return the new events."""
+        """Read new rows and events, and return the new events.
+
+        Raises RollerrigError if another program has cut off one of the rings.
+        """
         rows, self._cursor, _ = self.rows.read(self._cursor)
         if len(rows):
             self.heard_s = time.monotonic()
@@ -186,11 +189,12 @@ def running(among: Callable[[int], bool] = lambda pid: True) -> list[Bench]:
         if not among(pid):
             continue
         try:
-            rows = Ring(path, np.float64)
-            events = Ring(_event_ring_path(path, pid, created_ns), np.int64)
+            rows = Ring(path, np.float64, width=len(signals.COLUMNS))
+            event_path = _event_ring_path(path, pid, created_ns)
+            events = Ring(event_path, np.int64, width=ring.EVENT_WORDS)
             bench = Bench(pid, rows, events)
         except (OSError, ValueError, RollerrigError):
-            continue  # the bench is starting or stopping now
+            continue  # the bench is starting or stopping, or it is not a bench of this user
         if not bench.ended:
             found.append((created_ns, bench))
     found.sort(key=lambda entry: entry[0])

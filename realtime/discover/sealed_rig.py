@@ -1,5 +1,6 @@
 """A rig that hides one or two effects: a scenario that does not show them, and a key in words."""
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -141,7 +142,7 @@ def write(out: Path, scenario: Mapping[str, Any], hidden: Mapping[str, Any]) -> 
     }
     head = (
         "# The effects that this rig hides are encoded below. Its key describes them.\n"
-        f"# To find them from stops: rollerrig discover {out.name}\n"
+        f"# To find them from stops: rollerrig discover {shlex.quote(out.name)}\n"
     )
     with writing(out):
         make_folder(out.parent)

@@ -6,7 +6,6 @@ deadline.
 """
 
 import contextlib
-import ctypes
 import os
 from collections.abc import Iterator
 
@@ -16,10 +15,6 @@ from rollerrig.rig.compiled.kernel import kernel
 MONOTONIC = 1
 _ABSOLUTE = 1
 SECOND_NS = 1_000_000_000
-# flags of mlockall(2)
-_CURRENT = 1
-_FUTURE = 2
-_ON_FAULT = 4
 _EINTR = 4  # errno(3): a signal interrupted the sleep
 IDLE_LIMIT = "/dev/cpu_dma_latency"
 
@@ -53,27 +48,6 @@ def wake(descriptor, one):
 def eventfd() -> int:
     """Return a descriptor that `wake` makes readable."""
     return os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
-
-
-def lock_memory() -> str:
-    """Keep pages in memory once they are touched; return "" or the reason why that is not possible.
-
-    Future pages are locked only where there is no limit: else allocations would fail. Without
-    MCL_ONFAULT the memory that libraries merely reserve would be filled and stay, 1 GB for Arrow.
-    """
-    libc = ctypes.CDLL(None, use_errno=True)
-    flags = _ON_FAULT | _CURRENT
-    is_unlimited = os.geteuid() == 0
-    if is_unlimited:
-        flags |= _FUTURE
-    if libc.mlockall(flags) == 0:
-        return ""
-    return os.strerror(ctypes.get_errno())
-
-
-def unlock_memory() -> None:
-    """Allow the system to page out memory again."""
-    ctypes.CDLL(None).munlockall()
 
 
 @contextlib.contextmanager

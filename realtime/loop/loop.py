@@ -14,7 +14,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from rollerrig.realtime.loop import clock, held_rig, tick
+from rollerrig.configs.processes import memory
+from rollerrig.realtime.loop import held_rig, tick
 from rollerrig.realtime.loop.clock import now_ns, sleep_until, wake
 from rollerrig.realtime.loop.tick import (
     BUSY_NS,
@@ -91,7 +92,7 @@ def ask_for_priority(priority: int, cpu: int) -> list[str]:
                 f"SCHED_FIFO priority {priority} ({error.strerror}): allow it with "
                 "'ulimit -r 90' (rtprio in /etc/security/limits.conf) or CAP_SYS_NICE"
             )
-        reason = clock.lock_memory()
+        reason = memory.lock()
         if reason:
             refused.append(
                 f"locked memory ({reason}): allow it with 'ulimit -l unlimited' "

@@ -10,15 +10,23 @@ in ns, then code and fields as JSON).
 
 The writer holds a lock on the file as long as it runs. The operating system releases the lock when
 the writer exits or is killed.
+
+The folder is open to all users of the machine, so a reader trusts only what it has checked. The
+file must belong to the reader's user, nobody else may have access, and its size must be that of its
+header. Only the writer maps the file. Readers read it with system calls: a file that is cut off
+later is then an error, whereas access to a map without its file would kill the reader.
 """
 
 import fcntl
 import json
 import mmap
 import os
+import stat
+import sys
 import tempfile
 import threading
 import time
+from io import FileIO
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +48,9 @@ CREATED_NS = 8  # when the writer made the ring
 RECORDER_BEAT_NS = 9  # heartbeat of the recorder, which writes it; 0: it is not ready yet
 VIEWED = 10  # 1 while a viewer has joined the live view, which writes it
 _HEADER = 16
+_WORD_BYTES = 8
+# only the owner may read and write
+_PERMISSIONS = 0o600
 # words of 8 bytes in a row of a ring of events, and of frames
 EVENT_WORDS = 64
 FRAME_WORDS = 4
@@ -98,48 +109,95 @@ class Memory:
         return self.rows[: int(self.header[WRITTEN])]
 
 
-class Ring:
-    """A ring on a mapped file. `rows` has shape (capacity, width) and 8 bytes an item.
+class FileHeader:
+    """The header of a ring as a reader has access to it: one slot at a time, from the file.
 
-    With a capacity this process makes the file and is its writer; without, it is a reader. Raises
-    RollerrigError where there is not enough memory or the file is not a ring.
+    A slot that has been cut off the file reads as 0; `Ring.read` reports that.
     """
+
+    def __init__(self, file: FileIO) -> None:
+        self._file = file
+
+    def __getitem__(self, slot: int) -> int:
+        word = os.pread(self._file.fileno(), _WORD_BYTES, _WORD_BYTES * slot)
+        return int.from_bytes(word, sys.byteorder, signed=True)
+
+    def __setitem__(self, slot: int, value: int) -> None:
+        word = int(value).to_bytes(_WORD_BYTES, sys.byteorder, signed=True)
+        os.pwrite(self._file.fileno(), word, _WORD_BYTES * slot)
+
+
+class Ring:
+    """A ring on a file of rows with 8 bytes an item.
+
+    With a capacity this process makes the file and is its writer. Then `header` and `rows` of shape
+    (capacity, width) are its mapped memory. Without a capacity it is a reader, and has no `rows`. A
+    reader that gives a width accepts only rows of this width.
+
+    Raises RollerrigError where there is not enough memory, or where the file is not a ring of this
+    user.
+    """
+
+    header: np.ndarray | FileHeader
+    rows: np.ndarray
 
     def __init__(self, path: Path, dtype: type, capacity: int = 0, width: int = 0) -> None:
         self.path = Path(path)
+        self._dtype = np.dtype(dtype)
         self._one_at_a_time = threading.Lock()
-        if capacity:
-            _make(self.path, 8 * (_HEADER + capacity * width))
-        self._file = open(self.path, "r+b")  # noqa: SIM115 (open as long as the map: it carries the lock)
-        if capacity:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        size = os.fstat(self._file.fileno()).st_size
-        if size < 8 * _HEADER:
-            raise RollerrigError(f"{self.path}: not a ring ({size} bytes)")
+        self._is_writer = capacity > 0
+        if self._is_writer:
+            self._capacity = capacity
+            self._width = width
+            self._file = _make(self.path, self._size)
+            self._map_memory()
+        else:
+            self._file = _open(self.path)
+            self.header = FileHeader(self._file)
+            self._capacity = int(self.header[CAPACITY])
+            self._width = int(self.header[WIDTH])
+            self._check_shape(width)
+
+    @property
+    def _size(self) -> int:
+        """The size of the file in bytes."""
+        return _WORD_BYTES * (_HEADER + self._capacity * self._width)
+
+    def _map_memory(self) -> None:
+        """Map the file of a writer, and lock it."""
+        from rollerrig.realtime.loop import appending
+
+        fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self._map = mmap.mmap(self._file.fileno(), 0)
         words = np.frombuffer(self._map, dtype=np.int64)
+        # touch every page now: the real-time thread must never have a page fault here
+        words[:] = 0
         self.header = words[:_HEADER]
-        if capacity:
-            # touch every page now: the real-time thread must never have a page fault here
-            words[:] = 0
-            self.header[CAPACITY] = capacity
-            self.header[WIDTH] = width
-            self.header[WRITER_PID] = os.getpid()
-            self.header[CREATED_NS] = time.monotonic_ns()
-        rows_in_file = int(self.header[CAPACITY])
-        items_in_row = int(self.header[WIDTH])
-        if 8 * (_HEADER + rows_in_file * items_in_row) != size:
-            raise RollerrigError(
-                f"{self.path}: not a ring ({rows_in_file} rows of {items_in_row} items in {size} bytes)"
-            )
-        self.rows: np.ndarray = words[_HEADER:].view(dtype).reshape(rows_in_file, items_in_row)
-        if capacity:
-            from rollerrig.realtime.loop import appending
+        self.header[CAPACITY] = self._capacity
+        self.header[WIDTH] = self._width
+        self.header[WRITER_PID] = os.getpid()
+        self.header[CREATED_NS] = time.monotonic_ns()
+        shape = (self._capacity, self._width)
+        self.rows = words[_HEADER:].view(self._dtype).reshape(shape)
+        self._append = appending.push
+        # compile now: the first row of a run must not wait for the compiler
+        self.push(np.zeros_like(self.rows[0]))
+        self.header[WRITTEN] = 0
 
-            self._append = appending.push
-            # compile now: the first row of a run must not wait for the compiler
-            self.push(np.zeros_like(self.rows[0]))
-            self.header[WRITTEN] = 0
+    def _check_shape(self, width: int) -> None:
+        """Raise RollerrigError unless header and size of the file fit, and the width if given."""
+        size = os.fstat(self._file.fileno()).st_size
+        has_rows = self._capacity > 0 and self._width > 0
+        if not has_rows or self._size != size:
+            raise RollerrigError(
+                f"{self.path}: not a ring ({self._capacity} rows of {self._width} items in "
+                f"{size} bytes); remove the file if no bench uses it"
+            )
+        if width and self._width != width:
+            raise RollerrigError(
+                f"{self.path}: its rows have {self._width} items, allowed here: {width}; use one "
+                "version of rollerrig for the bench and the programs that follow it"
+            )
 
     def push(self, row: np.ndarray) -> None:
         """Append one row of `width` items; any thread of the writing process may call this."""
@@ -150,22 +208,54 @@ class Ring:
         """Return a copy of the rows since `cursor`, the new cursor, and how many rows were lost.
 
         A slot that the writer may be filling is left out. Rows that were overwritten while they
-        were copied count as lost.
+        were copied count as lost. Raises RollerrigError where a reader's file has been cut off.
         """
-        capacity = self.rows.shape[0]
+        if not self.intact:
+            raise self._cut_off()
         written = int(self.header[WRITTEN])
-        first = max(cursor, written - capacity + 1)
+        first = max(cursor, written - self._capacity + 1)
         skipped = first - cursor
-        rows = self.rows[np.arange(first, written) % capacity]
+        rows = self._copy(first, max(written - first, 0))
         # look again: the writer may have gone on meanwhile
-        first_valid = int(self.header[WRITTEN]) - capacity + 1
+        first_valid = int(self.header[WRITTEN]) - self._capacity + 1
         overwritten = min(max(0, first_valid - first), len(rows))
         return rows[overwritten:], written, skipped + overwritten
+
+    def _copy(self, first: int, count: int) -> np.ndarray:
+        """Return a copy of `count` rows from row number `first` on."""
+        if self._is_writer:
+            return self.rows[np.arange(first, first + count) % self._capacity]
+        rows = np.empty((count, self._width), dtype=self._dtype)
+        slot = first % self._capacity
+        before_the_end = min(count, self._capacity - slot)
+        self._fill(rows[:before_the_end], slot)
+        self._fill(rows[before_the_end:], 0)
+        return rows
+
+    def _fill(self, rows: np.ndarray, slot: int) -> None:
+        """Fill rows with those of the file from a slot on. Raises RollerrigError."""
+        if not len(rows):
+            return
+        at = _WORD_BYTES * (_HEADER + slot * self._width)
+        if os.preadv(self._file.fileno(), [rows.data], at) < rows.nbytes:
+            raise self._cut_off()
+
+    def _cut_off(self) -> RollerrigError:
+        size = os.fstat(self._file.fileno()).st_size
+        return RollerrigError(
+            f"{self.path}: another program has cut the ring off at {size} of {self._size} bytes; "
+            "start the bench again"
+        )
+
+    @property
+    def intact(self) -> bool:
+        """Whether the file still has its size."""
+        return os.fstat(self._file.fileno()).st_size == self._size
 
     @property
     def room(self) -> int:
         """How many rows the writer may append before the recorder loses one."""
-        return int(self.header[CAPACITY] - 1 - (self.header[WRITTEN] - self.header[READ]))
+        return self._capacity - 1 - int(self.header[WRITTEN] - self.header[READ])
 
     def close(self) -> None:
         """Mark the ring as closed: no more rows will come."""
@@ -193,21 +283,65 @@ class Ring:
         self.path.unlink(missing_ok=True)
 
 
-def _make(path: Path, size: int) -> None:
-    """Make a new file of zeros.
+def _make(path: Path, size: int) -> FileIO:
+    """Make a new file of zeros, and return it open.
 
-    An old file is unlinked first, so that its readers keep their memory.
+    An old file is unlinked first, so that its readers keep their memory. Raises RollerrigError.
     """
-    path.unlink(missing_ok=True)
     try:
-        with open(path, "xb", opener=lambda name, flags: os.open(name, flags, 0o600)) as file:
-            file.write(bytes(size))
+        path.unlink(missing_ok=True)
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+        file = FileIO(os.open(path, flags, _PERMISSIONS), "r+b")
     except OSError as error:
+        raise RollerrigError(
+            f"{path}: no ring can be made there ({error.strerror}); allow this user to make files "
+            f"in {path.parent}, or remove the file if it belongs to another user"
+        ) from None
+    try:
+        _write_zeros(file, size)
+    except OSError as error:
+        file.close()
         path.unlink(missing_ok=True)
         raise RollerrigError(
             f"{path}: no room for a ring of {size / 1e6:.1f} MB "
             f"({error.strerror}); make room in {path.parent}"
         ) from None
+    return file
+
+
+def _write_zeros(file: FileIO, size: int) -> None:
+    """Write zeros, so that the system reserves the memory. Raises OSError where it has none."""
+    zeros = memoryview(bytes(size))
+    while zeros:
+        zeros = zeros[file.write(zeros) :]
+
+
+def _open(path: Path) -> FileIO:
+    """Return the file of a ring that this user has made. Raises OSError or RollerrigError."""
+    # O_NONBLOCK: a named pipe must not let the reader wait
+    flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    file = FileIO(os.open(path, flags), "r+b")
+    # the open file is checked, not its path: what is there may change in between
+    status = os.fstat(file.fileno())
+    problem = ""
+    if not stat.S_ISREG(status.st_mode):
+        problem = "not a ring (no regular file)"
+    elif status.st_uid != os.geteuid():
+        problem = (
+            f"this ring belongs to user {status.st_uid}, and this program runs as user "
+            f"{os.geteuid()}; run the bench and what follows it as the same user"
+        )
+    elif stat.S_IMODE(status.st_mode) & ~_PERMISSIONS:
+        problem = (
+            f"other users have access to this ring (mode {stat.S_IMODE(status.st_mode):04o}), "
+            f"allowed is {_PERMISSIONS:04o}; start the bench again"
+        )
+    elif status.st_size < _WORD_BYTES * _HEADER:
+        problem = f"not a ring ({status.st_size} bytes)"
+    if problem:
+        file.close()
+        raise RollerrigError(f"{path}: {problem}")
+    return file
 
 
 def push_event(ring: Ring, event: Event) -> None:

@@ -9,16 +9,23 @@ import base64
 import contextlib
 import html
 import io
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
+from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import matplotlib
 from matplotlib.figure import Figure
 
 from rollerrig.configs.printable import printable
 from rollerrig.realtime.pictures import colours
+
+# matplotlib has read a file matplotlibrc if there is one in the working folder. It could switch on
+# LaTeX, which is a program. Reports look the same everywhere and use the defaults of matplotlib.
+matplotlib.rcdefaults()
 
 # a colour that stands for the colour of the text
 INK = "#222222"
@@ -125,6 +132,15 @@ def page(title: str, *parts: str) -> str:
         + element("body", element("h1", title), *parts)
         + "</html>\n"
     )
+
+
+def file_link(text: str, file: Path, folder: Path) -> Markup:
+    """Return a link to a file, for a page in `folder`.
+
+    It begins with a dot, so that the name of a file cannot be the address of a script.
+    """
+    path = os.path.relpath(file, folder)
+    return element("a", text, href=f"./{quote(path)}")
 
 
 def paragraph(*parts: str, kind: str = "") -> Markup:

@@ -10,7 +10,6 @@ import contextlib
 import dataclasses
 import json
 import math
-import os
 import platform
 import re
 import xml.etree.ElementTree as ET
@@ -503,7 +502,7 @@ def _links(outcome: Outcome, out: Path) -> Markup:
     for name in _RECORDINGS:
         path = outcome.folder / name
         if path.is_file():
-            links.append(element("a", f"{name} ", href=os.path.relpath(path, out)))
+            links.append(page.file_link(f"{name} ", path, out))
     return element("span", *links)
 
 

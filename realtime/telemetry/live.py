@@ -23,6 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.processes import children
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
@@ -75,9 +76,7 @@ def start(run_dir: Path, rows: Ring, events: Ring, unit: str = "") -> subprocess
 
 def _command(run_dir: Path, rows: Path, events: Path, *more: str) -> list[str]:
     return [
-        sys.executable,
-        "-m",
-        _MODULE,
+        *children.module(_MODULE),
         str(run_dir),
         "--rows",
         str(rows),
@@ -277,9 +276,9 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
-    rows = Ring(given.rows, np.float64)
+    rows = Ring(given.rows, np.float64, width=len(signals.COLUMNS))
     if given.worker:
-        events = Ring(given.events, np.int64)
+        events = Ring(given.events, np.int64, width=ring.EVENT_WORDS)
         serve(given.run_dir, rows, events, given.port, given.unit)
         # an ordinary exit waits for Rerun's clients, and a client may have stalled
         sys.stderr.flush()

@@ -352,8 +352,8 @@ def main(arguments: list[str] | None = None) -> int:
     _detach_from_bench(stop)
     rings = Rings(
         rows=Ring(given.rows, np.float64),
-        frames=Ring(given.frames, np.int64),
-        events=Ring(given.events, np.int64),
+        frames=Ring(given.frames, np.int64, width=ring.FRAME_WORDS),
+        events=Ring(given.events, np.int64, width=ring.EVENT_WORDS),
     )
     channels.leave_pandas_out()
 
@@ -368,6 +368,8 @@ def main(arguments: list[str] | None = None) -> int:
         recorder.finish(ended)
     except (OSError, RollerrigError) as error:
         status = getattr(error, "errno", None) or errno.EIO
+        if isinstance(error, RollerrigError):
+            print(f"recorder: {error}", file=sys.stderr, flush=True)
         if recorder:
             _save_channels(recorder)
 

@@ -107,9 +107,7 @@ def _switched_off(home: Path) -> Path:
 def command(*arguments: str) -> list[str]:
     """Return the command line of the viewer, bound to loopback."""
     return [
-        sys.executable,
-        "-m",
-        "rerun_cli",
+        *children.module("rerun_cli"),
         "--bind",
         LOOPBACK,
         "--hide-welcome-screen",

@@ -4,6 +4,9 @@ Numba does not notice that a function which a cached kernel calls has changed. T
 is named after a hash of this installation and of all its sources that affect compiled code: a
 changed source leads to another folder, and everything is compiled again.
 
+A kept kernel is a program: who can write into the folder can run code as its user. So the folder is
+used only if it belongs to this user or to root, and no other user may write into it.
+
 The folders used most recently are kept. A process holds a shared lock on its folder as long as it
 lives, and no process removes a locked folder.
 """
@@ -13,6 +16,7 @@ import fcntl
 import hashlib
 import os
 import shutil
+import stat
 from pathlib import Path
 
 from rollerrig.rig.compiled.numba_import import numba, settings
@@ -28,6 +32,8 @@ _NOT_READ_BY_KERNELS = (
     "lazy_cache.py",
     "compile_progress.py",
 )
+
+_WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 # limits on old folders: their number and their total size
 FOLDERS_KEPT = 6
@@ -57,18 +63,30 @@ def _affects_compiled_code(path: Path, source: bytes, root: Path) -> bool:
 def use() -> None:
     """Make numba keep compiled kernels in the folder of these sources, and locks the folder.
 
-    Raises OSError where the home folder is not writable; numba then chooses a folder itself.
+    Raises OSError where the home folder is not writable, or where the folder belongs to another
+    user; numba then chooses a folder itself.
     """
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "rollerrig"
     folder = base / f"kernels-{_fingerprint(Path(__file__).resolve().parents[2])}"
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
+    for place in (base, folder):
+        _keep_others_out(place)
     settings.CACHE_DIR = str(folder)
     os.utime(folder)  # marks it as used now
     # the descriptor stays open, and the folder locked, until the process exits
     fcntl.flock(os.open(folder, os.O_RDONLY), fcntl.LOCK_SH)
     if is_new:
         remove_old(base)
+
+
+def _keep_others_out(place: Path) -> None:
+    """Let no other user write into a folder. Raises PermissionError if it belongs to another."""
+    state = place.stat()
+    if state.st_uid not in (0, os.geteuid()):
+        raise PermissionError(f"{place} belongs to another user")
+    if state.st_mode & _WRITABLE_BY_OTHERS:
+        place.chmod(stat.S_IMODE(state.st_mode) & ~_WRITABLE_BY_OTHERS)
 
 
 def remove_old(base: Path, folders_kept: int = FOLDERS_KEPT, bytes_kept: int = BYTES_KEPT) -> None:

@@ -4,15 +4,25 @@ When numba is imported it imports PyYAML, only to read a settings file, and scip
 version. When compiled code is loaded or a kernel is compiled it imports scipy.linalg, only for
 matrix products in kernels, and no kernel has one. Without them a program starts earlier;
 docs/compiled_kernels.md has the measured times.
+
+The settings file is .numba_config.yaml in the working folder. It could switch off compilation, and
+without PyYAML numba does not read it. So PyYAML is hidden also where it is loaded already.
 """
 
+import sys
+import warnings
 from typing import Any
 
 from rollerrig.configs.processes.without import without
 
+# numba would advise to install PyYAML where there is such a file
+warnings.filterwarnings("ignore", message="A Numba config file is found")
+_loaded_yaml = sys.modules.pop("yaml", None)
 with without("yaml"), without("scipy"):
     import numba
-from numba.core import config
+    from numba.core import config
+if _loaded_yaml:
+    sys.modules["yaml"] = _loaded_yaml
 
 # numba fills this module with its settings when it loads it
 settings: Any = config

@@ -6,28 +6,49 @@ traction turns towards the direction against the slip. Three flexibilities, for 
 lateral and spin creepage, make the sum correct at small creepage.
 
 [F1] L1 = 8 a / (3 G c11), L2 = 8 a / (3 G c22), L3 = pi a sqrt(a/b) / (4 G c23)
-[F2] stick: dp_x/dx = xi / L1 - phi y / L3,  dp_y/dx = eta / L2 + phi x / L3
+[F2] stick: dp_x/dx = xi / L1 - phi y / L4,  dp_y/dx = eta / L2 + phi x / L3,
+     1/L4 = 1/L3 + m (1/L1 - 1/L3),  m = max(1 - a/b, 0)
 [F3] limit: g = 2 mu N / (pi a b) (1 - x^2/a^2 - y^2/b^2)
 [F4] slip: |p| = g, and d(theta)/dx = |w| / (L g) sin(theta - theta_w), theta_w against
      w = (xi - phi y, eta + phi x), which holds exactly over a step with constant w, L and g
 [F5] 1/L = S (|xi| + |eta| + l |phi|) / (L1 |xi| + L2 |eta| + L3 l |phi|),  l = sqrt(a b),
-     S = 1.6 - |xi| / (|xi| + |eta| + l |phi|)
+     S = 1 + 0.9 r - 0.35 u - 3 r u v,  r = min(b/a, 1),
+     u = |xi| / (|xi| + |eta| + l |phi|),  v = l |phi| / (|xi| + |eta| + l |phi|)
+[F6] c = c' / (1 + k q),  q = (s - s1) (s2 - s) / (s1 s2) for s = b/a = 0.1 .. 0.4 between the rows
+     s1 and s2 of Kalker's table; k = 0.45, 0.52, 1.2 for c11, c22, c23
 
 Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip
 (three flexibilities would shift its pole) with one mean flexibility [F5], by an exact step [F4].
 Kalker cuts the traction back radially, which is first order in the step only. S: traction that
-turns within the patch meets a stiffer half-space than traction that grows over all of it, the more
-so the less of it is longitudinal. S was found on 54 CONTACT results for a/b = 1.3 and on our coarse
-half-space solution for a/b = 0.4 to 4.8 (a constant 1.35 is too much for long patches with spin and
-longitudinal creepage). Sums are divided by the sum of the limit, so that full sliding gives mu N on
-any grid. Limits: long patches with much spin, where the error reaches 0.08 mu N.
+turns within the patch meets a stiffer half-space than traction that grows over all of it. The
+effect is smaller in long patches, and where longitudinal creepage acts, above all with spin. S was
+found (not derived) on 54 CONTACT results for a/b = 1.3 and on 1,000 results of our half-space
+solution for a/b = 0.3 to 6, extrapolated to infinitely small elements. [F6]: `kalker` is linear in
+b/a between the rows of the table, where the coefficients grow as (b/a)^-n. The chord between two
+rows is above that curve by the part k q, with k = n (n + 1) / 2. At a/b = 6 this is 14 % of
+c23. n = 0.57, 0.64 and 1.13 are the slopes between the table's last rows. L4: in a narrow patch
+phi y hardly differs from longitudinal creepage along a strip, so it meets the flexibility L1.
+Kalker uses L3, which makes the longitudinal force too small there. At small creepage L4 changes the
+moment only. Sums are divided by the sum of the limit, so that full sliding gives mu N on any grid.
+Limits: the error reaches 0.065 mu N on long patches with spin.
 """
 
 import math
 
 from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.contact import kalker
 
-STIFFENING = 1.6  # S of [F5] without longitudinal creepage
+# S of [F5]: of a very long patch; more for a round one; less for longitudinal creepage, and less
+# where it comes with spin
+STIFFENING = 1.0
+STIFFENING_ROUND = 0.9
+STIFFENING_ALONG = 0.35
+STIFFENING_ALONG_AND_SPIN = 3.0
+# k of [F6] for c11, c22 and c23, and the b/a above which the chord is within 1.2 % of the curve
+CHORD_C11 = 0.45
+CHORD_C22 = 0.52
+CHORD_C23 = 1.2
+CHORD_END = 0.4
 # cosine between the traction and its goal below which the direction of the turn is not defined
 OPPOSITE = -0.999999
 
@@ -54,7 +75,7 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
     growth = load_N ** (1.0 / 3.0)
     a = patch.a1 * growth
     b = patch.b1 * growth
-    s1, s2, s3, s = stiffnesses(xi, eta, phi_1_m, a, b, limit, patch)
+    s1, s2, s3, s4, s = stiffnesses(xi, eta, phi_1_m, a, b, limit, patch)
 
     fx = 0.0
     fy = 0.0
@@ -67,7 +88,7 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
         # slip per unit of x/a, in units of the largest traction: as stick and as slip see it
         spin = phi_1_m * a
         px, py, mp, top = strip(
-            s1 * xi - s3 * phi_1_m * b * y,
+            s1 * xi - s4 * phi_1_m * b * y,
             s2 * eta,
             s3 * spin,
             s * (xi - phi_1_m * b * y),
@@ -86,14 +107,19 @@ def force(xi, eta, phi_1_m, mu, load_N, patch, along, across):
 
 @kernel
 def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
-    """Return a/L1, a/L2, a/L3 of [F1] and a/L of [F5], over the largest traction of [F3].
+    """Return a/L1 to a/L4 of [F1], [F2] and a/L of [F5], over the largest traction of [F3].
 
     Creepages and spin xi, eta, phi_1_m; semi-axes a_m along and b_m across; limit_N = mu N.
     """
     unit = patch.shear_Pa * math.pi * a_m * b_m / (2.0 * limit_N)
-    s1 = 0.375 * unit * patch.c11
-    s2 = 0.375 * unit * patch.c22
-    s3 = 4.0 / math.pi * unit * patch.c23 * math.sqrt(b_m / a_m)
+    slimness = b_m / a_m
+    chord = chord_excess(slimness)
+    s1 = 0.375 * unit * patch.c11 / (1.0 + CHORD_C11 * chord)  # [F6], also the next two lines
+    s2 = 0.375 * unit * patch.c22 / (1.0 + CHORD_C22 * chord)
+    s3 = 4.0 / math.pi * unit * patch.c23 * math.sqrt(slimness) / (1.0 + CHORD_C23 * chord)
+    s4 = s3
+    if a_m < b_m:
+        s4 += (1.0 - a_m / b_m) * (s1 - s3)  # [F2]
 
     # the mean flexibility, weighted with the parts of the creepage
     x = abs(xi)
@@ -101,8 +127,28 @@ def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
     z = abs(phi_1_m) * math.sqrt(a_m * b_m)
     whole = x + y + z
     if whole == 0.0:
-        return s1, s2, s3, s1
-    return s1, s2, s3, (STIFFENING * whole - x) / (x / s1 + y / s2 + z / s3)
+        return s1, s2, s3, s4, s1
+    along = x / whole
+    spin = z / whole
+    roundness = min(slimness, 1.0)
+    stiffening = (
+        STIFFENING
+        + STIFFENING_ROUND * roundness
+        - STIFFENING_ALONG * along
+        - STIFFENING_ALONG_AND_SPIN * roundness * along * spin
+    )
+    return s1, s2, s3, s4, stiffening * whole / (x / s1 + y / s2 + z / s3)
+
+
+@kernel
+def chord_excess(slimness):
+    """Return q of [F6] for b/a: 0 at the rows of Kalker's table, and outside 0.1 .. 0.4."""
+    if not kalker.END < slimness < CHORD_END:
+        return 0.0
+    row = int(slimness / kalker.SPACING)
+    low = row * kalker.SPACING
+    high = low + kalker.SPACING
+    return (slimness - low) * (high - slimness) / (low * high)
 
 
 @kernel

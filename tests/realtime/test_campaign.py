@@ -194,7 +194,7 @@ def dying_unit():
 
 def test_a_worker_that_dies_costs_no_run(plan_file, tmp_path, monkeypatch):
     monkeypatch.setenv("ROLLERRIG_TEST_DEAD", str(tmp_path / "dead"))
-    plan = campaign.load(plan_file(), unit=f"{__name__}:dying_unit", design="matrix")
+    plan = campaign.load(plan_file(), True, unit=f"{__name__}:dying_unit", design="matrix")
     out = tmp_path / "out"
     for chunk, rows in campaign.spread_local(plan, campaign.open_result(plan, out), 2):
         campaign.write_chunk(out, chunk, rows)

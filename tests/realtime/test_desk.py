@@ -136,6 +136,34 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
             path.unlink()
 
 
+@pytest.mark.conformance("Bad input", "the desk survives a ring that is cut off: an alarm")
+@pytest.mark.parametrize("kind", ["rows", "events"])
+def test_a_ring_that_is_cut_off_is_an_alarm_and_the_desk_continues(tmp_path, kind):
+    writer = subprocess.Popen([sys.executable, "-c", WRITER], stdout=subprocess.PIPE, text=True)
+    try:
+        assert writer.stdout.readline()
+        one = desk.Desk(tmp_path, own=True)
+        (one.bench,) = reader.running(lambda pid: pid == writer.pid)
+        (path,) = ring.folder().glob(f"rollerrig-{writer.pid}-*-{kind}")
+        os.truncate(path, 0)
+        one.look()
+        one.look()  # the alarm is raised once only
+        (alarm,) = one.alarms
+        assert f"{kind}: another program has cut the ring off" in alarm.text
+    finally:
+        writer.kill()
+        writer.communicate()
+        for path in ring.folder().glob(f"rollerrig-{writer.pid}-*"):
+            path.unlink()
+
+
+def test_a_ring_to_which_other_users_have_access_is_no_bench(rings):
+    rows, _ = rings
+    assert len(reader.running(lambda pid: pid == os.getpid())) == 1
+    rows.path.chmod(0o666)
+    assert reader.running(lambda pid: pid == os.getpid()) == []
+
+
 # -- a desk belongs to one bench
 
 

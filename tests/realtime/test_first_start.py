@@ -3,6 +3,7 @@
 import fcntl
 import os
 import re
+import stat
 import subprocess
 import sys
 import time
@@ -164,3 +165,19 @@ def test_the_recorder_loads_neither_the_compiler_nor_pandas():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "0 []"
+
+
+def test_no_other_user_can_write_into_the_folder_of_kernels_which_are_programs(tmp_path):
+    folder = tmp_path / "kernels"
+    folder.mkdir()
+    folder.chmod(0o777)
+    kernel_cache._keep_others_out(folder)
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o755
+    assert stat.S_IMODE(kernel_cache.folder().stat().st_mode) & 0o022 == 0
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can give a folder to another user")
+def test_a_folder_of_kernels_that_belongs_to_another_user_is_not_used(tmp_path):
+    os.chown(tmp_path, 12345, -1)
+    with pytest.raises(PermissionError, match="belongs to another user"):
+        kernel_cache._keep_others_out(tmp_path)

@@ -27,6 +27,11 @@ def test_a_page_needs_no_other_file_and_no_script():
     assert "<script" not in text
 
 
+def test_the_name_of_a_file_cannot_make_a_link_the_address_of_a_script(tmp_path):
+    link = page.file_link("run", tmp_path / "javascript:alert(1)" / "a#b?.svg", tmp_path)
+    assert link == '<a href="./javascript%3Aalert%281%29/a%23b%3F.svg">run</a>'
+
+
 def test_a_picture_has_its_words_as_text_in_the_colour_of_the_page():
     svg = page.picture(draw_two_lines)
     assert "sliding, m/s" in svg

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import functools
 import os
 import socket
 import time
@@ -16,6 +17,7 @@ from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.rig_objects import UNIT_HEARTBEAT_ID
 
 SAVE = b"save"  # the signature in 1010h that stores the parameters
 # requests of SDO as they are on the bus: command specifier, index, sub-index
@@ -65,6 +67,77 @@ def test_a_parameter_that_a_master_stores_is_kept_in_the_next_run_with_the_same_
     assert first.request(node, STORE_ALL + SAVE)[0] == WRITTEN
     assert Rig(store).heartbeat_ms(node) == 250
     assert Rig().heartbeat_ms(node) == 100
+
+
+# --- a bench that stands still ---
+
+
+class WatchedRig:
+    """A rig in real time on a hub: its clock, the heartbeats of a unit, what the rig reports."""
+
+    def __init__(self):
+        self.now_ns = 0
+        self.reported = []
+        hub = Hub(lambda: self.now_ns)
+        self.bus = rig_bus.RigBus(
+            hub,
+            scenario.load("dry_stop"),
+            np.zeros(len(signals.COLUMNS)),
+            lambda row: None,
+            lambda code, **fields: self.reported.append(code),
+            lambda: self.now_ns,
+        )
+        self.bus.keep_time()
+        self.unit = hub.attach(lambda frame: None, "unit")
+
+    def heartbeat(self):
+        self.unit.send(Frame(UNIT_HEARTBEAT_ID, b"\5"))
+
+    def run(self, milliseconds, with_heartbeats=True):
+        """Let time go on in steps of 10 ms, with a heartbeat of the unit in every fifth one."""
+        for step in range(milliseconds // 10):
+            self.now_ns += 10_000_000
+            if with_heartbeats and step % 5 == 0:
+                self.heartbeat()
+            self.bus.poll()
+
+    def losses(self):
+        lost = (Code.UNIT_LOST, Code.NODE_LOST, Code.HEARTBEAT_LOST)
+        return [code for code in self.reported if code in lost]
+
+
+def in_event_loop(test):
+    """Make a test of a coroutine that needs no fixture."""
+
+    @functools.wraps(test)
+    def run():
+        asyncio.run(test())
+
+    return run
+
+
+@in_event_loop
+async def test_a_bench_that_stood_still_takes_the_frames_that_came_before_it_calls_a_node_lost():
+    rig = WatchedRig()
+    rig.run(500)
+    # longer than the patience with the unit and with the nodes of the rig
+    rig.now_ns += 900_000_000
+    rig.bus.poll()
+    rig.heartbeat()
+    rig.run(500)
+    assert not rig.losses()
+    rig.bus.close()
+
+
+@in_event_loop
+async def test_a_unit_that_is_silent_after_the_bench_stood_still_is_lost():
+    rig = WatchedRig()
+    rig.run(500)
+    rig.now_ns += 900_000_000
+    rig.run(100, with_heartbeats=False)
+    assert Code.UNIT_LOST in rig.losses()
+    assert Code.NODE_LOST not in rig.losses()
+    rig.bus.close()
 
 
 # --- the port ---

@@ -1,6 +1,7 @@
-"""Rings: order and loss of rows, room, the check that the writer is alive, and rows of events."""
+"""Rings: order and loss of rows, room, who may have made them, and rows of events."""
 
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -132,8 +133,96 @@ def test_a_new_ring_in_an_old_place_leaves_the_old_readers_their_rows(tmp_path):
 def test_a_file_that_is_not_a_ring_is_refused_with_its_name(tmp_path, content):
     path = tmp_path / "other"
     path.write_bytes(content)
+    path.chmod(0o600)
     with pytest.raises(RollerrigError, match="other: not a ring"):
         Ring(path, np.float64)
+
+
+# --- rings in a folder that all users share ---
+
+
+def test_only_the_owner_may_read_and_write_a_ring(tmp_path):
+    before = os.umask(0)
+    try:
+        made = Ring(tmp_path / "ring", np.float64, 8, 2)
+    finally:
+        os.umask(before)
+    assert made.path.stat().st_mode & 0o777 == 0o600
+
+
+@pytest.mark.parametrize("mode", [0o604, 0o640, 0o602, 0o666])
+def test_a_ring_to_which_other_users_have_access_is_refused(small, mode):
+    small.path.chmod(mode)
+    with pytest.raises(RollerrigError, match="other users have access"):
+        Ring(small.path, np.float64)
+
+
+@pytest.mark.conformance("Bad input", "shared memory: a ring of another user is refused")
+def test_a_ring_of_another_user_is_refused_and_not_swept(killed):
+    if os.geteuid() != 0:
+        pytest.skip("only root can give a file to another user")
+    Ring(killed, np.float64).header[ring.CREATED_NS] = time.monotonic_ns() - 61_000_000_000
+    os.chown(killed, 65534, 65534)
+    with pytest.raises(RollerrigError, match="belongs to user 65534"):
+        Ring(killed, np.float64)
+    assert killed not in map(str, ring.sweep())
+    assert os.path.exists(killed)
+
+
+def test_a_link_and_a_pipe_in_the_place_of_a_ring_are_refused(small, tmp_path):
+    link = tmp_path / "link"
+    link.symlink_to(small.path)
+    with pytest.raises(OSError, match="symbolic links"):
+        Ring(link, np.float64)
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe, 0o600)
+    with pytest.raises(RollerrigError, match="pipe: not a ring"):
+        Ring(pipe, np.float64)
+
+
+@pytest.mark.parametrize(
+    ("capacity", "width"), [(-8, -2), (0, 0), (8, 3), (1 << 62, 2), (8, -2), (16, 1 << 61)]
+)
+def test_a_ring_whose_header_and_size_differ_is_refused(small, capacity, width):
+    small.header[ring.CAPACITY] = capacity
+    small.header[ring.WIDTH] = width
+    with pytest.raises(RollerrigError, match="not a ring"):
+        Ring(small.path, np.float64)
+
+
+def test_a_reader_refuses_a_ring_whose_rows_have_another_width(small):
+    assert Ring(small.path, np.float64, width=2).read(0)[1] == 0
+    with pytest.raises(RollerrigError, match="rows have 2 items, allowed here: 3"):
+        Ring(small.path, np.float64, width=3)
+
+
+@pytest.mark.parametrize("written", [-5, 1 << 62])
+def test_a_wrong_count_of_rows_gives_at_most_the_rows_of_the_ring(small, written):
+    fill(small, range(3))
+    other = Ring(small.path, np.float64)
+    small.header[ring.WRITTEN] = written
+    assert len(other.read(0)[0]) <= 8
+
+
+@pytest.mark.conformance("Bad input", "shared memory: a ring that is cut off is an error")
+@pytest.mark.parametrize("size", [0, 100, 200])
+def test_a_reader_survives_a_ring_that_is_cut_off_and_reports_it(tmp_path, size):
+    written = Ring(tmp_path / "ring", np.float64, 8, 2)
+    fill(written, range(5))
+    # a copy, because the writer maps its file, and would not survive
+    path = tmp_path / "copy"
+    shutil.copy(written.path, path)
+    reader = Ring(path, np.float64)
+    assert len(reader.read(0)[0]) == 5
+    assert reader.intact
+    os.truncate(path, size)
+    assert not reader.intact
+    with pytest.raises(RollerrigError, match=f"copy: .* cut the ring off at {size} of 256 bytes"):
+        reader.read(0)
+    reader.header[ring.READER_BEAT_NS] = 1
+    with pytest.raises(RollerrigError, match="cut the ring off"):
+        reader.read(0)
+    assert not reader.closed
 
 
 def note(text, time_s=0.0):

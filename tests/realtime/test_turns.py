@@ -6,15 +6,16 @@ import signal
 import threading
 import time
 
-from bench_process import MAGNETS, BenchProcess, SimpleUnit
+from bench_process import MAGNETS, BenchProcess, SimpleUnit, until
 from benchmarks import repeat
 
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.sdo_client import SdoClient
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import Harness
-from rollerrig.wsp_interface.rig_objects import REFERENCE_SPEED, SAND_ID
+from rollerrig.wsp_interface.rig_objects import END, HARNESS, JOINED, REFERENCE_SPEED, SAND_ID
 
 CYCLES = 40
 # what the harness does in some cycles
@@ -47,6 +48,8 @@ def bench_with_harness(out, *arguments):
 def play(out, slow):
     """Play the actions on a bench; before each of them, and before its cycle, call slow."""
     bench = bench_with_harness(out)
+    # as a sequence does: the bench reports that it waits for the harness when its unit is there
+    until(lambda: bench.reported(Code.UNIT_READY), "the unit")
     with Harness(buses.open_client(bench.address(), 60.0)) as rig:
         unit = bench.child("wsp")
         for cycle in range(CYCLES):
@@ -127,6 +130,19 @@ def test_other_programs_are_served_while_the_bench_waits_for_the_harness(tmp_pat
         rig.step()
     bench.finish()
     assert bench.status in (0, 4), bench.stderr
+
+
+def test_a_harness_that_has_ended_the_run_has_time_to_leave_it(tmp_path):
+    bench = bench_with_harness(tmp_path / "run")
+    rig = Harness(buses.open_client(bench.address(), 60.0)).join()
+    rig.step()
+    sdo = SdoClient(rig.bus.send, rig.bus.recv, lambda message: None)
+    sdo.write(signals.BENCH_NODE, HARNESS, END, b"\1")
+    time.sleep(0.3)
+    sdo.write(signals.BENCH_NODE, HARNESS, JOINED, b"\0")
+    rig.bus.shutdown()
+    bench.finish()
+    assert bench.reported(Code.HARNESS_LEFT)
 
 
 # -- a partner that is gone

@@ -3,6 +3,7 @@
 import functools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -509,31 +510,63 @@ class Scheduling(NamedTuple):
     policy: int
     priority: int
     refused: bool  # whether the unit logs that its requested priority was refused
+    memory_is_locked: bool
+    memory_refused: bool  # whether the unit logs that locked memory was refused
+    cores: set[int]
 
 
-def scheduling_of_the_unit(pacing, parent):
-    """Run a bench with this pacing and return the scheduling of its reference unit."""
-    bench = BenchProcess(parent / pacing, "--pacing", pacing, "--set", "initial_speed_m_s=4")
+def scheduling_of_the_unit(pacing, parent, loop_core):
+    """Run a bench with this pacing and this core of the loop; return how its unit is scheduled."""
+    bench = BenchProcess(
+        parent / pacing,
+        "--pacing",
+        pacing,
+        "--set",
+        "initial_speed_m_s=4",
+        "--set",
+        f"loop.cpu={loop_core}",
+    )
     bench.runs_for(0.3)
     pid = bench.child("wsp")
     policy = os.sched_getscheduler(pid)
     priority = os.sched_getparam(pid).sched_priority
+    cores = os.sched_getaffinity(pid)
+    locked_kB = re.search(r"VmLck:\s+(\d+)", Path(f"/proc/{pid}/status").read_text())
     bench.interrupt()
     bench.finish()
     log = (bench.out / "wsp.log").read_text()
-    return Scheduling(policy, priority, refused="was refused" in log)
+    return Scheduling(
+        policy,
+        priority,
+        refused="SCHED_FIFO" in log,
+        memory_is_locked=int(locked_kB.group(1)) > 0,
+        memory_refused="locked memory was refused" in log,
+        cores=cores,
+    )
 
 
-def test_the_reference_unit_requests_a_priority_below_the_loops_in_real_time_only(tmp_path):
-    wall = scheduling_of_the_unit("wall", tmp_path)
+def test_the_reference_unit_is_as_punctual_as_it_may_in_real_time_only(tmp_path):
+    cores = os.sched_getaffinity(0)
+    loop_core = min(cores)
+    wall = scheduling_of_the_unit("wall", tmp_path, loop_core)
+    # a unit that hangs in a computation must not stop the loop
     if wall.policy == os.SCHED_FIFO:
         assert not wall.refused
         assert 0 < wall.priority < 80
     else:
         assert wall.refused
+    assert wall.memory_is_locked != wall.memory_refused
+    assert wall.cores == (cores - {loop_core} or cores)
 
-    lockstep = scheduling_of_the_unit("lockstep", tmp_path)
-    assert lockstep == Scheduling(os.SCHED_OTHER, 0, refused=False)
+    lockstep = scheduling_of_the_unit("lockstep", tmp_path, loop_core)
+    assert lockstep == Scheduling(
+        os.SCHED_OTHER,
+        0,
+        refused=False,
+        memory_is_locked=False,
+        memory_refused=False,
+        cores=cores,
+    )
 
 
 # runs a program without CAP_SYS_NICE and with a limit of 0 for real-time priorities

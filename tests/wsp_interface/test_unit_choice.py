@@ -54,10 +54,3 @@ def test_any_other_text_is_not_a_unit(unit):
 def test_only_a_file_that_exists_can_be_allowed(tmp_path):
     with pytest.raises(ConfigError, match=r"--allow-unit .*there is no such file"):
         AllowList.of([tmp_path / "absent.fmu"])
-
-
-def test_the_list_is_passed_on_to_another_command_line(tmp_path):
-    fmu = tmp_path / "unit.fmu"
-    fmu.touch()
-    assert AllowList.of([fmu]).words == ["--allow-unit", str(fmu)]
-    assert NOTHING.words == []

@@ -5,13 +5,17 @@ low-passed and thinned. A channel whose samples lie between those of the common 
 cubic spline through its samples, and a warning reports that. Straight lines between samples would
 smooth the noise, which would look like physics. The package asammdf is needed (the extra `mdf`).
 
+A channel of a file may have a formula that converts its values. asammdf evaluates this text as
+Python, so a file could run code. Formulas that are more than arithmetic are refused.
+
 Source of the format: ASAM MDF 4.1.
 """
 
 import math
 import mmap
+import re
 import struct
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,6 +41,21 @@ _UNITS = {
     "m": ("m",),
 }
 _LEAST_SHIFT = 0.01  # share of a sample; smaller shifts are ignored
+# A conversion of a channel that is evaluated: numbers, the value X or X1, + - * / and brackets.
+# Powers are left out, because a short formula with powers of powers never ends.
+_ARITHMETIC = re.compile(
+    r"""(?:
+        (?:\d++(?:\.\d*+)?+ | \.\d++) (?:[eE][-+]?\d++)?+    # a number
+        | X1?+\b
+        | \*(?!\s*\*)
+        | [-+/()\s]
+    )*+""",
+    re.ASCII | re.VERBOSE,
+)
+_LONGEST_FORMULA = 200
+# nothing here needs the frames of a bus logger, and to read them asammdf would convert channels
+_WITHOUT_FRAMES: Any = {"process_bus_logging": False}
+_SHOWN_OF_FORMULA = 60
 _LEAST_SAMPLES = 4  # a cubic spline needs them
 _LONGEST_STEP = 1.5  # times the typical step; a longer one is a gap
 _LEAD_CHANNEL = "wheel_speed_1_rad_s"
@@ -113,8 +132,9 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
     repeated = []
     signals = {}
     try:
-        with MDF(path) as file:
+        with MDF(path, **_WITHOUT_FRAMES) as file:
             _check_size(path, file.groups)
+            _refuse_code(file, path)
             repeated = [name for name in names if len(file.channels_db.get(name, ())) > 1]
             if not repeated:
                 signals = {name: file.get(name) for name in names if name in file.channels_db}
@@ -179,6 +199,33 @@ def _too_large(path: Path) -> ConfigError:
         f"{path}: its channels need more than {_MOST_BYTES / 1e6:.4g} MB of memory, which are "
         "allowed: split it, or export only the channels that are needed"
     )
+
+
+def _refuse_code(file: Any, path: Path) -> None:
+    """Raise ConfigError if the conversion of a channel is a formula that is not plain arithmetic.
+
+    Every channel counts, because the time of a channel has a conversion, too.
+    """
+    for group in file.groups:
+        for channel in group.channels:
+            for formula in _formulas(channel.conversion):
+                if len(formula) > _LONGEST_FORMULA or not _ARITHMETIC.fullmatch(formula):
+                    raise ConfigError(
+                        f"{path}: the conversion of channel '{channel.name}' is the formula "
+                        f"{formula[:_SHOWN_OF_FORMULA]!r}, which would run as code; allowed is "
+                        "arithmetic with numbers, X, + - * / and brackets: save the file with "
+                        "converted values, or without this channel"
+                    )
+
+
+def _formulas(conversion: Any) -> Iterator[str]:
+    """Yield the formulas of a conversion of asammdf, and of the conversions that it refers to."""
+    formula = getattr(conversion, "formula", "")
+    if formula:
+        yield formula
+    # some references are plain text
+    for block in (getattr(conversion, "referenced_blocks", None) or {}).values():
+        yield from _formulas(block)
 
 
 def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray]:

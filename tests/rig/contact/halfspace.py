@@ -4,7 +4,10 @@ Tractions on a grid over the contact ellipse strain both bodies by Cerruti's sol
 rectangle. Where the patch sticks, rigid creepage and strain cancel. Where it slips, the traction is
 at the friction limit and against the slip. Newton's method with an active set solves this, as in
 Kalker's TANG. The solution shares no line with the models under test, and is within 0.04 mu N of
-CONTACT on 21 x 21 elements.
+CONTACT on 21 x 21 elements for a/b = 1.3.
+
+The error is proportional to the size of the elements. On long patches with spin it reaches
+0.1 mu N on 21 x 21 elements. `extrapolated_force` removes it with a second, coarser grid.
 
 Source: Johnson, Contact Mechanics, 1985, sections 3.6 and 8.3; Kalker 1990, chapter 4.
 """
@@ -41,10 +44,22 @@ def _displacements(x, y, hx, hy, shear_Pa, poisson):
     )
 
 
+def extrapolated_force(coarse, fine, xi, eta, phi_1_m, limit_N):
+    """Return the force on the wheel over mu N (2,) on infinitely small elements.
+
+    `coarse` and `fine` are `HalfSpace`s of one contact. The error falls with 1/n (Richardson).
+    """
+    coarse_force = coarse.force(xi, eta, phi_1_m, limit_N)
+    fine_force = fine.force(xi, eta, phi_1_m, limit_N)
+    share = coarse.n / (fine.n - coarse.n)
+    return fine_force + share * (fine_force - coarse_force)
+
+
 class HalfSpace:
     """A contact ellipse of semi-axes a_m along and b_m across, on n x n elements, n odd."""
 
     def __init__(self, a_m, b_m, shear_Pa, poisson, n=15):
+        self.n = n
         hx = 2.0 * a_m / n
         hy = 2.0 * b_m / n
         middle = (2.0 * np.arange(n) + 1.0) / n - 1.0

@@ -15,7 +15,7 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.data import dataset, mdf
 
 SHIPPED = store.ROOT / "datasets" / "open_none"
 RADIUS_M = 0.445
@@ -409,6 +409,45 @@ def test_a_file_that_is_not_mdf_is_refused(copy: Path) -> None:
     replace_in_toml(copy, "runs/a2.csv", "runs/a2.mf4")
     with pytest.raises(ConfigError, match="cannot be read as MDF"):
         dataset.load(copy)
+
+
+# reads the text of a file as Python, with which a file could run any code
+FORMULA_WITH_CODE = """("'", [c for c in ().__class__.__base__.__subclasses__()
+if c.__name__ == "_wrap_close"][0].__init__.__globals__["system"]("touch ran"), "'")"""
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+@pytest.mark.parametrize(
+    "formula", [FORMULA_WITH_CODE, "X.real", "sin(X)", "9**9**9**9", "X" * 999]
+)
+def test_a_formula_of_an_mdf_file_that_is_more_than_arithmetic_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, version: str, formula: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = file_with_formula(tmp_path, version, formula)
+    with pytest.raises(ConfigError, match=r"channel 'position_m' is the formula .* run as code"):
+        mdf.channels(path, ("position_m",))
+    assert not (tmp_path / "ran").exists()
+
+
+@pytest.mark.parametrize("version", ["3.30", "4.10"])
+def test_a_formula_of_an_mdf_file_that_is_arithmetic_converts_the_values(
+    tmp_path: Path, version: str
+) -> None:
+    path = file_with_formula(tmp_path, version, "(X - 32) * 5/9 + 1.5e-1")
+    values = mdf.channels(path, ("position_m",))["position_m"].samples
+    np.testing.assert_allclose(values, (np.arange(5.0) - 32.0) * 5.0 / 9.0 + 0.15)
+
+
+def file_with_formula(folder: Path, version: str, formula: str) -> Path:
+    """Write an MDF file with one channel, whose values 0 to 4 are converted by a formula."""
+    from asammdf import MDF, Signal
+
+    samples = np.arange(5.0)
+    channel = Signal(samples, 0.1 * samples, name="position_m", conversion={"formula": formula})
+    with MDF(version=version) as file:
+        file.append([channel])
+        return Path(file.save(folder / "formula.mf4", overwrite=True))
 
 
 def test_without_asammdf_the_message_names_the_extra_to_install(
