@@ -132,8 +132,9 @@ def call(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
-    from rollerrig.realtime.bench import bench, scenario, without_wsp
+    from rollerrig.realtime.bench import bench, scenario
     from rollerrig.realtime.bench.options import Options
+    from rollerrig.realtime.reports import without_wsp
 
     plan = scenario.load(
         options.scenario,

@@ -14,7 +14,8 @@ from benchmarks import protection
 
 from rollerrig.configs import store
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import scenario, without_wsp
+from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.reports import without_wsp
 
 NEVER_VENTS = Path(__file__).parents[1] / "wsp_interface" / "never_vents.py"
 # slip bands that show the optimum
