@@ -43,6 +43,7 @@ FLOORS = {
     ),
     "wsp_interface": (
         "events unit_choice",
+        "places",
         "bus magnets signals",
         "descriptions rig_objects",
         "harness_client",

@@ -86,6 +86,9 @@ class Code(StrEnum):
     HUB_FULL = "hub.full"
     HUB_FOREIGN_CLIENT = "hub.foreign_client"
     SERVER_EXPOSED = "server.exposed"
+    SERVER_SILENT_CLOSED = "server.silent_closed"
+    SERVER_SILENT_GAVE_WAY = "server.silent_gave_way"
+    SERVER_OUT_OF_DESCRIPTORS = "server.out_of_descriptors"
     MODBUS_SERVED = "modbus.served"
     MODBUS_UNAVAILABLE = "modbus.unavailable"
     MODBUS_SERIAL_SERVED = "modbus.serial_served"
@@ -360,8 +363,8 @@ TABLE: dict[Code, Row] = {
     Code.BUS_CONTROLLER: Row(WARNING, {"bus": str, "condition": str}, "{bus}: {condition}"),
     Code.HUB_FULL: Row(
         WARNING,
-        {"bus": str, "protocol": str, "clients_max": int},
-        "CAN hub {bus}: more than {clients_max} clients speak {protocol}",
+        {"bus": str, "protocol": str, "clients_max": int, "address": str},
+        "CAN hub {bus}: more than {clients_max} clients[ of {address}] speak {protocol}",
         "further clients are disconnected; close some",
     ),
     Code.HUB_FOREIGN_CLIENT: Row(
@@ -375,6 +378,26 @@ TABLE: dict[Code, Row] = {
         {"server": str, "host": str, "port": int, "who": str},
         "{server} LISTENS BEYOND THIS MACHINE, on {host}:{port}",
         "everybody there {who} can drive the rig",
+    ),
+    Code.SERVER_SILENT_CLOSED: Row(
+        WARNING,
+        {"server": str, "after_s": float},
+        "{server}: a client that sent no valid message for {after_s:g} s is disconnected",
+        "a web page or a port scanner may open such connections; ss -tnp shows the program",
+    ),
+    Code.SERVER_SILENT_GAVE_WAY: Row(
+        WARNING,
+        {"server": str, "places": int},
+        "{server}: all {places} places are taken, so clients that have sent nothing valid give way to "
+        "new ones",
+        "ss -tnp shows the programs that hold the connections",
+    ),
+    Code.SERVER_OUT_OF_DESCRIPTORS: Row(
+        WARNING,
+        {"reason": str, "limit": int},
+        "no client can join: {reason} (this process may have {limit} descriptors)",
+        "silent clients are disconnected, and the bench tries again; close programs that hold "
+        "connections, or allow more with ulimit -n",
     ),
     Code.MODBUS_SERVED: Row(
         INFO,

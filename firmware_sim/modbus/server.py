@@ -7,7 +7,9 @@ listen.
 - A header that cannot be Modbus closes the connection.
 - A client that sends many requests takes turns with the others.
 - A client that does not read its answers is not read either.
-- If all places are taken, the connection that has been idle longest is closed for a new one.
+- A client that sends no request is closed after a minute.
+- If all places are taken, a connection without a request is closed for a new one; if there is none,
+  the connection that has been idle longest.
 
 Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3 and 4; MODBUS/TCP Security
 v2.1.
@@ -26,13 +28,16 @@ from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import pdu
 from rollerrig.firmware_sim.modbus.access import Counters
 from rollerrig.firmware_sim.modbus.unit import Unit
+from rollerrig.wsp_interface import events
+from rollerrig.wsp_interface.events import OnEvent
+from rollerrig.wsp_interface.places import Places
 
 # bytes before the unit: transaction number, protocol and length, two bytes each
 _PREFIX_BYTES = 6
 # the length in the header counts the unit and the request, which has at least a function code
 SHORTEST = 2
 LONGEST = 254
-CLIENTS_MAX = 32
+FIRST_REQUEST_S = 60.0  # some clients connect when they start, and ask when their user wants it
 BURST = 16  # requests answered before the other clients have their turn: less than 0.5 ms
 _BUFFER_BYTES = 4096
 _HANDSHAKE_S = 5.0
@@ -64,10 +69,21 @@ class Header(FramerSocket):
 
 
 class Server:
-    """Units behind sockets or a serial line; everything runs in the running loop."""
+    """Units behind sockets or a serial line; everything runs in the running loop.
 
-    def __init__(self, units: Mapping[int, Unit], counters: Counters | None = None) -> None:
+    on_event: called as on_event(code, **fields) for clients that send nothing.
+    first_request_s: how long a client may be connected before its first request.
+    """
+
+    def __init__(
+        self,
+        units: Mapping[int, Unit],
+        counters: Counters | None = None,
+        on_event: OnEvent = events.ignore,
+        first_request_s: float = FIRST_REQUEST_S,
+    ) -> None:
         self.units = units
+        self.places = Places("Modbus", first_request_s, idle_gives_way=True, on_event=on_event)
         self.counters = counters or Counters()
         self.header = Header(pdu.DECODER)
         self.connections: set[Connection] = set()
@@ -116,12 +132,19 @@ class Server:
 
 
 class Connection(asyncio.BufferedProtocol):
-    """One client. The streams of asyncio would take twice the time for a request."""
+    """One client. The streams of asyncio would take twice the time for a request.
+
+    address: of the client's machine.
+    silent: whether it has not sent a valid request yet.
+    last_used_s: when it connected or last sent something, by time.monotonic().
+    """
 
     transport: asyncio.Transport
 
     def __init__(self, server: Server) -> None:
         self.server = server
+        self.address = ""
+        self.silent = True
         self.last_used_s = time.monotonic()
         self._buffer = bytearray(_BUFFER_BYTES)
         self._received = b""  # not yet answered
@@ -132,15 +155,19 @@ class Connection(asyncio.BufferedProtocol):
         for option in _KEEPALIVE:
             transport.get_extra_info("socket").setsockopt(*option)
 
-        connections = self.server.connections
-        if len(connections) >= CLIENTS_MAX:
-            idle = min(connections, key=lambda connection: connection.last_used_s)
-            connections.discard(idle)
-            idle.transport.abort()
-        connections.add(self)
+        peer = transport.get_extra_info("peername")
+        if peer:
+            self.address = peer[0]
+        self.server.connections.add(self)
+        self.server.places.admit(self)
 
     def connection_lost(self, exc: Exception | None) -> None:
         self.server.connections.discard(self)
+        self.server.places.leave(self)
+
+    def abort(self) -> None:
+        """Close the connection immediately."""
+        self.transport.abort()
 
     def pause_writing(self) -> None:
         # the client does not read its answers, so its requests have to wait
@@ -173,6 +200,7 @@ class Connection(asyncio.BufferedProtocol):
                     asyncio.get_running_loop().call_soon(self._serve)
                     return
                 self._received = self._received[used:]
+                self.silent = False
                 reply = self.server.answer(unit, request)
                 self.transport.write(header.encode(reply, unit, number))
                 answers += 1

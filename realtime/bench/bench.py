@@ -7,7 +7,10 @@ the record of a run that failed, was interrupted or killed is kept.
 import asyncio
 import contextlib
 import dataclasses
+import resource
 import signal
+import time
+from asyncio.constants import ACCEPT_RETRY_DELAY
 from collections.abc import Awaitable, Callable, Iterable
 from functools import partial
 from typing import Any
@@ -26,6 +29,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, ring
 from rollerrig.realtime.loop.tick import MISSED, STALLED_NS, STOP, TICK, WORST_NS
 from rollerrig.realtime.record import channels, records, run_folder, summary
+from rollerrig.wsp_interface import places
 from rollerrig.wsp_interface.events import Code, Event
 
 PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
@@ -51,6 +55,7 @@ class Bench:
         self.parts = Parts(plan, given, on_progress)
         # message and exception of the failures that are recorded already
         self._exceptions: set[tuple[str, str]] = set()
+        self._out_of_descriptors = False
 
     @staticmethod
     def _check(plan: Scenario, given: Options) -> None:
@@ -112,6 +117,9 @@ class Bench:
         self, running: asyncio.AbstractEventLoop, context: dict[str, Any]
     ) -> None:
         """Record and print a failure inside the bus thread, once; the run goes on."""
+        if places.is_out_of_descriptors(context):
+            self._make_room(context["exception"])
+            return
         message = str(context.get("message", "bus thread"))
         exception = repr(context.get("exception"))
         is_new = (message, exception) not in self._exceptions
@@ -119,6 +127,18 @@ class Bench:
             self._exceptions.add((message, exception))
             self.parts.event(Code.BENCH_EXCEPTION, message=message, exception=exception)
             running.default_exception_handler(context)
+
+    def _make_room(self, error: OSError) -> None:
+        """Record, once, that no client can be accepted; disconnect those that are silent."""
+        parts = self.parts
+        parts.accepts_again_s = time.monotonic() + ACCEPT_RETRY_DELAY
+        if not self._out_of_descriptors:
+            self._out_of_descriptors = True
+            soft_limit, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+            reason = error.strerror or str(error)
+            parts.event(Code.SERVER_OUT_OF_DESCRIPTORS, reason=reason, limit=soft_limit)
+        for close_silent in parts.close_silent:
+            close_silent()
 
     # --- the end ---
 
@@ -133,6 +153,7 @@ class Bench:
         if parts.options.start == "modbus":
             self._rewrite_scenario()
         if parts.hub is not None:
+            await parts.await_accepting()
             await parts.hub.close()
         await parts.processes.end_unit()
         for one in parts.rings:

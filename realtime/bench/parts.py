@@ -95,6 +95,10 @@ class Parts:
         self.hub: Hub | None = None
         self.bus: rig_bus.RigBus | None = None
         self.place = ""
+        # for each server: closes the clients that have sent nothing valid
+        self.close_silent: list[Callable[[], None]] = []
+        # when asyncio has tried again to accept clients, after it was out of descriptors
+        self.accepts_again_s = 0.0
         self.ports: dict[str, int] = {}
         self.modbus = Counters()
         self.modbus_demand = brake_demand.ModbusDemand(plan["modbus"]["emergency_pressure_Pa"])
@@ -217,6 +221,7 @@ class Parts:
         self.hub, self.place = await rig_bus.open_bus(
             self.plan, clock_ns, self._lose_bus, self.event, wall, self._awaits_others
         )
+        self.close_silent.append(self.hub.close_silent)
         rig_bus.record_frames(self.hub, self.frames, lambda: self.zero_ns)
 
         self.ports = await rig_bus.open_others(
@@ -250,6 +255,15 @@ class Parts:
         self.bus = bus
         self.event(Code.BUS_PLACE, address=self.place)
         return bus
+
+    async def await_accepting(self) -> None:
+        """Wait until asyncio has tried again to accept clients; call it before a server closes.
+
+        Without descriptors, asyncio tries again later. That fails if the server is closed by then.
+        """
+        rest_s = self.accepts_again_s - time.monotonic()
+        if rest_s > 0.0:
+            await asyncio.sleep(rest_s)
 
     @property
     def _awaits_others(self) -> bool:

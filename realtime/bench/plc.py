@@ -70,7 +70,8 @@ class Plc:
     async def open(self, needed: bool) -> None:
         """Listen as [modbus] says. A port that is in use is an event, or BusError if `needed`."""
         settings = self.rig.plan["modbus"]
-        self.server = Server(self.units(), self.rig.modbus)
+        self.server = Server(self.units(), self.rig.modbus, self.rig.event)
+        self.rig.close_silent.append(self.server.places.close_silent)
         try:
             await self._open_port(self.server, settings, needed)
         except BusError as error:
@@ -120,6 +121,7 @@ class Plc:
         if self.line:
             self.line.close()
         if self.server:
+            await self.rig.await_accepting()
             await self.server.close()
 
     # -- the state of the rig

@@ -37,7 +37,7 @@ def until(condition):
 class Site:
     """Unit 1 with values that are stored, units 11 to 14 with real drives; `written` in order."""
 
-    def __init__(self):
+    def __init__(self, **server_options):
         self.row = np.zeros(len(signals.COLUMNS))
         self.row[signals.column("vehicle_speed")] = 12.34
         self.row[signals.span(MEASURED_SPEED)] = [1.0, 2.0, 3.0, -4.0]
@@ -56,7 +56,7 @@ class Site:
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.loop.run_forever, name="modbus site")
         self.thread.start()
-        self.server = self.call(self._server())
+        self.server = self.call(self._server(server_options))
         self.lines, self.clients = [], []
 
     def _plc(self):
@@ -78,8 +78,8 @@ class Site:
             self.values[name] = raw
             self.written.append((name, raw))
 
-    async def _server(self):
-        return Server(self.units)
+    async def _server(self, options):
+        return Server(self.units, **options)
 
     def call(self, coroutine):
         return asyncio.run_coroutine_threadsafe(coroutine, self.loop).result(60.0)

@@ -15,6 +15,8 @@ from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import server
 from rollerrig.firmware_sim.modbus.map import WORDS
 from rollerrig.firmware_sim.modbus.server import Server
+from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.places import PLACES_OF_ADDRESS
 
 SPEED_SET_POINT = 1
 
@@ -307,14 +309,51 @@ def test_a_client_that_never_reads_is_not_read_and_harms_nobody(site):
     assert len(connection._received) < 20_000
 
 
-def test_when_places_are_taken_the_idle_one_gives_way(site):
+def test_when_clients_that_have_asked_take_all_places_the_idle_one_gives_way(site):
     first = site.connect()
     assert first.words(202, 1) == [1234]
-    others = [site.connect() for _ in range(server.CLIENTS_MAX)]
-    for one in others:
-        assert one.words(202, 1) == [1234]
+    for _ in range(PLACES_OF_ADDRESS):
+        assert site.connect().words(202, 1) == [1234]
     assert first.receive() is None
-    assert len(site.server.connections) == server.CLIENTS_MAX
+    assert len(site.server.connections) == PLACES_OF_ADDRESS
+
+
+@pytest.mark.conformance("Modbus", "clients without a request cannot push out a PLC")
+def test_a_client_without_a_request_gives_way_before_one_that_has_been_idle_for_longer():
+    reported = []
+    site = Site(on_event=lambda code, **fields: reported.append((code, fields)))
+    site.listen()
+    plc = site.connect()
+    assert plc.words(202, 1) == [1234]
+    silent = [site.connect() for _ in range(PLACES_OF_ADDRESS + 3)]
+    for one in silent[:4]:
+        assert one.receive() is None
+    assert plc.words(202, 1) == [1234]
+    assert silent[4].words(202, 1) == [1234]
+    ((code, fields),) = reported
+    assert code == Code.SERVER_SILENT_GAVE_WAY
+    assert fields == {"server": "Modbus", "places": PLACES_OF_ADDRESS}
+    site.close()
+
+
+@pytest.mark.conformance("Modbus", "a client without a request is closed")
+def test_a_client_without_a_request_is_closed_after_its_time():
+    reported = []
+    site = Site(
+        first_request_s=3.0, on_event=lambda code, **fields: reported.append((code, fields))
+    )
+    site.listen()
+    plc = site.connect()
+    plc.send(adu(two(3, 202, 1)))
+    silent = site.connect()
+    unfinished = site.connect()
+    unfinished.send(adu(two(3, 202, 1))[:-1])
+    assert silent.receive() is None
+    assert unfinished.receive() is None
+    assert plc.receive()
+    assert plc.words(202, 1) == [1234]
+    assert reported == [(Code.SERVER_SILENT_CLOSED, {"server": "Modbus", "after_s": 3.0})]
+    site.close()
 
 
 def test_a_client_that_vanishes_in_the_middle_of_a_request_is_forgotten(site):

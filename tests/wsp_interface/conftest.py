@@ -58,15 +58,17 @@ class HubThread:
     def address(self) -> str:
         return f"127.0.0.1:{self.port}/rig0"
 
-    def connect(self, port: int | None = None) -> socket.socket:
-        """Return a client's socket before the handshake."""
-        connection = socket.create_connection(("127.0.0.1", port or self.port), 60)
+    def connect(self, port: int | None = None, source: str = "127.0.0.1") -> socket.socket:
+        """Return a client's socket before the handshake; `source` is the client's address."""
+        connection = socket.create_connection(
+            ("127.0.0.1", port or self.port), 60, source_address=(source, 0)
+        )
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return connection
 
-    def raw_mode(self) -> socket.socket:
+    def raw_mode(self, source: str = "127.0.0.1") -> socket.socket:
         """Return a client's socket that has completed the handshake."""
-        client = self.connect()
+        client = self.connect(source=source)
         for command, answer in (
             (b"", b"< hi >"),
             (b"< open rig0 >", b"< ok >"),

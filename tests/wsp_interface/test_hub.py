@@ -1,6 +1,7 @@
 """The hub and its protocols, over real sockets."""
 
 import asyncio
+import contextlib
 import random
 import socket
 import struct
@@ -14,9 +15,10 @@ from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus import cannelloni, frames, slcan, socketcand, virtualcan
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.frames import Frame
-from rollerrig.wsp_interface.bus.hub import CLIENTS_MAX, Hub
+from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.bus.session import Mode
 from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.places import PLACES, PLACES_OF_ADDRESS
 
 TCP_DATA_SEGMENTS_IN = 152  # offset of tcpi_data_segs_in in struct tcp_info, linux/tcp.h
 
@@ -592,29 +594,128 @@ def test_a_client_that_begins_with_another_protocol_is_closed_and_reported_once(
     assert reported == [(Code.HUB_FOREIGN_CLIENT, {"bus": "rig0", "protocol": codec})]
 
 
+# --- places ---
+
+
+def await_end(client: socket.socket) -> None:
+    """Wait until the hub closes a client; the test fails if it does not within a minute."""
+    with contextlib.suppress(ConnectionResetError):
+        read_to_end(client)
+
+
+def still_open(client: socket.socket) -> bool:
+    """Return whether the hub has not closed a client yet."""
+    client.setblocking(False)
+    try:
+        while client.recv(65536):
+            pass
+    except BlockingIOError:
+        return True
+    except ConnectionResetError:
+        return False
+    return False
+
+
 @pytest.mark.conformance(
     "Bad input", "clients of the hub are bounded; refused ones cause one event"
 )
-def test_clients_beyond_the_limit_are_refused_and_reported_once(start_hub):
+def test_clients_beyond_the_limit_are_refused_and_reported_once_if_all_others_have_spoken(
+    start_hub,
+):
     reported = []
     bench = start_hub(on_event=lambda code, **fields: reported.append((code, fields)))
-    clients = [bench.raw_mode() for _ in range(CLIENTS_MAX)]
+    clients = [bench.raw_mode() for _ in range(PLACES_OF_ADDRESS)]
     for _ in range(2):
-        refused = bench.connect()
-        refused.settimeout(60)
-        try:
-            assert refused.recv(64) == b""
-        except ConnectionResetError:
-            continue
-    assert len(bench.hub.stats()["clients"]) == CLIENTS_MAX
-    full = {"bus": "rig0", "protocol": "socketcand", "clients_max": CLIENTS_MAX}
-    assert reported == [(Code.HUB_FULL, full)]
+        await_end(bench.connect())
+    assert len(bench.hub.stats()["clients"]) == PLACES_OF_ADDRESS
+    full = {"bus": "rig0", "protocol": "socketcand", "clients_max": PLACES_OF_ADDRESS}
+    assert reported == [(Code.HUB_FULL, full | {"address": "127.0.0.1"})]
     # another protocol has a separate limit, and a client that leaves makes room
     other = bench.connect(bench.listen("cannelloni"))
     assert read_until(other, b"CANNELLONIv1") == b"CANNELLONIv1"
     clients.pop().close()
-    assert bench.until(lambda: len(bench.hub.stats()["clients"]) == CLIENTS_MAX)
+    assert bench.until(lambda: len(bench.hub.stats()["clients"]) == PLACES_OF_ADDRESS)
     bench.raw_mode().close()
+
+
+@pytest.mark.conformance("Bad input", "one machine cannot take all places of the hub")
+def test_the_clients_of_one_address_leave_places_for_those_of_others(start_hub):
+    reported = []
+    bench = start_hub(on_event=lambda code, **fields: reported.append((code, fields)))
+    clients = []
+    for address in ("127.0.0.1", "127.0.0.2"):
+        clients += [bench.raw_mode(address) for _ in range(PLACES_OF_ADDRESS)]
+    assert len(bench.hub.stats()["clients"]) == PLACES
+    assert reported == []
+    await_end(bench.connect(source="127.0.0.3"))
+    ((code, fields),) = reported
+    assert code == Code.HUB_FULL
+    assert fields["clients_max"] == PLACES
+    assert fields["address"] is None
+
+
+@pytest.mark.conformance("Bad input", "silent clients cannot keep a unit out: CAN")
+@pytest.mark.parametrize("codec", ["socketcand", "slcan", "cannelloni"])
+def test_the_client_that_has_been_silent_longest_gives_way_to_a_new_one(start_hub, codec):
+    reported = []
+    bench = start_hub(on_event=lambda code, **fields: reported.append((code, fields)))
+    hello = {"socketcand": b"< open rig0 >", "slcan": b"O\r", "cannelloni": b"CANNELLONIv1"}
+    port = bench.listen(codec)
+    speaker = bench.connect(port)
+    speaker.sendall(hello[codec])
+    assert bench.until(lambda: not any(client.silent for client in bench.hub._clients))
+
+    silent = [bench.connect(port) for _ in range(PLACES_OF_ADDRESS - 1)]
+    assert bench.until(lambda: len(bench.hub.stats()["clients"]) == PLACES_OF_ADDRESS)
+    new = [bench.connect(port) for _ in range(3)]
+    for client in new:
+        client.sendall(hello[codec])
+    for client in silent[:3]:
+        await_end(client)
+    assert bench.until(lambda: sum(not one.silent for one in bench.hub._clients) == 4)
+    assert all(still_open(client) for client in (speaker, *silent[3:], *new))
+    (event,) = reported
+    assert event[0] == Code.SERVER_SILENT_GAVE_WAY
+    assert codec in event[1]["server"]
+
+
+@pytest.mark.conformance("Hub", "virtualcan: a program may listen only, and keeps its place")
+def test_newer_silent_clients_do_not_push_out_a_virtualcan_client_that_only_listens(bench):
+    port = bench.listen("virtualcan")
+    listener = bench.connect(port)
+    assert bench.until(lambda: len(bench.hub.stats()["clients"]) == 1)
+    others = [bench.connect(port) for _ in range(PLACES_OF_ADDRESS + 5)]
+    assert bench.until(lambda: sum(not still_open(client) for client in others) == 6)
+    bench.send(bench.node(), *SAMPLES)
+    expected = b"".join(virtualcan.encode_event(frame) for frame in SAMPLES)
+    assert read_until(listener, expected) == expected
+
+
+@pytest.mark.conformance("Bad input", "a client that sends nothing valid is closed: CAN")
+def test_a_client_that_sends_nothing_valid_is_closed_after_its_time_but_no_listener_is(start_hub):
+    reported = []
+    bench = start_hub(
+        first_message_s=3.0, on_event=lambda code, **fields: reported.append((code, fields))
+    )
+    ports = {codec: bench.listen(codec) for codec in CODECS}
+    speaker = bench.connect(ports["socketcand"])
+    speaker.sendall(b"< open rig0 >< rawmode >")
+    listener = bench.connect(ports["virtualcan"])
+
+    silent = [bench.connect(ports[codec]) for codec in ("socketcand", "slcan", "cannelloni")]
+    babbler = bench.connect(ports["socketcand"])
+    babbler.sendall(b"< hello >< send 1 0 >")
+    unfinished = bench.connect(ports["slcan"])
+    unfinished.sendall(b"\r\rt123")
+    for client in (*silent, babbler, unfinished):
+        await_end(client)
+
+    assert {code for code, _ in reported} == {Code.SERVER_SILENT_CLOSED}
+    assert len(reported) == 3  # one for each protocol
+    bench.send(bench.node(), Frame(0x80, b""))
+    assert read_until(speaker, b"  >").endswith(socketcand.encode_event(bench.log[0]))
+    packet = virtualcan.encode_event(bench.log[0])
+    assert read_until(listener, packet) == packet
 
 
 # --- opening and closing ---

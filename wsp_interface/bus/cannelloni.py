@@ -38,6 +38,7 @@ class CannelloniSession(Session):
                 return
             if len(rest) >= len(HELLO):
                 self._began = True
+                self.has_spoken = True
                 rest = rest[len(HELLO) :]
                 yield Mode.LISTEN
 

@@ -9,6 +9,7 @@ others.
 
 import asyncio
 import socket
+import time
 from typing import Any, Protocol, cast
 
 from rollerrig.wsp_interface.bus.codecs import Codec
@@ -49,6 +50,8 @@ class Client(asyncio.BufferedProtocol):
     errors: whether it receives error frames as well.
     dropped: frames and answers that it has lost.
     lost: done when the connection is closed.
+    address: of the program's machine.
+    last_used_s: when it connected, by time.monotonic().
     """
 
     def __init__(self, bus: Bus, protocol: str, codec: Codec) -> None:
@@ -58,6 +61,8 @@ class Client(asyncio.BufferedProtocol):
         self.listening = False
         self.errors = False
         self.dropped = 0
+        self.address = ""
+        self.last_used_s = time.monotonic()
         self.lost: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._bus = bus
         self._codec = codec
@@ -82,6 +87,7 @@ class Client(asyncio.BufferedProtocol):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SOCKET_BYTES)
         peer = transport.get_extra_info("peername")
         if peer:
+            self.address = peer[0]
             self.name = f"{self.protocol} {peer[0]}:{peer[1]}"
         if not self._bus.join(self):
             self._transport.abort()
@@ -89,6 +95,11 @@ class Client(asyncio.BufferedProtocol):
         for event in self._session.greeting:
             self._execute(event)
         self.flush()
+
+    @property
+    def silent(self) -> bool:
+        """Whether the client has not sent a valid message yet."""
+        return not self._session.has_spoken
 
     def get_buffer(self, sizehint: int) -> bytearray:
         """Return the buffer for the next portion; the event loop calls this."""

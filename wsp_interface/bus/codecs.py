@@ -25,6 +25,7 @@ class Codec(NamedTuple):
     encode: Callable[[Frame], bytes]
     answer_gap_s: float = 0.0  # between two answers of the handshake
     hold_s: float = 0.0  # between the last answer and the first frame
+    handshake: bool = True  # a client sends something before it gets frames
 
 
 CODECS: dict[str, Codec] = {
@@ -36,6 +37,11 @@ CODECS: dict[str, Codec] = {
         hold_s=0.05,
     ),
     "slcan": Codec(29537, slcan.SlcanSession, slcan.encode_event),
-    "virtualcan": Codec(18881, virtualcan.VirtualcanSession, virtualcan.encode_event),
+    "virtualcan": Codec(
+        18881,
+        virtualcan.VirtualcanSession,
+        virtualcan.encode_event,
+        handshake=False,
+    ),
     "cannelloni": Codec(20000, cannelloni.CannelloniSession, cannelloni.encode_event),
 }

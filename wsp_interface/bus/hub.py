@@ -15,7 +15,7 @@ Threads: a hub belongs to the thread of its event loop; do not call it from anot
 Limits: no acknowledge bit. There are error frames only where a fault causes them (`destroy`), and
 only for clients that request them; the identifier of the destroyed frame follows their content.
 The protocols have no authentication: the hub listens on loopback only, unless another host is
-requested.
+requested. `rollerrig.wsp_interface.places` says which clients give way when there are too many.
 """
 
 import asyncio
@@ -28,17 +28,18 @@ from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import BusError, PortInUseError
-from rollerrig.wsp_interface import events
+from rollerrig.wsp_interface import events, places
 from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import is_service
 from rollerrig.wsp_interface.bus.frames import OVERLOAD_BACKLOG_NS, BusLoad, Frame, check
 from rollerrig.wsp_interface.bus.wire import Alarm, Wire
 from rollerrig.wsp_interface.events import Code, OnEvent
+from rollerrig.wsp_interface.places import Places
 
 log = logging.getLogger(__name__)
 
-CLIENTS_MAX = 32  # of each protocol, so that descriptors never run out
+FIRST_MESSAGE_S = 30.0  # long enough for someone who types the handshake
 BUFFER_BYTES = 1 << 20  # for each client; about 25 000 frames, or five seconds of a full bus
 CLOSE_TIMEOUT_S = 0.5
 
@@ -116,6 +117,7 @@ class Hub:
     bitrate: in bit/s, for the load and for the wire.
     name: what clients call the bus.
     other_names: further names by which clients may open it.
+    first_message_s: how long a client of a protocol with a handshake may be silent.
     buffer_bytes: how much may wait for one client.
     on_event: called as on_event(code, **fields) for clients that the hub refuses and for addresses
         that other machines can reach.
@@ -142,6 +144,7 @@ class Hub:
         buffer_bytes: int = BUFFER_BYTES,
         on_event: OnEvent = log_event,
         other_names: tuple[str, ...] = (),
+        first_message_s: float = FIRST_MESSAGE_S,
     ) -> None:
         self.name = name
         self.names = (name, *other_names)
@@ -160,6 +163,8 @@ class Hub:
         self._taps: tuple[Callback, ...] = ()
         self._ports: tuple[Port, ...] = ()
         self._clients: tuple[Client, ...] = ()
+        self._first_message_s = first_message_s
+        self._places: dict[str, Places] = {}  # by protocol
         self._servers: list[asyncio.Server] = []
         self._waiting: deque[tuple[Frame, Port | Client, Then]] = deque()
         self._carrying = False
@@ -206,6 +211,13 @@ class Hub:
         row = CODECS[codec]
         if port is None:
             port = row.port
+        if codec not in self._places:
+            self._places[codec] = Places(
+                f"CAN hub {self.name} ({codec})",
+                self._first_message_s if row.handshake else None,
+                idle_gives_way=False,
+                on_event=self._on_event,
+            )
         # "localhost" may be two addresses, and a free port would then be two ports
         address = "127.0.0.1" if host == "localhost" else host
         loop = asyncio.get_running_loop()
@@ -230,12 +242,21 @@ class Hub:
 
     def join(self, client: Client) -> bool:
         """Add a TCP client that has connected; return False when there are too many."""
-        same_protocol = sum(other.protocol == client.protocol for other in self._clients)
-        if same_protocol >= CLIENTS_MAX:
-            self.warn(Code.HUB_FULL, client.protocol, clients_max=CLIENTS_MAX)
-            return False
-        self._clients = (*self._clients, client)
-        return True
+        its_places = self._places[client.protocol]
+        if its_places.admit(client):
+            self._clients = (*self._clients, client)
+            return True
+        if len(its_places) == places.PLACES:
+            limit: dict[str, Any] = {"clients_max": places.PLACES, "address": None}
+        else:
+            limit = {"clients_max": places.PLACES_OF_ADDRESS, "address": client.address}
+        self.warn(Code.HUB_FULL, client.protocol, **limit)
+        return False
+
+    def close_silent(self) -> None:
+        """Close the clients that have sent nothing valid: descriptors have run out."""
+        for its_places in self._places.values():
+            its_places.close_silent()
 
     def warn(self, code: Code, protocol: str, **fields: Any) -> None:
         """Report an event of a protocol, once only: many clients may have the same problem."""
@@ -245,6 +266,8 @@ class Hub:
 
     def leave(self, member: Port | Client) -> None:
         """Remove a port or client. Its dropped frames stay counted."""
+        if isinstance(member, Client):
+            self._places[member.protocol].leave(member)
         self._departed_dropped += member.dropped
         member.dropped = 0
         self._ports = tuple(port for port in self._ports if port is not member)

@@ -39,14 +39,19 @@ Event: TypeAlias = Frame | bytes | Mode
 
 
 class Session:
-    """The protocol state of one client. `greeting` holds the events when the client connects."""
+    """The protocol state of one client.
+
+    greeting: the events when the client connects.
+    has_spoken: whether the client has sent a valid message. For socketcand it opens the bus.
+    """
 
     greeting: tuple[Event, ...] = ()
 
     def __init__(self, *bus_names: str) -> None:
         self._bus_names = [name.encode() for name in bus_names]
         self._rest = b""  # the beginning of a message whose end has not arrived
-        self._began = False  # the client has shown that it uses this protocol
+        self._began = False  # the first bytes are not those of another protocol
+        self.has_spoken = False  # a valid message has come
 
     def feed(self, chunk: bytes) -> Iterator[Event]:
         """Yield the events that follow from the next bytes."""

@@ -50,7 +50,13 @@ class SlcanSession(Session):
                 if not _is_line(line):
                     yield Mode.FOREIGN
                     return
-            yield from self._execute(line)
+            answer = ERROR
+            for event in self._execute(line):
+                if isinstance(event, bytes):
+                    answer = event
+                yield event
+            if line and answer != ERROR:
+                self.has_spoken = True
         if len(self._rest) > COMMAND_MAX:
             self._rest = b""
             yield ERROR if self._began else Mode.FOREIGN

@@ -78,6 +78,7 @@ class SocketcandSession(Session):
         elif not self._is_open and verb == b"open" and len(words) == 2:
             self._is_open = words[1] in self._bus_names
             if self._is_open:
+                self.has_spoken = True
                 yield b"< ok >"
             else:
                 carried = b", ".join(self._bus_names)

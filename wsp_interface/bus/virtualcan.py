@@ -55,6 +55,7 @@ class VirtualcanSession(Session):
             self._began = True
             frame = _parse_packet(packet)
             if frame is not None:
+                self.has_spoken = True
                 yield frame
         self._rest = rest
 
