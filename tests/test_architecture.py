@@ -44,7 +44,7 @@ FLOORS = {
     "wsp_interface": (
         "events unit_choice",
         "places",
-        "bus magnets signals",
+        "braking bus magnets signals",
         "descriptions rig_objects",
         "harness_client",
         "own_bench unit_map",

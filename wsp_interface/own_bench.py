@@ -149,6 +149,12 @@ def start(
                     for program in programs:
                         causes += program.exit_text()
                     raise BusError(f"{error}{causes}") from None
+        except KeyboardInterrupt:
+            # the bench shall record that its run was interrupted, not that its harness has ended it
+            if harness:
+                harness.ends = False
+            process.terminate()
+            raise
         finally:
             if harness:
                 harness.close()

@@ -21,8 +21,10 @@ import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
+from multiprocessing import connection
 from pathlib import Path
+from types import FrameType, TracebackType
 from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
@@ -34,7 +36,10 @@ _COMMAND_LINE = slice(45, 47)
 # a library with threads, which do not exist in a forked process
 _THREADED = "rerun"
 
-# exit status of a forked process
+# time between two signals to a worker that shall stop
+_INTERRUPT_AGAIN_S = 1.0
+
+# exit status of a forked process, and of a worker without its pool
 _FAILED = 1
 _USER_ERROR = 2
 
@@ -84,21 +89,109 @@ def command(*words: str, by: int = signal.SIGTERM) -> list[str]:
     return [*program, str(os.getpid()), str(int(by)), *words]
 
 
-def pool(count: int, first: Callable[..., Any] = int, *arguments: Any) -> ProcessPoolExecutor:
+class Pool(ProcessPoolExecutor):
+    """Worker processes that stop with this one, and immediately if the `with` block raises."""
+
+    def __init__(self, count: int, first: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+        self._others = set(multiprocessing.active_children())
+        super().__init__(
+            max_workers=count,
+            mp_context=multiprocessing.get_context("spawn"),
+            initializer=_begin_worker,
+            initargs=(os.getpid(), first, arguments),
+        )
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return super().submit(_work, fn, *args, **kwargs)
+
+    def stop(self) -> None:
+        """Cancel the calls that wait, interrupt those that run, and wait for the end of all.
+
+        A running call gets a KeyboardInterrupt. If it catches that, its future has its result.
+        """
+        workers = set(multiprocessing.active_children()) - self._others
+        all_exited = threading.Event()
+
+        def interrupt_workers() -> None:
+            # repeated, because a worker that has just started has no handler yet
+            while True:
+                for worker in workers:
+                    if not connection.wait([worker.sentinel], timeout=0.0):
+                        worker.terminate()
+                if all_exited.wait(_INTERRUPT_AGAIN_S):
+                    return
+
+        thread = threading.Thread(target=interrupt_workers, name="interrupt workers")
+        thread.start()
+        self.shutdown(wait=True, cancel_futures=True)
+        all_exited.set()
+        thread.join()
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind:
+            self.stop()
+        else:
+            self.shutdown(wait=True)
+
+
+def pool(count: int, first: Callable[..., Any] = int, *arguments: Any) -> Pool:
     """Return worker processes that stop with this one; each calls first(*arguments) at its
     start.
     """
-    return ProcessPoolExecutor(
-        max_workers=count,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_begin_worker,
-        initargs=(os.getpid(), first, arguments),
-    )
+    return Pool(count, first, arguments)
+
+
+class _Worker:
+    """The state of this process as a worker of a pool."""
+
+    parent = 0  # the process that has the pool
+    works = False  # a call runs
+    stopped = False  # a signal has ended the work
 
 
 def _begin_worker(parent: int, first: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    _Worker.parent = parent
+    # on a terminal, Ctrl-C also reaches the workers
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop_working)
     parent_death.signal_at_parent_death(parent, signal.SIGTERM)
     first(*arguments)
+
+
+def _stop_working(number: int, frame: FrameType | None) -> None:
+    """Interrupt the running call, once. A worker without a call waits for the end of its pool."""
+    first_signal = not _Worker.stopped
+    _Worker.stopped = True
+    if not _Worker.works:
+        # Linux sends a signal for each thread of a parent that dies, and only the last one comes
+        # when the parent is gone
+        _exit_if_orphaned()
+    elif first_signal:
+        raise KeyboardInterrupt
+
+
+def _work(function: Callable[..., Any], *arguments: Any, **named: Any) -> Any:
+    """Return the result of a call. Raises KeyboardInterrupt if the work has ended."""
+    _Worker.works = True
+    try:
+        if _Worker.stopped:
+            raise KeyboardInterrupt
+        return function(*arguments, **named)
+    finally:
+        _Worker.works = False
+        if _Worker.stopped:
+            _exit_if_orphaned()
+
+
+def _exit_if_orphaned() -> None:
+    """Exit if the process with the pool is gone, because nobody would end this process."""
+    if os.getppid() != _Worker.parent:
+        os._exit(_FAILED)
 
 
 def last_line(log: Path) -> str:

@@ -8,7 +8,6 @@ import asyncio
 import contextlib
 import dataclasses
 import resource
-import signal
 import time
 from asyncio.constants import ACCEPT_RETRY_DELAY
 from collections.abc import Awaitable, Callable, Iterable
@@ -19,6 +18,7 @@ import pyarrow as pa
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import write_text, writing
+from rollerrig.configs.processes import interruption
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
@@ -78,7 +78,7 @@ class Bench:
         failure: RollerrigError | None = None
         running = asyncio.get_running_loop()
         running.set_exception_handler(self._record_exception)
-        signals = _signals_that_end_a_run()
+        signals = interruption.ending_signals()
         for signum in signals:
             interrupt = partial(parts.stop, Code.RUN_INTERRUPTED, signal=signum.name)
             running.add_signal_handler(signum, interrupt)
@@ -230,11 +230,3 @@ class Bench:
         if bus and bus.stray_syncs:
             counts["stray_syncs"] = bus.stray_syncs
         return counts
-
-
-def _signals_that_end_a_run() -> list[signal.Signals]:
-    found = [signal.SIGINT, signal.SIGTERM]
-    # a run under nohup goes on when its terminal closes
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        found.append(signal.SIGHUP)
-    return found

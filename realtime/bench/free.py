@@ -18,7 +18,7 @@ from rollerrig.realtime.bench.parts import ENDED_BY, Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.realtime.loop.tick import AXLES, DONE, STOP, TICK, TickData
-from rollerrig.wsp_interface import events, magnets, signals
+from rollerrig.wsp_interface import braking, events, magnets, signals
 from rollerrig.wsp_interface.events import Code, Event
 
 # an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 (8,), to the byte
@@ -31,8 +31,6 @@ _MOST_TICKS = 1 << 20
 _TICKS_BETWEEN_LOOKS = 500
 # with no fault to come, ticks are run for at most this time
 _LONGEST_S = 3600.0
-# a vehicle slower than this stands
-_STANDSTILL_M_S = 0.01
 
 
 class Stop:
@@ -157,7 +155,7 @@ def channels(rows: np.ndarray) -> dict[str, np.ndarray]:
     return dict(zip(signals.COLUMNS, rows.T, strict=True))
 
 
-def moving(rows: np.ndarray, slowest_m_s: float = _STANDSTILL_M_S) -> np.ndarray:
+def moving(rows: np.ndarray, slowest_m_s: float = braking.STANDS_M_S) -> np.ndarray:
     """Return the samples of a stop up to standstill, or up to a speed in m/s."""
     still = np.flatnonzero(rows[:, signals.column("vehicle_speed")] <= slowest_m_s)
     return rows[: still[0]] if still.size else rows

@@ -422,10 +422,6 @@ def spread_local(
                 return
             except BrokenProcessPool:
                 continue
-            except BaseException:
-                # the consumer has stopped, or an error must be shown now: do not run the rest
-                pool.shutdown(cancel_futures=True)
-                raise
     raise RollerrigError(
         f"worker processes died {DEATHS} times (killed, or out of memory?): {len(left)} chunks are "
         "left, and finished chunks are kept; repeat the command with fewer --workers to continue"

@@ -1,5 +1,7 @@
 """Statistics of the stopping distances of a campaign: quantiles with bounds, and their drivers.
 
+The stopping distance is that of `wsp_interface.braking`: from the first brake demand to standstill.
+
 [S1] The k-th smallest of n independent draws lies above the q-quantile with a confidence of
      P(B(n, q) < k), whatever the distribution. The bound is the smallest such k that reaches
      CONFIDENCE; 95 % of the stops with 95 % confidence need at least 59 runs.
@@ -31,7 +33,7 @@ def counted(table: pa.Table) -> tuple[np.ndarray, np.ndarray]:
 
     The distance of a run that did not stop is inf.
     """
-    distance_m = table["stop_distance_m"].to_numpy().astype(float)
+    distance_m = table["braking_distance_m"].to_numpy().astype(float)
     distance_m[_did_not_stop(table)] = np.inf
     counts = ~np.isnan(distance_m)
     return counts, distance_m[counts]

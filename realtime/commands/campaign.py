@@ -48,9 +48,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--worst",
-        default="stop_distance_m",
+        default="braking_distance_m",
         metavar="FIGURE",
-        help="figure that ranks the worst cases (default: stop_distance_m)",
+        help="figure that ranks the worst cases (default: braking_distance_m, the stopping "
+        "distance from the first brake demand)",
     )
     parser.add_argument(
         "--pdf", action="store_true", help="write the report as PDF as well (report.pdf)"

@@ -1,6 +1,7 @@
 """`rollerrig sequence`: plays scripted tests on benches, judges them and writes the report."""
 
 import argparse
+import contextlib
 import math
 import os
 import time
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import check_no_link, make_folder, writing
-from rollerrig.configs.processes import children
+from rollerrig.configs.processes import children, interruption
 from rollerrig.realtime.commands import output, wsp
 from rollerrig.realtime.record import run_folder
 
@@ -118,7 +119,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(options: argparse.Namespace) -> int:
-    """Play the sequences and write the report. Returns PASS, or FAILED if not all have passed."""
+    """Play the sequences and write the report.
+
+    Returns INVALID if a signal has interrupted them, FAILED if not all have passed, otherwise PASS.
+    """
     from rollerrig.realtime.reports import pdf
     from rollerrig.realtime.reports import sequences as report
 
@@ -133,11 +137,13 @@ def call(options: argparse.Namespace) -> int:
     if options.pdf:
         pdf.check()
 
-    played: list[str] = []
-    with output.report_progress(lambda: f"{len(played)} of {len(sequences)} sequences played"):
-        outcomes = _play_all(options, sequences, played)
+    with interruption.Interruption() as interrupted:
+        played, not_played = _play_all(options, sequences)
+        # a signal that comes now shall not cost the report
+        interrupted.ignore()
+        outcomes = [*played, *not_played]
+        paths = report.write(outcomes, options.out, options.junit, about, options.pdf)
 
-    paths = report.write(outcomes, options.out, options.junit, about, options.pdf)
     result = report.overall(outcomes)
     counts = {"pass": 0, "fail": 0, "error": 0}
     for outcome in outcomes:
@@ -152,11 +158,26 @@ def call(options: argparse.Namespace) -> int:
             "report": str(paths[0]),
             "sequences": {outcome.sequence.name: outcome.result for outcome in outcomes},
             "warnings": _warnings(outcomes),
+            "interrupted": interrupted.by or None,
+            "not_played": [outcome.sequence.name for outcome in not_played],
         },
         f"{result}: {counts['pass']} passed, {counts['fail']} failed, "
         f"{counts['error']} with an error; report in {paths[0]} (not a certification)",
+        *_interruption_lines(interrupted.by, sequences, not_played),
     )
+    if interrupted.by:
+        return output.INVALID
     return output.PASS if result == "pass" else output.FAILED
+
+
+def _interruption_lines(
+    interrupted_by: str, sequences: "list[Sequence]", not_played: "list[Outcome]"
+) -> list[str]:
+    """Return the line about a signal that has ended the playing, if one has."""
+    if not interrupted_by:
+        return []
+    begun = len(sequences) - len(not_played)
+    return [f"interrupted by {interrupted_by}: {begun} of {len(sequences)} sequences were played"]
 
 
 def _warnings(outcomes: "list[Outcome]") -> list[str]:
@@ -302,42 +323,90 @@ def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> 
 
 
 def _play_all(
-    options: argparse.Namespace, sequences: "list[Sequence]", played: list[str]
-) -> "list[Outcome]":
-    """Play all sequences and return their outcomes in the same order.
+    options: argparse.Namespace, sequences: "list[Sequence]"
+) -> "tuple[list[Outcome], list[Outcome]]":
+    """Play all sequences. Return the outcomes of those that were played, and of the others.
 
-    Prints each outcome, and appends the name of its sequence to `played`.
+    Prints each outcome. A KeyboardInterrupt ends the playing: what runs is stopped immediately, and
+    the other sequences are not played.
     """
-    outcomes: list[Outcome] = []
+    from rollerrig.wsp_interface.sequences.play import Outcome
 
-    def finish(outcome: "Outcome") -> None:
-        played.append(outcome.sequence.name)
+    played: dict[str, Outcome] = {}
+
+    def finish(outcome: Outcome) -> None:
+        played[outcome.sequence.name] = outcome
         _print_outcome(outcome)
-        outcomes.append(outcome)
 
+    def describe() -> str:
+        return f"{len(played)} of {len(sequences)} sequences played"
+
+    with contextlib.suppress(KeyboardInterrupt), output.report_progress(describe):
+        jobs = min(_jobs(options), len(sequences))
+        if jobs == 1:
+            _play_one_by_one(options, sequences, finish)
+        else:
+            _play_in_processes(options, sequences, jobs, finish)
+
+    not_played = []
+    for sequence in sequences:
+        if sequence.name not in played:
+            error = "not played to its end, because the sequences were interrupted; play it again"
+            not_played.append(Outcome(sequence, options.out / sequence.name, error=error))
+    # the outcomes of processes come in any order after an interruption
+    in_order = [played[sequence.name] for sequence in sequences if sequence.name in played]
+    return in_order, not_played
+
+
+def _jobs(options: argparse.Namespace) -> int:
+    """Return how many sequences may be played at the same time."""
     if options.bus:
-        finish(play(sequences[0], options))
-        return outcomes
-
+        return 1
     if options.jobs:
-        jobs = options.jobs
-    elif options.pacing == "lockstep":
-        jobs = len(os.sched_getaffinity(0))
-    else:
-        # benches in real time would disturb one another
-        jobs = 1
+        return int(options.jobs)
+    if options.pacing == "lockstep":
+        return len(os.sched_getaffinity(0))
+    # benches in real time would disturb one another
+    return 1
 
-    if jobs == 1 or len(sequences) == 1:
-        for sequence in sequences:
+
+def _play_one_by_one(
+    options: argparse.Namespace, sequences: "list[Sequence]", finish: "Callable[[Outcome], None]"
+) -> None:
+    """Play sequences in this process. Raises KeyboardInterrupt, and BusError with --bus."""
+    for sequence in sequences:
+        if options.bus:
+            outcome = play(sequence, options)
+        else:
             get_outcome = partial(play, sequence, options)
-            finish(_outcome_or_error(get_outcome, sequence, options.out / sequence.name))
-        return outcomes
+            outcome = _outcome_or_error(get_outcome, sequence, options.out / sequence.name)
+        finish(outcome)
+        if outcome.interrupted:
+            raise KeyboardInterrupt
 
-    with children.pool(min(jobs, len(sequences))) as pool:
+
+def _play_in_processes(
+    options: argparse.Namespace,
+    sequences: "list[Sequence]",
+    jobs: int,
+    finish: "Callable[[Outcome], None]",
+) -> None:
+    """Play sequences in worker processes. Raises KeyboardInterrupt."""
+    with children.pool(jobs) as pool:
         futures = [pool.submit(play, sequence, options) for sequence in sequences]
-        for future, sequence in zip(futures, sequences, strict=True):
-            finish(_outcome_or_error(future.result, sequence, options.out / sequence.name))
-    return outcomes
+        left = dict(zip(futures, sequences, strict=True))
+        try:
+            for future, sequence in zip(futures, sequences, strict=True):
+                outcome = _outcome_or_error(future.result, sequence, options.out / sequence.name)
+                finish(outcome)
+                del left[future]
+        except KeyboardInterrupt:
+            pool.stop()
+            # some were played while the first of them was awaited, others have just been stopped
+            for future in left:
+                if not future.cancelled() and future.exception() is None:
+                    finish(future.result())
+            raise
 
 
 def _outcome_or_error(

@@ -16,7 +16,8 @@ _LINES_SHOWN = 14
 _PROGRAMS_SHOWN = 6
 # colours of lines by their first word, and of the result
 _COLOURS = {"pass": "#009e73", "fail": "#d55e00", "error": "#d55e00"}
-_RESULTS = {0: "passed", 1: "a verdict failed"}  # by exit status
+# by exit status
+_RESULTS = {0: "passed", 1: "a verdict failed", 4: "interrupted, or a run is not valid"}
 
 
 def build(desk: Desk) -> None:

@@ -50,6 +50,7 @@ window.desk = {
   next: 0, // number of the first point that the page has not received yet
   rows: [], // the rows that are drawn
   newest: null, // the newest row
+  braked: null, // m since the first brake demand, or null without a demand
   heldSpeed: null, // m/s while the rig is held, otherwise null
   whole: false, // whether the whole run is drawn, or only its last seconds
   axle: 0, // the axle that is drawn; 0: all
@@ -115,6 +116,7 @@ window.desk = {
     }
     this.heldSpeed = reply.held_m_s;
     this.newest = reply.newest;
+    this.braked = reply.braked_m;
     this.next = reply.points;
 
     if (this.whole) {
@@ -192,6 +194,7 @@ window.desk = {
     put("time", time);
     put("speed", numberText(kilometresPerHour(speed_m_s), 1));
     put("distance", numberText(this.newestValue("position_m"), 0));
+    put("braked", numberText(this.braked, 0));
     put("demand", numberText(demand_bar, 2));
     put("sliding", numberText(sliding_km_h, 1));
     put("missed", numberText(this.newestValue("ticks_missed"), 0));

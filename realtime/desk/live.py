@@ -4,6 +4,7 @@ Colours are those of every other view. The browser draws what moves with `desk.j
 rows ten times a second, less often if it cannot draw that fast. `answer` makes the reply.
 """
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,7 +78,8 @@ _WIDTHS = {
 _FIGURES = (
     _Figure("time", "", "simulated time"),
     _Figure("speed", "km/h", "vehicle"),
-    _Figure("distance", "m", "distance"),
+    _Figure("distance", "m", "distance from the start"),
+    _Figure("braked", "m", "since the brake demand"),
     _Figure("demand", "bar", "brake demand"),
     _Figure("sliding", "km/h", "largest sliding"),
     _Figure("missed", "", "ticks missed"),
@@ -94,7 +96,14 @@ def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any
     bench = desk.bench
     doors = desk.doors
     if bench is None or doors is None:
-        return {"bench": "", "points": 0, "rows": [], "newest": None, "held_m_s": None}
+        return {
+            "bench": "",
+            "points": 0,
+            "rows": [],
+            "newest": None,
+            "braked_m": None,
+            "held_m_s": None,
+        }
     if whole:
         rows: Any = bench.whole
     else:
@@ -106,8 +115,13 @@ def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any
         "points": bench.points,
         "rows": _short(np.array(rows)) if len(rows) else [],
         "newest": _short(bench.newest) if moving else None,
+        "braked_m": _finite(bench.braked_m) if moving else None,
         "held_m_s": held_m_s,
     }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def _short(values: np.ndarray) -> np.ndarray:

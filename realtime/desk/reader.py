@@ -6,6 +6,7 @@ spike is lost. All pairs of the last minute are kept. The whole run is thinned f
 The first events of a bench report where it listens.
 """
 
+import math
 import re
 import time
 from collections import deque
@@ -18,7 +19,7 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.telemetry import live
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import braking, signals
 from rollerrig.wsp_interface.events import Code, Event
 
 PERIOD_S = 0.1  # of the pairs
@@ -43,6 +44,8 @@ SHOWN = (
 )
 _COLUMNS = np.concatenate([np.arange(len(signals.COLUMNS))[signals.span(name)] for name in SHOWN])
 COLUMNS = tuple(signals.COLUMNS[at] for at in _COLUMNS)
+_DEMAND = COLUMNS.index("brake_demand_Pa")
+_POSITION = COLUMNS.index("position_m")
 _RECENT_POINTS = round(2 * SPAN_S / PERIOD_S)  # two points a pair
 _WHOLE_POINTS = 2000
 _KEPT_EVENTS = 2000
@@ -73,6 +76,8 @@ class Bench:
         self.unit_lost = False
         # samples
         self.newest = np.full(len(_COLUMNS), np.nan)
+        self._demanded = False  # a brake demand was seen
+        self._braked_from_m = math.nan  # place of the first brake demand
         self.heard_s = time.monotonic()  # when the last sample arrived
         self.points = 0
         self._recent: deque[np.ndarray] = deque(maxlen=_RECENT_POINTS)
@@ -95,6 +100,14 @@ class Bench:
         """Simulated time of the newest row; 0 before the first."""
         return float(np.nan_to_num(self.newest[0]))
 
+    @property
+    def braked_m(self) -> float:
+        """The distance since the first brake demand in m; NaN if none was seen.
+
+        At standstill it is the stopping distance.
+        """
+        return self.value("position") - self._braked_from_m
+
     def value(self, name: str, axle: int = 1) -> float:
         """The newest value of a signal that a page draws."""
         column = signals.columns(signals.BY_NAME[name])[axle - 1]
@@ -108,7 +121,9 @@ class Bench:
         rows, self._cursor, _ = self.rows.read(self._cursor)
         if len(rows):
             self.heard_s = time.monotonic()
-            self._take(rows[:, _COLUMNS])
+            shown = rows[:, _COLUMNS]
+            self._note_braking(np.vstack([self.newest, shown]))
+            self._take(shown)
         event_rows, self._event_cursor, _ = self._event_ring.read(self._event_cursor)
         events = [ring.read_event(row) for row in event_rows]
         for event in events:
@@ -127,6 +142,14 @@ class Bench:
     def whole(self) -> np.ndarray:
         """The whole run so far, thinned: shape (n, columns)."""
         return self._whole
+
+    def _note_braking(self, rows: np.ndarray) -> None:
+        """Note the place of the first brake demand; `rows` begin with the last row before."""
+        begin = braking.begin(rows[:, _DEMAND])
+        if begin is not None and not self._demanded:
+            self._demanded = True
+            # NaN for a bench that braked already when the desk found it
+            self._braked_from_m = float(rows[begin, _POSITION])
 
     def _take(self, rows: np.ndarray) -> None:
         """Process rows of shape (n, columns): reduce each complete period to a pair of points."""

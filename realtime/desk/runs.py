@@ -22,8 +22,8 @@ from rollerrig.realtime.record import figures
 
 # figures of a summary that have a column in the table
 _FIGURES = (
-    "stop_time_s",
-    "stop_distance_m",
+    "braking_time_s",
+    "braking_distance_m",
     "sliding_max_m_s",
     "longest_lock_s",
     "vents",

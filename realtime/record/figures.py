@@ -50,8 +50,11 @@ def _mean(summary: Summary, key: str) -> float:
 
 
 FIGURES = (
-    Figure("stop_time_s", "stop time", "s", lambda s: s["stop_time_s"]),
-    Figure("stop_distance_m", "stop distance", "m", lambda s: s["stop_distance_m"]),
+    # the names of these four are defined in `wsp_interface.braking`
+    Figure("braking_time_s", "stopping time", "s", lambda s: s["braking_time_s"]),
+    Figure("braking_distance_m", "stopping distance", "m", lambda s: s["braking_distance_m"]),
+    Figure("stop_time_s", "time from the start", "s", lambda s: s["stop_time_s"]),
+    Figure("stop_distance_m", "distance from the start", "m", lambda s: s["stop_distance_m"]),
     Figure(
         "sliding_mean_m_s",
         "mean sliding, all axles",

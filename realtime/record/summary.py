@@ -1,7 +1,8 @@
 """The summary of a run: stop, axles, WSP, air, loop and buses, from what was recorded.
 
-The stop lasts from the first sample to the first sample at standstill. Means and standard
-deviations of sliding are over all its samples, as in the paper's Table 6. What only the bench knows
+The stop lasts from the first sample to the first sample at standstill. The braking lasts from the
+first brake demand to standstill (`wsp_interface.braking`). Means and standard deviations of sliding
+are over all samples of the stop, as in the paper's Table 6. What only the bench knows
 (ticks, frames, requests) is passed as counters, and is null where it is not known.
 """
 
@@ -17,10 +18,10 @@ import numpy as np
 import pyarrow as pa
 
 from rollerrig.realtime.record import channels, validity
+from rollerrig.wsp_interface import braking
 from rollerrig.wsp_interface.events import Event
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
 
-STANDSTILL_M_S = 0.01
 _UNKNOWN_BUS = {"frames": None, "dropped": None, "load_percent": None}
 # columns of the table of axles
 _SHOWN = ("sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s")
@@ -51,16 +52,24 @@ def of(
 
     speed_m_s = channel("vehicle_speed_m_s")
     time_s = channel("time_s")
-    standstill = np.flatnonzero(speed_m_s <= STANDSTILL_M_S)
+    position_m = channel("position_m")
+    standstill = braking.standstill(speed_m_s)
     # a vehicle that stands at the first sample has not moved, so it has not stopped either
-    stopped = bool(standstill.size and standstill[0] > 0)
-    stop = slice(0, int(standstill[0]) + 1 if stopped else len(speed_m_s))
+    stopped = bool(standstill)
+    stop = slice(0, standstill + 1 if standstill else len(speed_m_s))
 
     stop_time_s = None
     stop_distance_m = None
-    if stopped:
+    braking_time_s = None
+    braking_distance_m = None
+    if standstill:
         stop_time_s = _span(time_s[stop])
-        stop_distance_m = _span(channel("position_m")[stop])
+        stop_distance_m = _span(position_m[stop])
+        braking_begin = braking.begin(channel("brake_demand_Pa"))
+        if braking_begin is not None and braking_begin < standstill:
+            braked = slice(braking_begin, stop.stop)
+            braking_time_s = _span(time_s[braked])
+            braking_distance_m = _span(position_m[braked])
 
     loop = scenario.get("loop", {})
     found = {
@@ -79,6 +88,8 @@ def of(
         "final_speed_m_s": _last(speed_m_s),
         "stop_time_s": stop_time_s,
         "stop_distance_m": stop_distance_m,
+        "braking_time_s": braking_time_s,
+        "braking_distance_m": braking_distance_m,
         "stopped": stopped,
         "axles": [_axle(channel, axle, stop) for axle in range(1, AXLES + 1)],
         "wsp": _counted(counters, "wsp", {**_wsp(channel, stop), "unit": counters.get("unit")}),
@@ -234,9 +245,13 @@ def _stop_line(summary: Mapping[str, Any]) -> str:
     speed = f"{_show(summary['initial_speed_m_s'], 1)} m/s"
     if not summary["stopped"]:
         return f"not stopped from {speed} after {_show(summary.get('duration_s'))} s"
-    time_s = _show(summary["stop_time_s"])
-    distance_m = _show(summary["stop_distance_m"], 1)
-    return f"stopped from {speed} in {time_s} s and {distance_m} m"
+    if summary.get("braking_distance_m") is None:
+        time_s = _show(summary["stop_time_s"])
+        distance_m = _show(summary["stop_distance_m"], 1)
+        return f"stopped from {speed} in {time_s} s and {distance_m} m after the start"
+    time_s = _show(summary["braking_time_s"])
+    distance_m = _show(summary["braking_distance_m"], 1)
+    return f"stopped from {speed} in {time_s} s and {distance_m} m after the brake demand"
 
 
 def _wsp_line(summary: Mapping[str, Any]) -> str:

@@ -25,6 +25,9 @@ from rollerrig.realtime.reports import page, pdf
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 HEAD = ("figure", *(f"{100 * q:g} %" for q in QUANTILES))
 
+# figures that every case of the list of the worst has
+DISTANCES = ("braking_distance_m", "stop_distance_m")
+
 # runs in the list of the worst
 _WORST = 5
 
@@ -64,9 +67,17 @@ def worst(plan: campaign.Plan, table: pa.Table, figure: str) -> list[dict[str, A
     cases = []
     for i in order:
         run = int(runs[i])
-        value = float(values[i]) if np.isfinite(values[i]) else None
-        cases.append({"run": run, figure: value, "replay": campaign.command(plan, run)})
+        value = _known(values[i])
+        case: dict[str, Any] = {"run": run, figure: value}
+        for distance in DISTANCES:
+            case.setdefault(distance, _known(valid[distance][int(i)].as_py()))
+        cases.append(case | {"replay": campaign.command(plan, run)})
     return cases
+
+
+def _known(value: float | None) -> float | None:
+    """Return a number, or None if it is missing or not finite."""
+    return None if value is None or not math.isfinite(value) else float(value)
 
 
 def not_valid(plan: campaign.Plan, table: pa.Table) -> list[dict[str, Any]]:
@@ -267,6 +278,7 @@ def _stopping(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
     ]
     return [
         page.element("h2", "Stopping distance"),
+        page.paragraph("It counts from the first brake demand to standstill."),
         page.paragraph(
             _stopping_words(plan.head["design"], distance_m, int((~counts).sum())), kind="note"
         ),
@@ -326,13 +338,13 @@ def _metres(value_m: float | None) -> str:
 
 
 def _draw_exceedance(drawn: Figure, table: pa.Table) -> None:
-    """Draw the distribution of the stop distance, and the share of runs that go further."""
+    """Draw the distribution of the stopping distance, and the share of runs that go further."""
     _, all_m = stopping.counted(table)
     distance_m = np.sort(all_m)
     stopped_m = distance_m[np.isfinite(distance_m)]
     counts, exceeded = drawn.subplots(1, 2)
     counts.hist(stopped_m, bins=40)
-    counts.set(xlabel="stop distance, m", ylabel="runs")
+    counts.set(xlabel="stopping distance, m", ylabel="runs")
 
     share = 1.0 - np.arange(1, stopped_m.size + 1) / distance_m.size
     exceeded.step(stopped_m, share, where="post")
@@ -340,7 +352,7 @@ def _draw_exceedance(drawn: Figure, table: pa.Table) -> None:
         if bound["bound_m"] is not None:
             exceeded.plot(bound["bound_m"], 1.0 - bound["quantile"], "v", color=page.VERMILION)
     exceeded.set(
-        xlabel="stop distance, m (triangles: bounds)",
+        xlabel="stopping distance, m (triangles: bounds)",
         ylabel="share of runs that go further",
         yscale="log",
         ylim=(0.5 / distance_m.size, 1.1),

@@ -60,7 +60,7 @@ _SUMMARY_HEAD = (
     "result",
     "least margin",
     "",
-    "stop, m",
+    "stopping distance, m",
     "over dry",
     "lock, s",
     "air, NL",

@@ -180,9 +180,11 @@ def _stop_text(summary: Mapping[str, Any]) -> str:
     initial_km_h = _number(summary.get("initial_speed_m_s"), 0, _KM_H_PER_M_S)
     if not summary.get("stopped"):
         return f"**not stopped** from {initial_km_h} km/h"
-    distance_m = _number(summary["stop_distance_m"], 0)
-    time_s = _number(summary["stop_time_s"], 1)
-    return f"**{distance_m} m** in **{time_s} s** from {initial_km_h} km/h"
+    kind = "stop" if summary.get("braking_distance_m") is None else "braking"
+    beginning = "the start" if kind == "stop" else "the brake demand"
+    distance_m = _number(summary[f"{kind}_distance_m"], 0)
+    time_s = _number(summary[f"{kind}_time_s"], 1)
+    return f"**{distance_m} m** in **{time_s} s** after {beginning}, from {initial_km_h} km/h"
 
 
 def _validity_text(summary: Mapping[str, Any]) -> str:

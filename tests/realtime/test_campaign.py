@@ -158,10 +158,11 @@ def test_the_worst_runs_are_worst_in_the_direction_of_their_figure(plan_file):
             "run": range(RUNS),
             "invalid_because": pa.nulls(RUNS),
             "stop_distance_m": [*map(float, range(RUNS - 1)), None],
+            "braking_distance_m": [*map(float, range(RUNS - 1)), None],
             "adhesion_mean": [0.1 + 0.01 * k for k in range(RUNS)],
         }
     )
-    longest = [row["run"] for row in report.worst(plan, table, "stop_distance_m")]
+    longest = [row["run"] for row in report.worst(plan, table, "braking_distance_m")]
     assert longest == [11, 10, 9, 8, 7]
     least_adhesion = [row["run"] for row in report.worst(plan, table, "adhesion_mean")]
     assert least_adhesion == [0, 1, 2, 3, 4]
@@ -173,9 +174,9 @@ def test_the_page_shows_every_figure_against_what_was_varied(plan_file, tmp_path
     page = report.write(plan, campaign.result(tmp_path), tmp_path, "stop_distance_m").read_text()
     # a map over two inputs, and the figures against each input
     assert page.count("<svg") == 2
-    assert page.index("Worst stop distance") < page.index("<svg")
+    assert page.index("Worst distance from the start") < page.index("<svg")
     assert "rollerrig run " in page
-    for name in (*plan.axes, "stop distance, m", "energy of sliding, MJ"):
+    for name in (*plan.axes, "stopping distance, m", "energy of sliding, MJ"):
         assert name in page
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import math
 import os
 import shutil
 import subprocess
@@ -90,6 +91,30 @@ def test_no_spike_is_lost_in_the_points_that_a_page_receives(rings):
     assert len(recent) == bench.points
     assert bench.since(bench.points) == []
     assert len(bench.since(bench.points - 4)) == 4
+
+
+def test_the_reader_knows_the_distance_since_the_first_brake_demand(rings):
+    rows, _ = rings
+    (bench,) = reader.running(lambda pid: pid == os.getpid())
+    for number in range(500):
+        demand_Pa = 3.8e5 if 101 <= number < 300 else 0.0
+        rows.push(row(0.01 * number, position=0.2 * number, brake_demand=demand_Pa))
+        if number % 37 == 0:
+            bench.poll()
+        if number < 100:
+            assert math.isnan(bench.braked_m)
+    bench.poll()
+    # a row shows the demand of the tick before it: the demand was given at row 100
+    assert bench.braked_m == pytest.approx(0.2 * 499 - 0.2 * 100)
+
+
+def test_the_distance_since_a_brake_demand_that_nobody_has_seen_is_not_known(rings):
+    rows, _ = rings
+    (bench,) = reader.running(lambda pid: pid == os.getpid())
+    for number in range(100, 200):
+        rows.push(row(0.01 * number, position=0.2 * number, brake_demand=3.8e5))
+        bench.poll()
+    assert math.isnan(bench.braked_m)
 
 
 def test_the_reader_knows_where_a_bench_listens_which_faults_act_and_how_it_ended(rings):

@@ -18,7 +18,7 @@ def runs(distance_m, **inputs):
     known_m = [distance if math.isfinite(distance) else None for distance in distance_m]
     reasons = [None if has_stopped else NOT_STOPPED for has_stopped in stopped]
     columns = {
-        "stop_distance_m": known_m,
+        "braking_distance_m": known_m,
         "stopped": stopped,
         "ended": ["finished"] * len(stopped),
         "valid": stopped,

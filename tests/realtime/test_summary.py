@@ -85,6 +85,8 @@ def test_a_summary_has_the_keys_that_users_rely_on(stop):
         "initial_speed_m_s",
         "stop_time_s",
         "stop_distance_m",
+        "braking_time_s",
+        "braking_distance_m",
         "stopped",
         "axles",
         "wsp",
@@ -128,6 +130,29 @@ def test_the_stop_lasts_from_the_first_sample_to_standstill():
     assert result["stop_time_s"] == pytest.approx(10.0, abs=0.011)
     assert result["stop_distance_m"] == pytest.approx(100.0, rel=0.01)
     assert result["duration_s"] == pytest.approx(12.0)
+
+
+def test_the_stopping_distance_counts_from_the_first_brake_demand():
+    columns = braked()
+    since = columns["time_s"] - columns["time_s"][0]
+    # the demand is given at 2 s, and the next sample shows it
+    columns["brake_demand_Pa"] = np.where(since > 2.0, 3.8e5, 0.0)
+    found = summary.of(columns, COUNTERS, SCENARIO)
+    assert found["braking_time_s"] == pytest.approx(8.0, abs=0.011)
+    assert found["braking_distance_m"] == pytest.approx(64.0, rel=0.01)
+    # the stop still counts from the first sample
+    assert found["stop_distance_m"] == pytest.approx(100.0, rel=0.01)
+
+
+@pytest.mark.parametrize("demanded_s", [None, 11.0])
+def test_a_coach_that_stops_without_a_brake_demand_has_no_stopping_distance(demanded_s):
+    columns = braked()
+    if demanded_s is not None:
+        since = columns["time_s"] - columns["time_s"][0]
+        columns["brake_demand_Pa"] = np.where(since > demanded_s, 3.8e5, 0.0)
+    found = summary.of(columns, COUNTERS, SCENARIO)
+    assert found["braking_distance_m"] is None
+    assert found["stop_distance_m"] == pytest.approx(100.0, rel=0.01)
 
 
 def test_samples_after_the_stop_change_no_mean():
@@ -249,7 +274,7 @@ def printed(result):
 def test_the_table_shows_stop_axles_and_bus(stop):
     result = summary.of(stop, COUNTERS, SCENARIO)
     text = printed(result)
-    assert f"velim_a1: stopped from 30.0 m/s in {result['stop_time_s']:.2f} s" in text
+    assert f"velim_a1: stopped from 30.0 m/s in {result['braking_time_s']:.2f} s" in text
     assert f"{result['axles'][0]['sliding_mean_m_s']:.2f}" in text
     assert "66000 frames" in text
 

@@ -1,8 +1,9 @@
 """The measures by which a test is judged: rows with a unit, a least value and a formula.
 
 All are computed from the true motion, which node 127 sends to the harness, over the braking: from
-the first brake demand to standstill or to the end. A speed sensor may be faulty, so no measure uses
-the measured speeds. What follows from these is shown separately, and marked as measured.
+the first brake demand to standstill (`braking`) or to the end. A speed sensor may be faulty, so no
+measure uses the measured speeds. What follows from these is shown separately, and marked as
+measured.
 
 The reference stop [M1] is that of a vehicle which gets the demanded braking force and never slides.
 The dry stop is a run of this plant with the same demands on clean rollers. The index of wheel
@@ -32,8 +33,8 @@ from rollerrig.configs.vehicle import (
     track_gradient,
     weighed_share,
 )
+from rollerrig.wsp_interface import braking
 
-STANDS_M_S = 0.01  # a slower vehicle stands
 LOCKED_M_S = 0.1  # a wheelset with a slower rim is locked
 SEGMENT_S = 10.0  # of [M2]
 REFERENCE_ABOVE_M_S = 5.0  # below this speed the unit's reference speed is not judged
@@ -68,16 +69,9 @@ class Record:
     @cached_property
     def braking(self) -> slice:
         """The rows from the first brake demand to standstill, or to the end."""
-        time_s = self.columns["time_s"]
-        begin = 0
-        demanded_s = [demand_s for demand_s, pressure_Pa in self.demands if pressure_Pa > 0.0]
-        if demanded_s:
-            begin = int(np.searchsorted(time_s, demanded_s[0] - _TINY_S))
-            begin = min(begin, len(time_s) - 1)
-        end = len(time_s)
-        standing = np.flatnonzero(self.columns["vehicle_speed_m_s"][begin:] <= STANDS_M_S)
-        if standing.size:
-            end = begin + int(standing[0]) + 1
+        begin = braking.begin(self.columns["brake_demand_Pa"]) or 0
+        standstill = braking.standstill(self.columns["vehicle_speed_m_s"], begin)
+        end = len(self.columns["time_s"]) if standstill is None else standstill + 1
         return slice(begin, end)
 
     def braked(self, name: str) -> np.ndarray:
@@ -153,7 +147,7 @@ def reference_distance_m(record: Record) -> float:
 def _until_standstill(record: Record, name: str) -> float:
     """Return the change of a column over the braking; NaN if the vehicle does not stop."""
     values = record.braked(name)
-    stands = record.braked("vehicle_speed_m_s")[-1] <= STANDS_M_S
+    stands = record.braked("vehicle_speed_m_s")[-1] <= braking.STANDS_M_S
     return float(values[-1] - values[0]) if stands else NAN
 
 

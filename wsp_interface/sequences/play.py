@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs import output_files, store
-from rollerrig.configs.errors import RollerrigError, UnitError
-from rollerrig.wsp_interface import events, own_bench, unit_choice
+from rollerrig.configs.errors import BusError, RollerrigError, UnitError
+from rollerrig.wsp_interface import braking, events, own_bench, unit_choice
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import verdict
@@ -59,6 +59,7 @@ class Outcome:
     record: the data for the measures; None if nothing could be measured.
     summary: of the bench.
     error: why the sequence could not be played or judged; "" if it could.
+    interrupted: whether a signal has ended it.
     """
 
     sequence: Sequence
@@ -69,6 +70,7 @@ class Outcome:
     record: Record | None = None
     summary: dict[str, Any] = field(default_factory=dict)
     error: str = ""
+    interrupted: bool = False
     wall_s: float = 0.0
 
     @property
@@ -119,8 +121,12 @@ def on_own_bench(
             play(sequence, harness, outcome)
         outcome.summary = own_bench.summary(folder)
         own_bench.check_valid(outcome.summary)
+    except BusError as error:
+        outcome.error = _why_lost(error, harness, "let the sequence end sooner")
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
+    except KeyboardInterrupt:
+        _interrupt(outcome, harness)
     if harness is not None:
         _conclude(outcome, harness, dry_m)
     return outcome
@@ -144,8 +150,13 @@ def on_running_bench(
             _check_start(sequence, harness)
             play(sequence, harness, outcome)
         _check_unit(harness)
+    except BusError as error:
+        remedy = "start it with --set stand_s=60, which is the longest time, or let the sequence end sooner"
+        outcome.error = _why_lost(error, harness, remedy)
     except (RollerrigError, OSError) as error:
         outcome.error = str(error)
+    except KeyboardInterrupt:
+        _interrupt(outcome, harness)
     _conclude(outcome, harness, dry_m, scenario)
     outcome.summary = observed(harness)
     return outcome
@@ -200,6 +211,31 @@ def _check_start(sequence: Sequence, harness: Harness) -> None:
             f"pre-condition: the sequence begins at {wanted_m_s:.2f} m/s, the bench runs at "
             f"{actual_m_s:.2f} m/s; start it with initial_speed_m_s={wanted_m_s:.3f} and --harness"
         )
+
+
+def _why_lost(error: BusError, harness: Harness | None, remedy: str) -> str:
+    """Return why a bench was lost, with the `remedy` if it has ended after the stop."""
+    if harness is None or not harness.trace:
+        return str(error)
+    speed_m_s = np.array([row[COLUMNS.index("vehicle_speed_m_s")] for row in harness.trace])
+    time_s = np.array([row[COLUMNS.index("time_s")] for row in harness.trace])
+    rolls = np.flatnonzero(speed_m_s > braking.STANDS_M_S)
+    since = int(rolls[-1]) + 1 if rolls.size else 0
+    if since == len(harness.trace):
+        return str(error)
+    return (
+        f"the sequence goes on, but the bench has ended after the coach had stood for "
+        f"{time_s[-1] - time_s[since]:.2f} s: a run ends stand_s after its stop; {remedy} ({error})"
+    )
+
+
+def _interrupt(outcome: Outcome, harness: Harness | None) -> None:
+    """Note that a signal has ended the sequence; `harness` is None before it has joined."""
+    outcome.interrupted = True
+    if harness is None:
+        outcome.error = "interrupted before its bench had started"
+    else:
+        outcome.error = f"interrupted at {harness.time_s:.2f} s of simulated time"
 
 
 def _check_unit(harness: Harness) -> None:
