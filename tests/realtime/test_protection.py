@@ -101,20 +101,23 @@ def test_a_run_prints_the_same_stop_without_wsp(tmp_path, capsys):
     without = result["without_wsp"]
     assert without["stopped"] is True
     assert without["longest_lock_s"] > 5.0
-    assert without["stop_distance_m"] > 1.1 * result["stop_distance_m"]
+    assert without["braking_distance_m"] > 1.1 * result["braking_distance_m"]
 
     expected = without_wsp.simulate(scenario.load("velim_a1"))
     assert expected._asdict() == without
-    distance = f"without WSP: {expected.stop_distance_m:,.0f} m"
+    distance = f"without WSP: {expected.braking_distance_m:,.0f} m"
     assert without_wsp.sentence(expected).startswith(f"{distance}, wheels locked for ")
 
 
 @pytest.mark.parametrize(
     ("stop", "text"),
     [
-        (without_wsp.StopWithoutWsp(True, 415.2, 0.0), "without WSP: 415 m, no wheel locked"),
         (
-            without_wsp.StopWithoutWsp(False, 3931.8, 118.6),
+            without_wsp.StopWithoutWsp(True, 435.2, 415.2, 0.0),
+            "without WSP: 415 m, no wheel locked",
+        ),
+        (
+            without_wsp.StopWithoutWsp(False, 3951.8, 3931.8, 118.6),
             "without WSP: 3,932 m and still moving, wheels locked for 119 s",
         ),
     ],
