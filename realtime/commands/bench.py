@@ -85,7 +85,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     lines = ["The project's own benchmarks (* needs a clone of the repository):"]
     for name, benchmark in BENCHMARKS.items():
         mark = "*" if benchmark.needs_clone else " "
-        lines.append(f"{mark} {name:10}{benchmark.text}")
+        lines.append(f"{mark} {name:11}{benchmark.text}")
     parser.description = "\n".join(lines)
     parser.add_argument(
         "name",

@@ -157,8 +157,8 @@ def last_s(rows: ring.Ring) -> float:
     count = int(rows.header[ring.WRITTEN])
     if not count:
         return 0.0
-    newest = (count - 1) % rows.rows.shape[0]
-    return float(rows.rows[newest, signals.column("time")])
+    newest, _, _ = rows.read(count - 1)
+    return float(newest[-1, signals.column("time")])
 
 
 def descendants(pid: int) -> dict[int, str]:
