@@ -522,7 +522,7 @@ def scheduling_of_the_unit(pacing, parent, loop_core):
         "--pacing",
         pacing,
         "--set",
-        "initial_speed_m_s=4",
+        "initial_speed_m_s=20",
         "--set",
         f"loop.cpu={loop_core}",
     )

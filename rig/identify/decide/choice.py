@@ -167,7 +167,8 @@ def fit_significant(
     """Fit each significant cause together with an explanation, at most `most` of them.
 
     `ready` are fits that were made before. Those of causes with a finite step are not repeated:
-    they start from an untuned base, which takes long.
+    they start from an untuned base, which takes long. With a cause in the explanation, the further
+    one is fitted in all shapes that are nearly as significant as the best, and the best fit counts.
     """
     present = {cause.name for cause in explanation.causes}
     significant = [
@@ -179,20 +180,28 @@ def fit_significant(
     ]
     significant = sorted(significant, key=lambda test: -test.statistic)[:most]
 
-    fits = {}
+    best = {}
     for fit in ready:
         name = fit.explanation.causes[-1].name
         if table.BY_NAME[name].finite_step:
-            fits[name] = fit
-    missing = [test for test in significant if test.name not in fits]
-    new_fits = fit_explanations(
+            of_ready = [test for test in significant if test.name == name]
+            best.update({name: Candidate(test, fit) for test in of_ready})
+    missing = []
+    for test in significant:
+        if test.name not in best:
+            missing.append(test)
+            if explanation.causes and not table.BY_NAME[test.name].finite_step:
+                missing += test.near
+    fits = fit_explanations(
         workspace,
         [explanation._replace(causes=(*explanation.causes, test.cause())) for test in missing],
         "fit of causes",
     )
-    for test, fit in zip(missing, new_fits, strict=True):
-        fits[test.name] = fit
-    return [Candidate(test, fits[test.name]) for test in significant]
+    for test, fit in zip(missing, fits, strict=True):
+        known = best.get(test.name)
+        if known is None or fit.deviance < known.fit.deviance:
+            best[test.name] = Candidate(test, fit)
+    return [best[test.name] for test in significant]
 
 
 def add_ready_fits(

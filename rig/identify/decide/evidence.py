@@ -52,6 +52,7 @@ class ScoreTest(NamedTuple):
     expected: float  # mean of the statistic on null simulations before its correction
     spread: float  # standard deviation of a coefficient over its nominal one
     trials: int = 1  # number of shapes and axles of which this is the best
+    near: tuple["ScoreTest", ...] = ()  # of the same cause in other shapes, nearly as significant
 
     def cause(self) -> Cause:
         """Return the cause from which a fit starts."""
@@ -135,7 +136,14 @@ def score_tests(
         best = max(tests, key=lambda test: test.statistic)
         # the best of several shapes is less significant than one shape alone
         p_value = min(1.0, best.p_value * np.sqrt(trials))
-        best_tests.append(best._replace(p_value=p_value, trials=trials))
+        near = [
+            test._replace(trials=trials)
+            for test in tests
+            if test is not best
+            and test.axle == best.axle
+            and test.statistic > thresholds.NEAR_SHAPE_SHARE * best.statistic
+        ]
+        best_tests.append(best._replace(p_value=p_value, trials=trials, near=tuple(near)))
     return sorted(best_tests, key=lambda test: (test.p_value, -test.statistic))
 
 

@@ -157,6 +157,10 @@ MOST_CAUSES = 2
 # Most second causes that are fitted.
 MOST_FITTED_SECOND = 3
 
+# A second cause is also fitted in other shapes if their statistic is at least this share of the best
+# one's: scores rank shapes wrongly where the base has absorbed a part of the effect. Chosen.
+NEAR_SHAPE_SHARE = 0.5
+
 # Share of the first cause's ratio in a filter that the wrong shape of the first cause can lend to a
 # second cause there. Chosen.
 LENT_SHARE = 0.11

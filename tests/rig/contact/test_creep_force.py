@@ -70,13 +70,15 @@ def test_without_spin_each_model_stays_within_0_08_mu_N_of_contact(model):
 @each_model
 @each_patch
 def test_at_vanishing_creepage_every_force_is_kalkers(model, patch):
+    # between the rows of Kalker's table the patch's coefficients follow the chord; FASTSIM takes
+    # the curve itself ([F6] there), up to 2.1 % lower at this b/a
     unit_N = patch.shear_Pa * size_m(patch) ** 2
     along, _, _ = force(model, 1e-8, 0, 0, patch)
     _, across, _ = force(model, 0, 1e-8, 0, patch)
     _, by_spin, _ = force(model, 0, 0, 1e-5, patch)
-    assert along == near(-unit_N * patch.c11 * 1e-8, rel=0.02)
-    assert across == near(-unit_N * patch.c22 * 1e-8, rel=0.02)
-    assert by_spin == near(-unit_N * size_m(patch) * patch.c23 * 1e-5, rel=0.02)
+    assert along == near(-unit_N * patch.c11 * 1e-8, rel=0.025)
+    assert across == near(-unit_N * patch.c22 * 1e-8, rel=0.025)
+    assert by_spin == near(-unit_N * size_m(patch) * patch.c23 * 1e-5, rel=0.025)
 
 
 @each_model
