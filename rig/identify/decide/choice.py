@@ -180,18 +180,17 @@ def fit_significant(
     ]
     significant = sorted(significant, key=lambda test: -test.statistic)[:most]
 
+    ready_by_name = {fit.explanation.causes[-1].name: fit for fit in ready}
     best = {}
-    for fit in ready:
-        name = fit.explanation.causes[-1].name
-        if table.BY_NAME[name].finite_step:
-            of_ready = [test for test in significant if test.name == name]
-            best.update({name: Candidate(test, fit) for test in of_ready})
     missing = []
     for test in significant:
-        if test.name not in best:
-            missing.append(test)
-            if explanation.causes and not table.BY_NAME[test.name].finite_step:
-                missing += test.near
+        has_finite_step = table.BY_NAME[test.name].finite_step > 0.0
+        if has_finite_step and test.name in ready_by_name:
+            best[test.name] = Candidate(test, ready_by_name[test.name])
+            continue
+        missing.append(test)
+        if explanation.causes and not has_finite_step:
+            missing += test.near
     fits = fit_explanations(
         workspace,
         [explanation._replace(causes=(*explanation.causes, test.cause())) for test in missing],

@@ -157,7 +157,7 @@ MOST_CAUSES = 2
 # Most second causes that are fitted.
 MOST_FITTED_SECOND = 3
 
-# A second cause is also fitted in other shapes if their statistic is at least this share of the best
+# A second cause is also fitted in other shapes whose statistic is at least this share of the best
 # one's: scores rank shapes wrongly where the base has absorbed a part of the effect. Chosen.
 NEAR_SHAPE_SHARE = 0.5
 
