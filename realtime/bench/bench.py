@@ -109,7 +109,8 @@ class Bench:
             parts.report("held until a viewer has joined the live view")
         await parts.processes.await_viewer(parts.rows, lambda: parts.ended_by)
         if not parts.ended_by:
-            await PACINGS[given.pacing](parts)
+            with wall.own_core(parts) if given.pacing == "wall" else contextlib.nullcontext():
+                await PACINGS[given.pacing](parts)
         if parts.failure:
             raise parts.failure
 
@@ -181,6 +182,7 @@ class Bench:
             "ended": parts.ended_by or "finished",
             "loop": {
                 "ticks": int(control[TICK]),
+                "core": parts.core.number,
                 "missed": int(control[MISSED]),
                 "stalled_s": int(control[STALLED_NS]) / clock.SECOND_NS,
                 "lateness_us": loop.percentiles(parts.histogram, int(control[WORST_NS])),

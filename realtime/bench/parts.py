@@ -22,7 +22,7 @@ from rollerrig.realtime.bench import brake_demand, derailment, rig_bus, scenario
 from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.processes import Processes
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import clock, loop, mailbox, ring, tick
+from rollerrig.realtime.loop import clock, cores, loop, mailbox, ring, tick
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
 from rollerrig.realtime.record.events import Events
@@ -82,6 +82,7 @@ class Parts:
         # the loop: lateness of its ticks, and what the system counted against its thread
         self.histogram = np.zeros(loop.BINS, dtype=np.int64)
         self.interruptions: dict[str, int] = {}
+        self.core = cores.Claim()
         # when the real-time thread began, on CLOCK_MONOTONIC; 0: it has not begun
         self.begun_ns = 0
         # when the run began, on the clock of the bus; -1: the rig is held, it has not begun
@@ -325,7 +326,7 @@ class Parts:
         loop_core = -1
         if self.options.pacing == "wall":
             priority = self.plan["loop"]["priority"]
-            loop_core = self.plan["loop"]["cpu"]
+            loop_core = self.core.number
         if priority:
             priority = max(int(loop.UNIT_SHARE * priority), 1)
         self.processes.start_unit(

@@ -44,7 +44,15 @@ LOOP = (
     number("step_s", 1e-4, 1e-6, 1e-2, "physics; the paper's"),
     integer("record_hz", 100, 1, 10000, "samples of the recording"),
     integer("priority", 80, 0, 99, "SCHED_FIFO; 0: none"),
-    integer("cpu", -1, -1, 1023, "core of the real-time thread; -1: any"),
+    integer(
+        "cpu",
+        -1,
+        -2,
+        1023,
+        "core of the real-time thread, which all else leaves; -1: the one with the fewest "
+        "interrupts, if there are two or more and the thread has its priority; -2: any",
+    ),
+    integer("wake_early_us", 50, 0, 500, "on its own core the thread waits awake for the deadline"),
 )
 BUS = (
     choice("interface", "auto", (), "auto, hub, or python-can's interface:channel"),

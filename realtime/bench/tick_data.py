@@ -106,6 +106,7 @@ def _warm_up_wall(data: TickData) -> None:
         data,
         1_000_000,
         1,
+        0,
         descriptor,
         np.zeros(loop.BINS, dtype=np.int64),
         np.zeros(3, dtype=np.int64),

@@ -10,6 +10,7 @@ import contextlib
 import os
 import threading
 import time
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +20,7 @@ from rollerrig.realtime.bench import tick_data
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import clock, loop, mailbox
+from rollerrig.realtime.loop import clock, cores, loop, mailbox
 from rollerrig.realtime.loop.held_rig import HOLDING
 from rollerrig.realtime.loop.tick import HELD, HOLD, STALLED_NS, STOP, TICK
 from rollerrig.wsp_interface.events import Code
@@ -76,6 +77,31 @@ async def _run_held_and_free(parts: Parts, bus: RigBus, plc: "Plc") -> None:
         os.close(descriptor)
 
 
+@contextlib.contextmanager
+def own_core(parts: Parts) -> Iterator[None]:
+    """Let the loop own a core inside the block: all else of the bench leaves it.
+
+    Without a real-time priority the loop would be worse off there than on any core.
+    """
+    rates = parts.plan["loop"]
+    wanted = rates["cpu"]
+    if not rates["priority"] or loop.priority_refused(rates["priority"]):
+        wanted = wanted if wanted >= 0 else cores.ANY
+    parts.core = cores.claim(wanted)
+    if parts.core.number < 0:
+        yield
+        return
+    left = {}
+    for pid in (os.getpid(), *parts.processes.pids):
+        left.update(cores.leave({parts.core.number}, pid))
+    try:
+        with cores.without_interrupts(parts.core.number):
+            yield
+    finally:
+        cores.restore(left)
+        parts.core.close()
+
+
 def _on_tick(parts: Parts, bus: RigBus, descriptor: int, woken: asyncio.Event) -> None:
     """A SYNC is due, or the real-time thread has ended."""
     os.read(descriptor, 8)
@@ -117,7 +143,8 @@ async def _run_thread(parts: Parts, descriptor: int, woken: asyncio.Event) -> No
 def _real_time(parts: Parts, descriptor: int) -> None:
     """The real-time thread."""
     rates = parts.plan["loop"]
-    for refused in loop.ask_for_priority(rates["priority"], rates["cpu"]):
+    early_us = rates["wake_early_us"] if parts.core.owned else 0
+    for refused in loop.ask_for_priority(rates["priority"], parts.core.number):
         parts.event(Code.LOOP_REFUSED, refused=refused)
     # locking memory may take a second: the clock starts after it
     begin_ns = time.monotonic_ns()
@@ -127,6 +154,7 @@ def _real_time(parts: Parts, descriptor: int) -> None:
             parts.data,
             clock.SECOND_NS // rates["tick_hz"],
             parts.plan.sync_ticks,
+            1000 * early_us,
             descriptor,
             parts.histogram,
             np.zeros(3, dtype=np.int64),

@@ -1,25 +1,23 @@
 """`rollerrig bench loop`: how punctual the real-time loop is, compared with `cyclictest`.
 
-Both run in short alternating slices at the same priority: at the same time they would delay each
+They run in short alternating slices at the same priority: at the same time they would delay each
 other, because at equal priority neither interrupts the other. The loop carries bus, recorder and
-WSP unit, as in any run; cyclictest has the machine to itself.
+WSP unit, as in any run; cyclictest has the machine to itself. Where the machine has rtla, its
+timerlat runs as well, as a second reference.
 
-Source: cyclictest of rt-tests. Its latency is the time of waking minus the absolute deadline, and
-so is our lateness.
+Latency of cyclictest is the time of waking minus the absolute deadline. Our lateness is the time at
+which the tick begins minus its deadline: on its own core the loop wakes early and waits.
 """
 
 import argparse
-import re
 import shutil
-import subprocess
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from rich.table import Table
 
-from rollerrig.configs.processes import children
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.benchmarks import figures, wall
+from rollerrig.realtime.benchmarks import figures, references, wall
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.loop import loop
 from rollerrig.realtime.loop.tick import MISSED, TICK, WORST_NS
@@ -30,18 +28,6 @@ from rollerrig.wsp_interface.events import Code
 WITHIN = 1.2
 _SLICE_S = 60.0
 INSTALL = "install rt-tests (Debian, Ubuntu: apt-get install rt-tests) for the comparison"
-# of the output of cyclictest -q -h: bin in us and its count, largest latency, count beyond all bins
-_BIN = re.compile(r"^(\d{6}) (\d+)", re.MULTILINE)
-_MAX = re.compile(r"^# Max Latencies: (\d+)", re.MULTILINE)
-_BEYOND = re.compile(r"^# Histogram Overflows: (\d+)", re.MULTILINE)
-
-
-class Latenesses(NamedTuple):
-    """What one slice of a program adds to its `Punctuality`."""
-
-    histogram: np.ndarray  # counts, in bins of 1 us
-    worst_ns: int
-    missed: int  # ticks
 
 
 class Punctuality:
@@ -72,6 +58,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     """Run cyclictest and the loop alternately until the loop has run for the requested seconds."""
     settings = tuple(given.set)
     program = shutil.which("cyclictest")
+    tracer = references.timerlat_program()
     rates = scenario.load(wall.SCENARIO, settings=settings)["loop"]
     tick_hz = rates["tick_hz"]
     slices = max(1, round(given.seconds / _SLICE_S))
@@ -80,23 +67,31 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     cyclictest_s = max(1.0, round(given.seconds / (slices + 1)))
     ours = Punctuality()
     theirs = Punctuality()
+    of_kernel = Punctuality()
+    interval_us = 1_000_000 // tick_hz
 
-    def run_cyclictest() -> None:
+    def run_references() -> None:
         if program:
             say(f"cyclictest, {cyclictest_s:g} s ...")
-            interval_us = 1_000_000 // tick_hz
-            theirs.add(*cyclictest(program, rates["priority"], interval_us, cyclictest_s))
+            theirs.add(
+                *references.cyclictest(program, rates["priority"], interval_us, cyclictest_s)
+            )
+        if tracer:
+            say(f"rtla timerlat, {cyclictest_s:g} s ...")
+            of_kernel.add(
+                *references.timerlat(tracer, rates["priority"], interval_us, cyclictest_s)
+            )
 
     refused: list[str] = []
     for number in range(slices):
-        run_cyclictest()
+        run_references()
         say(f"the loop, slice {number + 1} of {slices} ...")
         left_s = slice_s
         # the coach may stop before the slice is over, and then brakes again
         while left_s >= 1.0:
             ran_s, refused = _stop(left_s, settings, tick_hz, given.live, ours)
             left_s -= ran_s
-    run_cyclictest()
+    run_references()
 
     result = compared(ours, theirs if program else None)
     return result | {
@@ -105,6 +100,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         "live": given.live,
         "loop": ours.plain(),
         "cyclictest": theirs.plain() if program else None,
+        "timerlat": of_kernel.plain() if tracer else None,
         "refused": refused,
         "notes": result["notes"] + refused,
     }
@@ -149,41 +145,6 @@ def wakes(lateness_us: np.ndarray, duration_us: np.ndarray, interval_us: float) 
     slept = np.ones(len(lateness_us), dtype=bool)
     slept[1:] = lateness_us[:-1] + duration_us[1:] < interval_us
     return lateness_us[slept]
-
-
-def cyclictest(program: str, priority: int, interval_us: int, seconds: float) -> Latenesses:
-    """Run cyclictest for some seconds, and return its latencies."""
-    words = [program, "-m", "-q"]
-    if priority:
-        words += ["-p", str(priority)]
-    words += ["-i", str(interval_us)]
-    words += ["-h", str(loop.BINS)]
-    words += ["-D", str(round(seconds))]
-    process = subprocess.run(
-        children.command(*words),
-        capture_output=True,
-        text=True,
-        timeout=seconds + 30.0,
-        check=False,
-    )
-    return parse(process.stdout, interval_us)
-
-
-def parse(text: str, interval_us: int) -> Latenesses:
-    """Return the latencies that cyclictest -q -h prints.
-
-    A latency of one interval or more costs as many deadlines as it has whole intervals.
-    """
-    histogram = np.zeros(loop.BINS, dtype=np.int64)
-    for at, count in _BIN.findall(text):
-        histogram[min(int(at), loop.BINS - 1)] += int(count)
-    beyond = _BEYOND.search(text)
-    if beyond:
-        histogram[-1] += int(beyond[1])
-    worst = _MAX.search(text)
-    worst_us = int(worst[1]) if worst else 0
-    missed = int((histogram * (np.arange(loop.BINS) // interval_us)).sum())
-    return Latenesses(histogram, worst_ns=1000 * worst_us, missed=missed)
 
 
 def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
@@ -235,6 +196,8 @@ def compared(ours: Punctuality, theirs: Punctuality | None) -> Result:
 def table(result: Result) -> Table:
     """Return the lateness of both programs, and the ratios."""
     rows = [_row(name, result[name] or {}) for name in ("loop", "cyclictest")]
+    if result["timerlat"]:
+        rows.append(_row("rtla timerlat", result["timerlat"]))
     if result["ratio"]:
         rows.append(_row("ratio", {"lateness_us": result["ratio"]}))
     title = f"lateness in us, {result['tick_hz']} Hz, SCHED_FIFO {result['priority']}"

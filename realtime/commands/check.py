@@ -21,7 +21,6 @@ import shutil
 import socket
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from enum import StrEnum
 from importlib import metadata
 from pathlib import Path
@@ -30,6 +29,8 @@ from typing import NamedTuple
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
 from rollerrig.realtime.commands import output, wsp
+from rollerrig.realtime.loop import cores as loop_cores
+from rollerrig.realtime.loop import loop
 
 # exit statuses
 PASS = 0
@@ -181,6 +182,7 @@ def check_machine(hub_port: int) -> list[Finding]:
         socketcan(),
         port(hub_port),
         cores(),
+        core_of_loop(),
         priority(),
         memory_lock(),
         idle_states(),
@@ -344,18 +346,44 @@ def cores() -> Finding:
     )
 
 
+def core_of_loop() -> Finding:
+    """Check whether the loop can have a core of its own, and what remains on that core."""
+    name = "core of the loop"
+    claim = loop_cores.claim(loop_cores.CLAIM)
+    if claim.number < 0:
+        return Finding(
+            name,
+            State.WEAKER,
+            "none is free",
+            "give the process one more core than there are benches in real time, because the loop "
+            "now shares its core with other threads",
+        )
+    with contextlib.closing(claim), loop_cores.without_interrupts(claim.number) as stay:
+        core = claim.number
+        if loop.priority_refused(PRIORITY):
+            return Finding(
+                name,
+                State.WEAKER,
+                f"{core} is free, but without SCHED_FIFO the loop runs on any core",
+                f"allow SCHED_FIFO {PRIORITY}, see there",
+            )
+        if not stay:
+            return Finding(name, State.OK, f"{core}, without interrupts of devices")
+        return Finding(
+            name,
+            State.WEAKER,
+            f"{core}; interrupts {', '.join(stay)} stay on it",
+            "as root the bench moves interrupts, but not those that the kernel manages itself; "
+            "/proc/interrupts names them; give the loop another core with loop.cpu",
+        )
+
+
 def priority() -> Finding:
     """Check whether a thread may run with the real-time policy SCHED_FIFO."""
     name = f"SCHED_FIFO {PRIORITY}"
-    # 0 means the calling thread; a thread of a pool is used so that this one keeps its priority
-    parameters = os.sched_param(PRIORITY)
-    with ThreadPoolExecutor(1) as pool:
-        request = pool.submit(os.sched_setscheduler, 0, os.SCHED_FIFO, parameters)
-        error = request.exception()
-
-    if not error:
+    reason = loop.priority_refused(PRIORITY)
+    if not reason:
         return Finding(name, State.OK, "allowed")
-    reason = getattr(error, "strerror", None) or "refused"
     return Finding(
         name,
         State.WEAKER,

@@ -5,7 +5,8 @@ the bench that the page names. Afterwards it follows the next bench that it star
 chooses any other one.
 
 `work` runs as long as the desk does. It reads the rings ten times a second and the registers twice
-a second. While it follows no bench, it looks for benches every second.
+a second. While it follows no bench, it looks for benches every second. It keeps off the cores that
+loops of benches have claimed.
 """
 
 import asyncio
@@ -24,6 +25,7 @@ from rollerrig.firmware_sim.modbus.map import State
 from rollerrig.realtime.desk import reader
 from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
+from rollerrig.realtime.loop import cores
 from rollerrig.realtime.telemetry import viewer
 from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.events import Code, Event
@@ -87,6 +89,9 @@ class Desk:
         self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
         self.programs: list[Program] = []
         self._viewer: Any = None
+        # the cores of loops that the desk keeps off, and the cores of its threads before
+        self._left_cores: set[int] = set()
+        self._cores_before: dict[int, set[int]] = {}
         self._last_failure = ""  # reported only once while it repeats
 
     # -- the work in the background
@@ -98,9 +103,11 @@ class Desk:
         while True:
             now_s = time.monotonic()
             try:
-                if not self.running() and now_s - looked_for_s > _FIND_S:
+                if now_s - looked_for_s > _FIND_S:
                     looked_for_s = now_s
-                    self.find()
+                    self._leave_cores()
+                    if not self.running():
+                        self.find()
                 self.look()
                 if self.doors and now_s - polled_s > _REGISTERS_S:
                     polled_s = now_s
@@ -110,6 +117,14 @@ class Desk:
                     self._last_failure = repr(error)
                     self.alarm("error", f"the desk: {error!r}")
             await asyncio.sleep(_READ_S)
+
+    def _leave_cores(self) -> None:
+        """Keep off the cores of loops, and return to them when their benches have ended."""
+        claimed = cores.claimed()
+        if claimed != self._left_cores:
+            cores.restore(self._cores_before)
+            self._cores_before = cores.leave(claimed, os.getpid())
+            self._left_cores = claimed
 
     def find(self) -> None:
         """Follow a running bench if there is no doubt which; else list the benches in `choices`."""
@@ -251,6 +266,9 @@ class Desk:
                 "a bench runs already on this machine: stop it first, or wait until it has ended"
             )
         self._check_scenario(scenario)
+        # the bench inherits the cores of the desk
+        cores.restore(self._cores_before)
+        self._left_cores = set()
         words = ["run", "--start", "modbus", "--pacing", "wall", f"--wsp={self.checked(unit)}"]
         for key, value in settings.items():
             if value:

@@ -1,7 +1,9 @@
 """The real-time loop: one compiled call that gives every tick an absolute deadline.
 
 It holds no GIL, allocates nothing and logs nothing. Each tick sleeps until its deadline, notes how
-late it woke, runs, and wakes the bus thread when a SYNC is due. A tick that starts after the next
+late it begins, runs, and wakes the bus thread when a SYNC is due. On a core of its own it sleeps
+until shortly before the deadline, and then waits awake: the kernel takes some time to wake a
+thread, which then counts no longer. A tick that starts after the next
 one was due counts as missed, and the loop then catches up. After a stall of more than a hundred
 ticks it sets its next deadline from the present time instead. From then on simulated time is behind
 the clock of the bus, by the sum in STALLED_NS.
@@ -11,6 +13,7 @@ import contextlib
 import os
 import resource
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -33,6 +36,9 @@ from rollerrig.rig.compiled.kernel import kernel
 # histogram of lateness: bins of 1 us, the last one holds all that is later
 BINS = 20_000
 _STALL_TICKS = 100
+# The largest share of a tick in which the thread is awake while it waits for the deadline. The
+# kernel takes the core from a real-time thread that is awake for more than 95 % of a second.
+_AWAKE_SHARE = 0.8
 # counters of getrusage(2) by their names in the summary
 INTERRUPTIONS = {"page_faults": "ru_minflt", "pages_read": "ru_majflt", "preempted": "ru_nivcsw"}
 # the bus thread has this share of the real-time thread's priority
@@ -44,19 +50,23 @@ _PERCENTILES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
 
 @kernel
-def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
+def wall(m, tick_ns, sync_ticks, early_ns, descriptor, histogram, scratch, begin_ns):
     """Run ticks on their deadlines until the run is done or stopped.
 
-    Tick k (from 0) begins at begin_ns + (k + 1) tick_ns. `histogram` int64 (BINS,) takes the
-    lateness in us, `scratch` int64 (3,); `descriptor` is the eventfd of the bus thread.
+    Tick k (from 0) begins at begin_ns + (k + 1) tick_ns. The thread wakes at most `early_ns` before
+    that. `histogram` int64 (BINS,) takes the lateness in us, `scratch` int64 (3,); `descriptor` is
+    the eventfd of the bus thread.
     """
     spec = scratch[:2]
     one = scratch[2:]
     one[0] = 1
     deadline = begin_ns + tick_ns
+    took = 0
     while m.control[STOP] == 0 and m.control[DONE] == 0:
-        sleep_until(deadline, spec)
+        sleep_until(deadline - max(min(early_ns, int(_AWAKE_SHARE * tick_ns) - took), 0), spec)
         began = now_ns(spec)
+        while began < deadline:
+            began = now_ns(spec)
         late = max(began - deadline, 0)
         histogram[min(late // 1000, histogram.size - 1)] += 1
         m.control[WORST_NS] = max(m.control[WORST_NS], late)
@@ -73,7 +83,8 @@ def wall(m, tick_ns, sync_ticks, descriptor, histogram, scratch, begin_ns):
             tick.run_tick(m)
         if (m.control[TICK] + m.control[HELD]) % sync_ticks == 0:
             wake(descriptor, one)
-        m.control[BUSY_NS] = max(m.control[BUSY_NS], now_ns(spec) - began)
+        took = now_ns(spec) - began
+        m.control[BUSY_NS] = max(m.control[BUSY_NS], took)
         deadline += tick_ns
     wake(descriptor, one)
 
@@ -107,6 +118,17 @@ def ask_for_priority(priority: int, cpu: int) -> list[str]:
                 f"{sorted(os.sched_getaffinity(0))} or -1"
             )
     return refused
+
+
+def priority_refused(priority: int) -> str:
+    """Return "" or the reason why the system grants no thread SCHED_FIFO with this priority."""
+    # 0 means the calling thread; a thread of a pool is used so that this one keeps its priority
+    with ThreadPoolExecutor(1) as pool:
+        parameters = os.sched_param(priority)
+        error = pool.submit(os.sched_setscheduler, 0, os.SCHED_FIFO, parameters).exception()
+    if error is None:
+        return ""
+    return getattr(error, "strerror", None) or "refused"
 
 
 def prefer_bus_thread(priority: int) -> str:

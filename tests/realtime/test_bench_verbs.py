@@ -12,7 +12,7 @@ from paper import table8
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.benchmarks import bus, client, figures
+from rollerrig.realtime.benchmarks import bus, client, figures, references
 from rollerrig.realtime.benchmarks import loop as loop_benchmark
 from rollerrig.realtime.commands import bench, clone
 from rollerrig.realtime.loop import loop
@@ -90,12 +90,36 @@ def test_quantiles_of_a_thousand_values():
 
 
 def test_the_output_of_cyclictest_is_read_with_its_latencies_beyond_the_histogram():
-    histogram, worst_ns, missed_deadlines = loop_benchmark.parse(PRINTED, 1000)
+    histogram, worst_ns, missed_deadlines = references.parse(PRINTED, 1000)
     assert histogram.sum() == 1000
     assert histogram[12] == 900
     assert worst_ns == 25_000_000
     # nine latencies of 1.2 ms cost a deadline each, and one beyond the last bin (20 ms) costs 19
     assert missed_deadlines == 9 * 1 + 19
+
+
+# what rtla timerlat hist prints: for each core a column of interrupts and one of threads
+TRACED = """# RTLA timerlat histogram
+# Time unit is microseconds (us)
+# Duration:   0 00:00:01
+Index   IRQ-000   Thr-000   IRQ-001   Thr-001
+0           990         0       980         0
+5             9       700        18       950
+1200          0       299         0        40
+over:         1         1         2        10
+count:     1000      1000      1000      1000
+min:          0         5         0         5
+avg:          0       300         0       200
+max:      11000     12000     13000     25000
+"""
+
+
+def test_of_rtla_timerlat_the_latencies_of_its_threads_on_all_cores_are_read():
+    histogram, worst_ns, missed_deadlines = references.parse_timerlat(TRACED, 1000)
+    assert histogram.sum() == 2000
+    assert histogram[5] == 1650
+    assert worst_ns == 25_000_000
+    assert missed_deadlines == 339 * 1 + 11 * 19
 
 
 def test_only_ticks_that_the_loop_slept_for_are_compared():

@@ -28,12 +28,12 @@ def machine(tmp_path):
     return built(tmp_path, 0.5)
 
 
-def wall(machine, begin_ns, sync_ticks=10):
+def wall(machine, begin_ns, sync_ticks=10, early_ns=0):
     """Run the loop to its end; return its histogram, and how often it woke the bus thread."""
     histogram = np.zeros(loop.BINS, dtype=np.int64)
     descriptor = clock.eventfd()
     scratch = np.zeros(3, dtype=np.int64)
-    loop.wall(machine, MS, sync_ticks, descriptor, histogram, scratch, begin_ns)
+    loop.wall(machine, MS, sync_ticks, early_ns, descriptor, histogram, scratch, begin_ns)
     calls = int.from_bytes(os.read(descriptor, 8), "little")
     os.close(descriptor)
     return histogram, calls
@@ -48,6 +48,19 @@ def test_every_tick_is_run_once_and_has_its_lateness_counted(machine):
     assert machine.control[DONE] == 1
     assert calls == 50 + 1  # the last call is the end of the loop
     assert machine.state.time[0] == pytest.approx(0.5)
+
+
+def test_a_loop_that_wakes_early_begins_no_tick_early_and_sleeps_a_fifth_of_the_time(machine):
+    tick_data.warm_up(machine, "wall")
+    begin_ns = time.monotonic_ns()
+    awake_begun_ns = time.thread_time_ns()
+    # early by ten ticks: it would never sleep
+    histogram, _ = wall(machine, begin_ns, early_ns=10 * MS)
+    awake_ns = time.thread_time_ns() - awake_begun_ns
+    assert machine.control[TICK] == histogram.sum() == 500
+    assert time.monotonic_ns() - begin_ns >= 500 * MS
+    # computing and waiting take at most 80 % of each tick; some more for waking and sleeping
+    assert awake_ns < 0.9 * 500 * MS
 
 
 def test_a_loop_that_is_behind_catches_up_and_counts_what_it_missed(machine):

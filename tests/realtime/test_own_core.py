@@ -1,0 +1,227 @@
+"""The loop has a core of its own, which all else of the bench leaves, where there are two."""
+
+import asyncio
+import contextlib
+import os
+import subprocess
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+from bench_process import BenchProcess
+
+from rollerrig.realtime.commands import check
+from rollerrig.realtime.loop import cores
+
+CORES = os.sched_getaffinity(0)
+needs_two_cores = pytest.mark.skipif(len(CORES) < 2, reason="this machine has one core only")
+
+
+@pytest.fixture
+def claims(monkeypatch):
+    """Claims with a name of their own: other tests run benches that claim cores, too."""
+    monkeypatch.setattr(cores, "_CLAIM_NAME", f"rollerrig test {os.getpid()} core ")
+
+
+@contextlib.contextmanager
+def claimed(wanted):
+    claim = cores.claim(wanted)
+    try:
+        yield claim
+    finally:
+        claim.close()
+
+
+def threads_allowed_on(core, pid):
+    """The threads of a process that may run on a core."""
+    found = []
+    for name in os.listdir(f"/proc/{pid}/task"):
+        with contextlib.suppress(ProcessLookupError):
+            if core in os.sched_getaffinity(int(name)):
+                found.append(int(name))
+    return found
+
+
+def children_of(pid):
+    found = []
+    for thread in os.listdir(f"/proc/{pid}/task"):
+        found += map(int, Path(f"/proc/{pid}/task/{thread}/children").read_text().split())
+    return found
+
+
+def test_benches_claim_different_cores_and_leave_one_to_all_else(claims):
+    with contextlib.ExitStack() as stack:
+        numbers = [stack.enter_context(claimed(cores.CLAIM)).number for _ in CORES]
+        *owned, last = numbers
+        assert last == -1
+        assert len(set(owned)) == len(owned) == len(CORES) - 1
+        assert cores.claimed() == set(owned) < CORES
+    assert cores.claimed() == set()
+
+
+@needs_two_cores
+def test_a_killed_bench_gives_its_core_back(claims):
+    program = (
+        "import sys, time\n"
+        "from rollerrig.realtime.loop import cores\n"
+        f"cores._CLAIM_NAME = {cores._CLAIM_NAME!r}\n"
+        "claim = cores.claim(cores.CLAIM)\n"
+        "print(claim.number, flush=True)\n"
+        "time.sleep(900)\n"
+    )
+    with subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE) as process:
+        core = int(process.stdout.readline())
+        assert cores.claimed() == {core}
+        process.kill()
+    assert cores.claimed() == set()
+
+
+def test_a_named_core_is_taken_but_two_benches_do_not_both_own_it(claims):
+    core = min(CORES)
+    with claimed(core) as first, claimed(core) as second:
+        assert first.number == second.number == core
+        assert first.owned
+        assert not second.owned
+    with claimed(cores.ANY) as none:
+        assert none.number == -1
+
+
+@needs_two_cores
+def test_all_threads_leave_a_core_and_return_to_it():
+    core = max(CORES)
+    event = threading.Event()
+    thread = threading.Thread(target=event.wait)
+    thread.start()
+    before = {}
+    try:
+        before = cores.leave({core}, os.getpid())
+        assert threads_allowed_on(core, os.getpid()) == []
+    finally:
+        cores.restore(before)
+        event.set()
+        thread.join()
+    assert os.sched_getaffinity(0) == CORES
+
+
+def test_a_process_with_one_core_keeps_it():
+    program = (
+        "import os\n"
+        "from rollerrig.realtime.loop import cores\n"
+        f"os.sched_setaffinity(0, {{{min(CORES)}}})\n"
+        f"assert cores.leave({{{min(CORES)}}}, os.getpid()) == {{}}\n"
+        "assert cores.claim(cores.CLAIM).number == -1\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)
+
+
+@needs_two_cores
+def test_only_the_loop_runs_on_its_core(tmp_path):
+    core = max(CORES)
+    run = BenchProcess(tmp_path / "run", "--pacing", "wall", "--live", "--set", f"loop.cpu={core}")
+    run.runs_for(0.5)
+    (loop_thread,) = threads_allowed_on(core, run.process.pid)
+    assert os.sched_getaffinity(loop_thread) == {core}
+    # recorder, unit, and the viewer with what it has started
+    children = children_of(run.process.pid)
+    assert len(children) >= 3
+    for child in children:
+        for process in (child, *children_of(child)):
+            assert threads_allowed_on(core, process) == []
+    run.interrupt()
+    run.finish()
+    assert run.result["loop"]["core"] == core
+
+
+def test_without_own_core_the_loop_runs_on_any(tmp_path):
+    run = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", f"loop.cpu={cores.ANY}")
+    run.runs_for(0.3)
+    assert threads_allowed_on(max(CORES), run.process.pid)
+    assert os.sched_getaffinity(run.process.pid) == CORES
+    run.interrupt()
+    run.finish()
+    assert run.result["loop"]["core"] == -1
+
+
+@pytest.fixture
+def interrupts(monkeypatch, tmp_path):
+    """Files as in /proc/irq: other tests run benches that move the real interrupts."""
+    for number, served in (("24", "0"), ("25", "1"), ("26", "1"), ("27", "1")):
+        folder = tmp_path / number
+        (folder / "device").mkdir(parents=True)
+        (folder / "smp_affinity_list").write_text("0-1\n")
+        (folder / "effective_affinity_list").write_text(served)
+    (tmp_path / "27" / "device").rmdir()  # no device uses it
+    monkeypatch.setattr(cores, "_INTERRUPTS", tmp_path)
+
+    def allowed():
+        return [(tmp_path / n / "smp_affinity_list").read_text() for n in ("24", "25", "26", "27")]
+
+    return allowed
+
+
+def test_interrupts_of_devices_leave_the_core_and_come_back(interrupts):
+    assert cores.interrupts_on(1) == ["25", "26"]
+    with cores.without_interrupts(1) as stay:
+        assert stay == []
+        assert cores.interrupts_on(1) == []
+        assert interrupts() == ["0-1\n", "0", "0", "0-1\n"]
+    assert cores.interrupts_on(1) == ["25", "26"]
+
+
+def test_interrupts_that_the_kernel_keeps_are_named(interrupts, tmp_path):
+    # the kernel refuses to write: here because it is a folder
+    path = tmp_path / "26" / "smp_affinity_list"
+
+    def refuse():
+        path.unlink()
+        path.mkdir()
+
+    found = cores.interrupts_on(1)
+    assert "26" in found
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cores, "interrupts_on", lambda core: found)
+        refuse()
+        with cores.without_interrupts(1) as stay:
+            assert stay == ["26"]
+
+
+@needs_two_cores
+def test_the_desk_keeps_off_the_core_of_a_loop_and_returns(claims, tmp_path):
+    pytest.importorskip("nicegui", reason="the desk needs nicegui")
+    from rollerrig.realtime.desk.desk import Desk
+
+    async def follow():
+        desk = Desk(tmp_path, own=True)
+        work = asyncio.create_task(desk.work())
+        with claimed(cores.CLAIM) as claim:
+            while claim.number in os.sched_getaffinity(0):
+                await asyncio.sleep(0.05)
+        while os.sched_getaffinity(0) != CORES:
+            await asyncio.sleep(0.05)
+        work.cancel()
+
+    asyncio.run(asyncio.wait_for(follow(), 60.0))
+
+
+def test_check_names_the_core_of_the_loop_or_the_reason_against_it():
+    finding = check.core_of_loop()
+    assert finding.found
+    if finding.state is not check.State.OK:
+        assert finding.mend
+    if len(CORES) < 2:
+        assert finding.found == "none is free"
+
+
+def test_a_core_without_rights_for_interrupts_is_reported_with_them():
+    # another user may not move interrupts
+    program = (
+        "import os\n"
+        "from rollerrig.realtime.commands import check\n"
+        "if os.getuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
+        "print(check.core_of_loop().state)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "weaker"
