@@ -29,8 +29,6 @@ from typing import NamedTuple
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
 from rollerrig.realtime.commands import output, wsp
-from rollerrig.realtime.loop import cores as loop_cores
-from rollerrig.realtime.loop import loop
 
 # exit statuses
 PASS = 0
@@ -348,6 +346,9 @@ def cores() -> Finding:
 
 def core_of_loop() -> Finding:
     """Check whether the loop can have a core of its own, and what remains on that core."""
+    from rollerrig.realtime.loop import cores as loop_cores
+    from rollerrig.realtime.loop import loop
+
     name = "core of the loop"
     claim = loop_cores.claim(loop_cores.CLAIM)
     if claim.number < 0:
@@ -380,6 +381,8 @@ def core_of_loop() -> Finding:
 
 def priority() -> Finding:
     """Check whether a thread may run with the real-time policy SCHED_FIFO."""
+    from rollerrig.realtime.loop import loop
+
     name = f"SCHED_FIFO {PRIORITY}"
     reason = loop.priority_refused(PRIORITY)
     if not reason:

@@ -65,7 +65,7 @@ def test_a_process_without_rights_learns_how_to_get_priority_and_locked_memory()
     # limits of zero, and no capabilities: what a fresh user account has
     script = (
         "import resource, os\n"
-        "from rollerrig.realtime.loop import clock\n"
+        "from rollerrig.realtime.loop import clock, loop\n"
         "from rollerrig.realtime.commands import check\n"
         "for limit in (resource.RLIMIT_RTPRIO, resource.RLIMIT_MEMLOCK):\n"
         "    resource.setrlimit(limit, (0, 0))\n"

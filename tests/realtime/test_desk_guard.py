@@ -1,5 +1,6 @@
 """The desk answers only to those who have its token, and a browser may not misuse its answers."""
 
+import contextlib
 import itertools
 import multiprocessing
 import os
@@ -102,7 +103,11 @@ def ask_as(user, port, paths, statuses):
     for path in paths:
         statuses.send(client.get(path).status)
     # what this user can see of the desk
-    seen = [file.read_text() for file in Path("/proc").glob("[0-9]*/cmdline")]
+    seen = []
+    for file in Path("/proc").glob("[0-9]*/cmdline"):
+        # a process may end in the meantime
+        with contextlib.suppress(OSError):
+            seen.append(file.read_text(errors="replace"))
     statuses.send("\n".join(seen))
 
 

@@ -218,6 +218,7 @@ def test_a_core_without_rights_for_interrupts_is_reported_with_them():
     program = (
         "import os\n"
         "from rollerrig.realtime.commands import check\n"
+        "from rollerrig.realtime.loop import cores, loop\n"
         "if os.getuid() == 0: os.setgroups([]); os.setgid(65534); os.setuid(65534)\n"
         "print(check.core_of_loop().state)\n"
     )
