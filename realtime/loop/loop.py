@@ -95,6 +95,16 @@ def ask_for_priority(priority: int, cpu: int) -> list[str]:
     A priority of 0 requests neither SCHED_FIFO nor locked memory, a core of -1 any core.
     """
     refused: list[str] = []
+    # First the core: with its priority this thread would keep those threads from running that share
+    # its core and hold what it waits for.
+    if cpu >= 0:
+        try:
+            os.sched_setaffinity(0, {cpu})
+        except OSError as error:
+            refused.append(
+                f"core {cpu} ({error.strerror}): set loop.cpu to one of "
+                f"{sorted(os.sched_getaffinity(0))} or -1"
+            )
     if priority:
         try:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -108,14 +118,6 @@ def ask_for_priority(priority: int, cpu: int) -> list[str]:
             refused.append(
                 f"locked memory ({reason}): allow it with 'ulimit -l unlimited' "
                 "(memlock in /etc/security/limits.conf) or CAP_IPC_LOCK"
-            )
-    if cpu >= 0:
-        try:
-            os.sched_setaffinity(0, {cpu})
-        except OSError as error:
-            refused.append(
-                f"core {cpu} ({error.strerror}): set loop.cpu to one of "
-                f"{sorted(os.sched_getaffinity(0))} or -1"
             )
     return refused
 
