@@ -34,6 +34,7 @@ def build(
     width = len(signals.COLUMNS)
     commands = mailbox.mailbox(tick.COMMANDS)
     commands.values[:] = tick.first_command()
+    commands.second[:] = commands.values
     # only the writer of a ring has its memory
     assert isinstance(ring.header, np.ndarray)
     data = TickData(

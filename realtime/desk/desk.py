@@ -98,6 +98,12 @@ class Desk:
 
     async def work(self) -> None:
         """Follow the bench, until cancelled."""
+        try:
+            await self._follow_until_cancelled()
+        finally:
+            cores.restore(self._cores_before)
+
+    async def _follow_until_cancelled(self) -> None:
         polled_s = 0.0
         looked_for_s = 0.0
         while True:
