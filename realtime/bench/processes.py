@@ -138,12 +138,6 @@ class Processes:
         return words
 
     @property
-    def pids(self) -> list[int]:
-        """The numbers of the processes that run or wait for their arguments."""
-        processes = (self.recorder, self.live, self.options.waiting_unit)
-        return [process.pid for process in processes if process is not None]
-
-    @property
     def recording(self) -> bool:
         """Whether the recorder runs."""
         return _runs(self.recorder)

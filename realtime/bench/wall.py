@@ -92,7 +92,8 @@ def own_core(parts: Parts) -> Iterator[None]:
         yield
         return
     left = {}
-    for pid in (os.getpid(), *parts.processes.pids):
+    # also what a child has started: the viewer is a grandchild
+    for pid in cores.family(os.getpid()):
         left.update(cores.leave({parts.core.number}, pid))
     try:
         with cores.without_interrupts(parts.core.number):
@@ -143,9 +144,13 @@ async def _run_thread(parts: Parts, descriptor: int, woken: asyncio.Event) -> No
 def _real_time(parts: Parts, descriptor: int) -> None:
     """The real-time thread."""
     rates = parts.plan["loop"]
-    early_us = rates["wake_early_us"] if parts.core.owned else 0
     for refused in loop.ask_for_priority(rates["priority"], parts.core.number):
         parts.event(Code.LOOP_REFUSED, refused=refused)
+    if parts.core.number >= 0 and os.sched_getaffinity(0) != {parts.core.number}:
+        # the system refused the core: the loop runs on any
+        parts.core.close()
+        parts.core = cores.Claim()
+    early_us = rates["wake_early_us"] if parts.core.owned else 0
     # locking memory may take a second: the clock starts after it
     begin_ns = time.monotonic_ns()
     parts.begun_ns = parts.begun_ns or begin_ns

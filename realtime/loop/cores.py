@@ -22,6 +22,7 @@ ANY = -2
 _CLAIM_NAME = "rollerrig loop on core "
 _ABSTRACT = "\0"  # begins the names of sockets that are no files
 _SOCKETS = Path("/proc/net/unix")
+_PROCESSES = Path("/proc")
 _TASKS = "/proc/{pid}/task"
 _INTERRUPTS = Path("/proc/irq")
 _COUNTS = Path("/proc/interrupts")
@@ -50,13 +51,15 @@ def claim(wanted: int) -> Claim:
 
     With `CLAIM` it is the allowed core that has served the fewest interrupts of devices, of those
     that no other bench has claimed. A core that is named is taken even if another bench has claimed
-    it.
+    it. The claim does not own a core that is the only allowed one, because no thread can leave it.
     """
     if wanted == ANY:
         return Claim()
+    allowed = os.sched_getaffinity(0)
     if wanted != CLAIM:
-        return Claim(wanted, _hold(wanted))
-    free = os.sched_getaffinity(0) - claimed()
+        others = allowed - {wanted}
+        return Claim(wanted, _hold(wanted) if others else None)
+    free = allowed - claimed()
     served = _interrupts_served()
     # the core with the most interrupts remains for all other threads
     for core in sorted(free, key=lambda core: served.get(core, 0))[:-1]:
@@ -113,6 +116,22 @@ def restore(before: dict[int, set[int]]) -> None:
             os.sched_setaffinity(thread, allowed)
 
 
+def family(pid: int) -> list[int]:
+    """Return a process and all processes that it and its children have started."""
+    children: dict[int, list[int]] = {}
+    for folder in _PROCESSES.glob("[0-9]*"):
+        # the process may have ended in the meantime
+        with contextlib.suppress(OSError):
+            # the name in brackets may contain spaces; the state and the parent follow it
+            after_name = (folder / "stat").read_text(errors="replace").rpartition(")")[2]
+            parent = int(after_name.split()[1])
+            children.setdefault(parent, []).append(int(folder.name))
+    found = [pid]
+    for process in found:  # it grows while it is read
+        found += children.get(process, [])
+    return found
+
+
 def _threads(pid: int) -> list[int]:
     try:
         return [int(name) for name in os.listdir(_TASKS.format(pid=pid))]
@@ -137,8 +156,16 @@ def interrupts_on(core: int) -> list[str]:
 
 
 def _interrupts_served() -> dict[int, int]:
-    """Return how many interrupts of devices each core has served since the machine was started."""
-    lines = _COUNTS.read_text().splitlines()
+    """Return how many interrupts of devices each core has served since the machine was started.
+
+    The result is empty where the system hides them, as some containers do.
+    """
+    try:
+        lines = _COUNTS.read_text().splitlines()
+    except OSError:
+        return {}
+    if not lines:
+        return {}
     cores = [int(word.removeprefix("CPU")) for word in lines[0].split()]
     served = dict.fromkeys(cores, 0)
     for line in lines[1:]:

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -110,6 +111,7 @@ def test_a_process_with_one_core_keeps_it():
         "from rollerrig.realtime.loop import cores\n"
         f"os.sched_setaffinity(0, {{{min(CORES)}}})\n"
         f"assert cores.leave({{{min(CORES)}}}, os.getpid()) == {{}}\n"
+        f"assert not cores.claim({min(CORES)}).owned\n"
         "assert cores.claim(cores.CLAIM).number == -1\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True)
@@ -141,6 +143,42 @@ def test_without_own_core_the_loop_runs_on_any(tmp_path):
     run.interrupt()
     run.finish()
     assert run.result["loop"]["core"] == -1
+
+
+@needs_two_cores
+@pytest.mark.parametrize("content", [None, ""])
+def test_a_system_that_hides_its_interrupts_has_a_core_for_the_loop(
+    claims, monkeypatch, tmp_path, content
+):
+    hidden = tmp_path / "interrupts"
+    if content is not None:
+        hidden.write_text(content)
+    monkeypatch.setattr(cores, "_COUNTS", hidden)
+    with claimed(cores.CLAIM) as claim:
+        assert claim.owned
+
+
+def test_a_family_is_a_process_with_the_processes_of_its_children():
+    program = "import subprocess, sys\nsubprocess.run(['sleep', '900'])\n"
+    with subprocess.Popen([sys.executable, "-c", program]) as child:
+        grandchildren = []
+        while not grandchildren:
+            grandchildren = children_of(child.pid)
+        family = cores.family(os.getpid())
+        assert {os.getpid(), child.pid, *grandchildren} <= set(family)
+        for process in grandchildren:
+            os.kill(process, signal.SIGKILL)
+
+
+def test_a_core_that_the_system_refuses_is_not_reported_as_the_core_of_the_loop(tmp_path):
+    absent = max(CORES) + 100
+    run = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", f"loop.cpu={absent}")
+    run.runs_for(0.3)
+    run.interrupt()
+    run.finish()
+    assert run.result["loop"]["core"] == -1
+    refusals = [event for event in run.result["events"] if event["code"] == "loop.refused"]
+    assert any(f"core {absent}" in event["fields"]["refused"] for event in refusals)
 
 
 @pytest.fixture
