@@ -4,6 +4,11 @@ A wheel has the columns `s_mm, z_mm`: s = 0 on the nominal running circle, negat
 flange; z positive where the rolling radius is larger. A rail has the columns `y_mm, z_mm`: y = 0 in
 the head's axis of symmetry, negative towards the gauge side; z upwards, the head upright. A first
 line of names is optional, further columns are ignored, lines that begin with # are comments.
+
+Other programs (CONTACT, Simpack) write rails with z downwards, or wheels with the flange on the
+other side. The shape shows it: a flange is where the radius is largest, a rail head falls to both
+sides. Such a file is refused with the axis to flip. The gauge side of a rail is not checked,
+because a head that is not worn is the same on both sides.
 """
 
 import re
@@ -30,6 +35,10 @@ class Kind(NamedTuple):
     width_mm: tuple[float, float]  # smallest and largest width
     height_mm: tuple[float, float]  # smallest and largest height
 
+
+# a rail's top and sides are compared: within this distance of the middle, and of both ends
+TOP_MM = 10.0
+SIDE_MM = 5.0
 
 WHEEL = Kind("wheel", 3.0, -45.0, 30.0, (75.0, 160.0), (10.0, 60.0))
 RAIL = Kind("rail", 3.0, -32.0, 20.0, (50.0, 90.0), (3.0, 60.0))
@@ -65,6 +74,10 @@ def read(path: str | Path, kind: Kind) -> tuple[np.ndarray, np.ndarray]:
             f"{path}, line {lines[i + 1]:.0f}: a gap of {step[i]:g} mm after {y[i]:g} mm; at most "
             f"{kind.gap_mm:g} mm are bridged: measure or interpolate the points between"
         )
+    if kind is WHEEL:
+        _check_axes_of_wheel(path, y, z)
+    else:
+        _check_axes_of_rail(path, y, z)
     if y[0] > kind.from_mm or y[-1] < kind.to_mm:
         raise ConfigError(
             f"{path}: the {kind.name} profile runs from {y[0]:g} to {y[-1]:g} mm; it must reach "
@@ -118,4 +131,35 @@ def _check_units(path: str | Path, kind: Kind, y: np.ndarray, z: np.ndarray) -> 
         raise ConfigError(
             f"{path}: the {kind.name} profile is {extent:g} mm {word}; "
             f"{low:g} to {high:g} mm are allowed; {hint}"
+        )
+
+
+def _check_axes_of_wheel(path: str | Path, s: np.ndarray, z: np.ndarray) -> None:
+    """Raise ConfigError where the flange is on the field side, or points to the axle."""
+    # the tread is more than half of a profile
+    height = z - np.median(z)
+    farthest = int(np.argmax(np.abs(height)))
+    axes = []
+    if s[farthest] > 0.5 * (s[0] + s[-1]):
+        axes.append("s")
+    if height[farthest] < 0.0:
+        axes.append("z")
+    if axes:
+        raise ConfigError(
+            f"{path}: the flange (the point farthest from the tread) is at s = {s[farthest]:g} mm, "
+            f"z = {z[farthest]:g} mm; it must be at negative s, and z must be larger there, because "
+            f"z grows with the rolling radius: flip the sign of {' and '.join(axes)}"
+        )
+
+
+def _check_axes_of_rail(path: str | Path, y: np.ndarray, z: np.ndarray) -> None:
+    """Raise ConfigError where the sides of a rail head are above its top."""
+    middle = 0.5 * (y[0] + y[-1])
+    top = float(np.interp(np.linspace(-TOP_MM, TOP_MM, 21) + middle, y, z).mean())
+    left = float(np.interp(np.linspace(y[0], y[0] + SIDE_MM, 11), y, z).mean())
+    right = float(np.interp(np.linspace(y[-1] - SIDE_MM, y[-1], 11), y, z).mean())
+    if left > top and right > top:
+        raise ConfigError(
+            f"{path}: both sides of the rail head ({left:.3g} and {right:.3g} mm) are above its top "
+            f"({top:.3g} mm), so z points downwards; z must point upwards: flip the sign of z"
         )

@@ -160,3 +160,44 @@ def test_the_message_names_a_line_that_is_no_number(tmp_path):
 def test_a_missing_file_is_refused_with_what_is_allowed():
     with pytest.raises(ConfigError, match="s1002"):
         profiles.wheel_named("no/such.csv", 0.445, 0.75, 0.0)
+
+
+RAIL = np.column_stack((RAIL_Y_MM, -RAIL_DEPTH_MM))
+
+
+@pytest.mark.parametrize(
+    ("kind", "rows", "axes"),
+    [
+        # CONTACT and Simpack write z downwards; some programs look at the other wheel
+        (profile_csv.RAIL, RAIL * [1, -1], "flip the sign of z"),
+        (profile_csv.RAIL, RAIL[::-1] * [-1, -1], "flip the sign of z"),
+        (profile_csv.WHEEL, S1002[:, :2] * [1, -1], "flip the sign of z"),
+        (profile_csv.WHEEL, S1002[:, :2] * [-1, 1], "flip the sign of s"),
+        (profile_csv.WHEEL, S1002[:, :2] * [-1, -1], "flip the sign of s and z"),
+        # the mirrored wheel does not reach far enough, because of its axis
+        (profile_csv.WHEEL, S1002[(S_MM > -60.0) & (S_MM < 40.0), :2] * [-1, 1], "the sign of s"),
+    ],
+    ids=["rail_z", "rail_z_mirrored", "wheel_z", "wheel_s", "wheel_s_and_z", "wheel_s_short"],
+)
+def test_a_profile_with_another_direction_of_an_axis_is_refused_with_the_axis_to_flip(
+    tmp_path, kind, rows, axes
+):
+    path = _write(tmp_path / "profile.csv", rows)
+    with pytest.raises(ConfigError, match=f"{axes}$"):
+        profile_csv.read(path, kind)
+
+
+@pytest.mark.parametrize("noise_mm", [0.0, 0.05])
+def test_worn_and_noisy_profiles_with_the_documented_axes_are_read(tmp_path, noise_mm):
+    rng = np.random.default_rng(2)
+    rail = RAIL.copy()
+    # 9 mm of side wear on the gauge side, and a hollow top
+    rail[:, 1] -= 0.4 * np.clip(-RAIL_Y_MM - 13.0, 0.0, None)
+    rail[:, 1] -= 1.0 * np.exp(-((RAIL_Y_MM / 8.0) ** 2))
+    wheel = S1002[:, :2].copy()
+    wheel[:, 1] -= 4.0 * np.exp(-((S_MM / 15.0) ** 2))
+    for kind, rows in ((profile_csv.RAIL, rail), (profile_csv.WHEEL, wheel)):
+        rows[:, 1] += rng.normal(0.0, noise_mm, len(rows))
+        path = _write(tmp_path / "worn.csv", rows)
+        _, z_m = profile_csv.read(path, kind)
+        np.testing.assert_allclose(z_m * 1e3, rows[:, 1], atol=1e-6)
