@@ -45,7 +45,7 @@ FLOORS = {
         "events unit_choice",
         "places",
         "braking bus magnets signals",
-        "descriptions rig_objects",
+        "descriptions diagnosis rig_objects",
         "harness_client",
         "own_bench unit_map",
         "sequences",

@@ -43,6 +43,9 @@ class Code(StrEnum):
     AIR_EXHAUSTED = "air.exhausted"
     SAND_EMPTY = "sand.empty"
     WHEEL_FLAT = "wheel.flat"
+    WSP_VENTS_WITHOUT_SLIDING = "wsp.vents_without_sliding"
+    WSP_AXLES_SWAPPED = "wsp.axles_swapped"
+    WSP_REFERENCE_DRIFTS = "wsp.reference_drifts"
     FAULT_BEGINS = "fault.begins"
     FAULT_LIFTED = "fault.lifted"
     FAULT_REFUSED = "fault.refused"
@@ -216,6 +219,29 @@ TABLE: dict[Code, Row] = {
         WARNING,
         {"axle": int, "length_m": float},
         "the wheels of axle {axle} have flats of {length_m:mm}",
+    ),
+    # what the run shows of the unit
+    Code.WSP_VENTS_WITHOUT_SLIDING: Row(
+        WARNING,
+        {"axle": int, "sliding_m_s": float, "speed_m_s": float},
+        "the dump valve of axle {axle} vents at {speed_m_s:km/h}, although the axle does not slide "
+        "(sliding {sliding_m_s:km/h})",
+        "check the speed sensor of the axle, the wheel diameters in the unit and its thresholds; "
+        "further vents of this axle are counted by the measure vents_without_sliding",
+    ),
+    Code.WSP_AXLES_SWAPPED: Row(
+        WARNING,
+        {"axle": int, "other": int, "for_s": float},
+        "axles {axle} and {other} are probably swapped: for {for_s:.1f} s the dump valve of axle "
+        "{axle}, which does not slide, vents while axle {other} slides and its valve fills",
+        "check the order of the speed sensors and of the magnets",
+    ),
+    Code.WSP_REFERENCE_DRIFTS: Row(
+        WARNING,
+        {"reference_m_s": float, "speed_m_s": float, "for_s": float},
+        "the reference speed of the unit drifts: it is {reference_m_s:km/h} at a train speed of "
+        "{speed_m_s:km/h}, and has been wrong for {for_s:.1f} s",
+        "check the wheel diameters in the unit, and how fast its reference speed may fall",
     ),
     Code.FAULT_BEGINS: Row(WARNING, _FAULT, "fault {fault} begins"),
     Code.FAULT_LIFTED: Row(
@@ -443,7 +469,12 @@ TABLE: dict[Code, Row] = {
 }
 
 # units of templates: what an SI value is multiplied with, digits behind the point, the unit's name
-_UNITS = {"bar": (1e-5, 2, "bar"), "mm": (1e3, 0, "mm"), "ms": (1e3, 3, "ms")}
+_UNITS = {
+    "bar": (1e-5, 2, "bar"),
+    "mm": (1e3, 0, "mm"),
+    "ms": (1e3, 3, "ms"),
+    "km/h": (3.6, 1, "km/h"),
+}
 _JSON_TYPES = {
     str: "string",
     int: "integer",

@@ -167,5 +167,8 @@ async def run(parts: Parts) -> None:
     await parts.processes.await_recorder(parts.rows)
     while not parts.stopping:
         parts.derailment.look(parts.data.buffer)
-        stop.advance(_TICKS_BETWEEN_LOOKS)
+        next_look = int(parts.data.control[TICK]) + _TICKS_BETWEEN_LOOKS
+        while parts.data.control[TICK] < next_look and not parts.stopping:
+            stop.advance(parts.plan.sync_ticks)
+            parts.diagnose()
         await parts.pause()

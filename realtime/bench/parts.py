@@ -28,6 +28,7 @@ from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
 from rollerrig.realtime.record.events import Events
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.hub import Hub
+from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import (
     HARNESS,
@@ -60,6 +61,25 @@ ENDED_BY = {
     Code.RUN_DERAILED: "derailed",
     Code.RUN_BUS_LOST: "ended: its bus is lost",
 }
+
+
+# columns of the row of all signals
+_TIME = signals.column("time")
+_VEHICLE_SPEED = signals.column("vehicle_speed")
+_SLIDING = signals.span("sliding")
+_VALVE = signals.span("valve")
+_REFERENCE = signals.column("wsp_reference_speed")
+
+
+def _sample(row: np.ndarray) -> Sample:
+    """Return what the diagnosis needs of a row of all signals."""
+    return Sample(
+        time_s=row.item(_TIME),
+        speed_m_s=row.item(_VEHICLE_SPEED),
+        sliding_m_s=row[_SLIDING].tolist(),
+        valves=row[_VALVE].tolist(),
+        reference_m_s=row.item(_REFERENCE),
+    )
 
 
 class Parts:
@@ -106,6 +126,7 @@ class Parts:
 
         self.faults = panel.Panel(plan.faults, self.event)
         self.derailment = derailment.Watch(self.event, lambda: self.stop(Code.RUN_DERAILED))
+        self.diagnosis = Diagnosis(self.event)
         self.processes = Processes(options, self.event)
 
         self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
@@ -190,9 +211,17 @@ class Parts:
         """Begin and lift the faults that are due; check for a derailed coach and for the master."""
         self.faults.poll(self.simulated_ns() / clock.SECOND_NS)
         self.derailment.look(self.data.buffer)
+        self.diagnose()
         if self._master_awaited and self.bus and self.simulated_ns() >= _MASTER_AFTER_NS:
             self._master_awaited = False
             self._check_master(self.bus)
+
+    def diagnose(self) -> None:
+        """Look at what the run shows of the unit; call it once a bus cycle."""
+        if self.options.unit == "none":
+            return
+        mailbox.fetch(self.data.published, self.row)
+        self.diagnosis.look(_sample(self.row))
 
     def _check_master(self, bus: rig_bus.RigBus) -> None:
         """Record an event if no master on the bus has enabled the drives."""

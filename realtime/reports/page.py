@@ -33,6 +33,17 @@ INK = "#222222"
 # address of a picture that is pixels
 PNG = "data:image/png;base64,"
 
+NOT_STATED = "not stated"
+
+# rows of every title block that identify the document
+DOCUMENT = ("document number", "revision")
+
+# roles of the people who sign
+SIGNED = ("tested", "checked", "approved")
+
+# class of the table in which they sign
+SIGNATURES = "signatures"
+
 # whether pictures are pixels, for `pdf`
 _PIXELS = ContextVar("pixels", default=False)
 _PIXELS_PER_INCH = 150
@@ -71,6 +82,7 @@ h2{margin-top:2.5rem;border-top:1px solid #8886;padding-top:1rem}
 table{border-collapse:collapse;margin:1rem 0;font-size:.93em}
 td,th{padding:.2rem .7rem;border-bottom:1px solid #8884;text-align:left;vertical-align:top}
 .number{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}
+table.signatures{width:100%}.signatures td{height:3rem;border:1px solid #8886}
 svg{width:100%;height:auto}pre{overflow:auto;font-size:.85em}summary{cursor:pointer}
 small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
 tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywhere}th.number{white-space:normal}
@@ -171,9 +183,37 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], marked: Sequence[s
 
 
 def facts(rows: Mapping[str, str]) -> Markup:
-    """Return a table of names and their values, as the title block of a report."""
+    """Return a table of names and their values, as the title block of a report.
+
+    It is empty if there are none.
+    """
+    if not rows:
+        return Markup()
     lines = [element("tr", element("th", name), element("td", text)) for name, text in rows.items()]
     return element("table", *lines, kind="facts")
+
+
+def title_block(rows: Mapping[str, str], about: Mapping[str, str]) -> dict[str, str]:
+    """Return the rows of the title block of a report: document, `rows`, and entries of a user.
+
+    The entries `about` replace rows of the same name, and the others follow.
+    """
+    block = dict.fromkeys(DOCUMENT, NOT_STATED)
+    block.update(rows)
+    block.update(about)
+    return block
+
+
+def signatures(about: Mapping[str, str]) -> Markup:
+    """Return the block in which people sign: one row a role, with the name where it is known."""
+    rows = []
+    for role in SIGNED:
+        name = about.get(f"{role} by", "")
+        rows.append((f"{role} by", name, "", ""))
+    head = ("", "name", "date", "signature")
+    lines = [element("tr", *(element("th", cell) for cell in head))]
+    lines += [element("tr", *(element("td", cell) for cell in row)) for row in rows]
+    return Markup(element("h2", "Signatures") + element("table", *lines, kind=SIGNATURES))
 
 
 def folded(title: str, *parts: str) -> Markup:

@@ -2,7 +2,8 @@
 'rollerrig[pdf]'`).
 
 Headings, paragraphs, tables and pictures are laid out anew. Folded parts of the page and links to
-files are left out.
+files are left out. The file has a title, a bookmark for each heading, and on each page the document
+number, the revision and the number of the page.
 """
 
 import base64
@@ -18,7 +19,7 @@ import matplotlib
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import write_bytes
 from rollerrig.realtime.pictures import colours
-from rollerrig.realtime.reports.page import PNG
+from rollerrig.realtime.reports.page import DOCUMENT, PNG, SIGNATURES
 
 _FONT = "DejaVu"
 
@@ -33,6 +34,16 @@ _MARKED = {"marked": (250, 226, 211)}
 _WORDS = {"pass": colours.GREEN, "fail": colours.VERMILION, "error": colours.PURPLE}
 
 _MARGIN_MM = 14
+
+# the foot of each page: how far from the edge of the paper, and its size in points
+_FOOT_MM = 10
+_FOOT_PT = 7.0
+
+# height of a row to sign in
+_SIGNATURE_MM = 14.0
+
+# levels of bookmarks, by element
+_LEVELS = {"h1": 0, "h2": 1}
 
 # A table of fewer rows is kept on one page; rows are at most so high.
 _SHORT_ROWS = 8
@@ -65,7 +76,15 @@ def check() -> Any:
 
 def write(page: str, path: Path) -> Path:
     """Write a page, which was made with `page.on_paper`, as PDF. Raises ConfigError, OSError."""
-    paper = check().FPDF(format="A4")
+    end = "</body>"
+    body = page[page.index("<body>") : page.index(end) + len(end)]
+    parts = ET.fromstring(body.replace("<br>", "<br/>"))
+    title = "".join(_text(part) for part in parts if part.tag == "h1").strip()
+
+    paper = _paper(_foot(title, parts))
+    paper.set_title(title)
+    paper.set_lang("en")
+    paper.set_creator("rollerrig")
     fonts = Path(matplotlib.get_data_path(), "fonts", "ttf")
     for style, name in (("", "DejaVuSans.ttf"), ("B", "DejaVuSans-Bold.ttf")):
         paper.add_font(_FONT, style, fonts / name)
@@ -74,16 +93,50 @@ def write(page: str, path: Path) -> Path:
     paper.alias_nb_pages()
     paper.add_page()
 
-    end = "</body>"
-    body = page[page.index("<body>") : page.index(end) + len(end)]
-    for part in ET.fromstring(body.replace("<br>", "<br/>")):
+    for part in parts:
         _add_part(paper, part)
     write_bytes(path, bytes(paper.output()))
     return path
 
 
+def _foot(title: str, parts: ET.Element) -> str:
+    """Return what is at the foot of each page: the title, document number and revision."""
+    facts: dict[str, str] = {}
+    for row in parts.iterfind("./table[@class='facts']/tr"):
+        name, value = (_cell_text(cell) for cell in row)
+        facts.setdefault(name, value)
+    words = [f"{name}: {facts[name]}" for name in DOCUMENT if name in facts]
+    return " · ".join([title, *words])
+
+
+def _paper(foot: str) -> Any:
+    """Return an empty document whose pages have `foot` and their number below."""
+
+    class Paper(check().FPDF):  # type: ignore[misc]
+        def footer(self) -> None:
+            self.set_y(-_FOOT_MM)
+            self.set_font(_FONT, "", _FOOT_PT)
+            numbers = f"page {self.page_no()} of {{nb}}"
+            width_mm = self.get_string_width("page 999 of 999")
+            self.cell(self.epw - width_mm, text=_cut(self, foot, self.epw - width_mm))
+            self.cell(width_mm, text=numbers, align="RIGHT")
+
+    return Paper(format="A4")
+
+
+def _cut(paper: Any, text: str, width_mm: float) -> str:
+    """Return a text that is shortened to a width."""
+    if paper.get_string_width(text) <= width_mm:
+        return text
+    while text and paper.get_string_width(f"{text}...") > width_mm:
+        text = text[:-1]
+    return f"{text}..."
+
+
 def _add_part(paper: Any, part: ET.Element) -> None:
-    if part.tag == "table":
+    if part.tag == "table" and part.attrib.get("class") == SIGNATURES:
+        _add_signatures(paper, part)
+    elif part.tag == "table":
         _add_table(paper, part)
     elif part.tag == "img":
         pixels = base64.b64decode(part.attrib["src"].removeprefix(PNG))
@@ -94,6 +147,8 @@ def _add_part(paper: Any, part: ET.Element) -> None:
             paper.ln(3)
             if paper.will_page_break(_LEAST_MM):
                 paper.add_page()
+        if part.tag in _LEVELS:
+            paper.start_section(_cell_text(part), level=_LEVELS[part.tag])
         paper.set_font(_FONT, "" if part.tag == "p" else "B", _SIZES[part.tag])
         paper.multi_cell(0, text=_text(part), align="LEFT", new_x="LMARGIN", new_y="NEXT")
         paper.ln(1.5)
@@ -114,8 +169,26 @@ def _text(part: ET.Element) -> str:
     return inside + after
 
 
+def _add_signatures(paper: Any, part: ET.Element) -> None:
+    """Add the table in which people sign, on one page."""
+    rows = [[_cell_text(cell) for cell in row] for row in part]
+    if paper.will_page_break(_SIGNATURE_MM * len(rows)):
+        paper.add_page()
+    paper.set_font(_FONT, "", _TABLE_PT)
+    with paper.table(
+        col_widths=(2, 4, 2, 4), padding=0.8, text_align="LEFT", width=paper.epw
+    ) as table:
+        for cells in rows:
+            row = table.row(min_height=_SIGNATURE_MM if cells[0] else None)
+            for cell in cells:
+                row.cell(cell)
+    paper.ln(3)
+
+
 def _add_table(paper: Any, part: ET.Element) -> None:
     rows = _rows_without_empty_columns(part)
+    if not rows:
+        return
     kinds = [row.attrib.get("class", "") for row in part]
     is_facts = part.attrib.get("class") == "facts"
     if len(rows) < _SHORT_ROWS and paper.will_page_break(_ROW_MM * len(rows)):
@@ -161,7 +234,7 @@ def _add_table(paper: Any, part: ET.Element) -> None:
 def _rows_without_empty_columns(part: ET.Element) -> list[list[str]]:
     """Return the cells of a table, without columns that have nothing below their heading."""
     rows = [[_cell_text(cell) for cell in row] for row in part]
-    if len(rows) == 1:
+    if len(rows) < 2:
         return rows
     filled = [at for at in range(len(rows[0])) if any(row[at] for row in rows[1:])]
     return [[row[at] for at in filled] for row in rows]

@@ -11,7 +11,6 @@ import dataclasses
 import json
 import math
 import platform
-import re
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -28,6 +27,7 @@ from rollerrig.realtime.reports import page, pdf, stop
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import measures
+from rollerrig.wsp_interface.sequences import verdict as verdict_of
 from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, Verdict, worst
 
@@ -37,16 +37,11 @@ JUNIT = "junit.xml"
 JSON = "report.json"
 PDF = "report.pdf"
 
-NOT_STATED = "not stated"
-
 # how the row of a result is set off
 _MARKED = {Result.FAIL: "marked", Result.ERROR: "marked", Result.ABSENT: "void"}
 
 # element of JUnit for a result
 TAGS = {Result.FAIL: "failure", Result.ERROR: "error", Result.ABSENT: "skipped"}
-
-# the standard in the source of a limit
-_STANDARD = re.compile(r"(?:EN|UIC|ISO|IEC|prEN) ?\d[\d-]*|[Pp]aper[^:;,]*")
 
 # figures in the summary, with their decimal places
 _SUMMARY_FIGURES = (
@@ -177,9 +172,10 @@ def figures(outcome: Outcome) -> dict[str, float]:
 
 def _measured(outcome: Outcome) -> dict[str, float | None]:
     """Return the measures of sliding by the speed sensors; an unknown value is null."""
-    if not outcome.record:
+    record = outcome.record
+    if record is None or not len(record.columns["time_s"]):
         return {}
-    found = measures.as_measured(outcome.record)
+    found = measures.as_measured(record)
     return {name: finite(value) for name, value in found.items()}
 
 
@@ -221,9 +217,10 @@ def _add_suite(suites: ET.Element, outcome: Outcome) -> None:
         ET.SubElement(properties, "property", name=key, value=value)
 
     for verdict in outcome.verdicts:
-        title = f"{verdict.what}: {verdict.limit}"
+        title = f"{verdict.what}: {verdict.limit_text}"
         case = ET.SubElement(suite, "testcase", name=title, classname=name)
-        text = f"{verdict.value_text} ({verdict.limit}); {verdict.text}; source: {verdict.source}"
+        source = verdict_of.source_text(verdict.source)
+        text = f"{verdict.value_text} ({verdict.limit_text}); {verdict.text}; source: {source}"
         tag = TAGS.get(verdict.result)
         if tag is not None:
             ET.SubElement(case, tag, message=text)
@@ -275,6 +272,7 @@ def html(
             [_MARKED.get(outcome.result, "") for outcome in outcomes],
         ),
         *sections,
+        page.signatures(about or {}),
     )
 
 
@@ -286,19 +284,21 @@ def _title_block(
     units = set()
     for outcome in outcomes:
         wsp = outcome.summary.get("wsp") or {}
-        units.add(str(wsp.get("unit") or NOT_STATED))
+        units.add(str(wsp.get("unit") or page.NOT_STATED))
 
     unit = ", ".join(sorted(units))
-    version = NOT_STATED
+    version = page.NOT_STATED
     if units == {"reference"} and "unit under test" not in about:
         unit = "reference WSP of rollerrig (simulated)"
         version = versions["rollerrig"]
-    block = {
-        "unit under test": unit,
-        "version of the unit": version,
-        "tested by": NOT_STATED,
-    }
-    block.update(about)
+    block = page.title_block(
+        {
+            "unit under test": unit,
+            "version of the unit": version,
+            "tested by": page.NOT_STATED,
+        },
+        about,
+    )
     block["date"] = f"{when:%Y-%m-%d %H:%M} UTC"
     block["tested with"] = " · ".join(f"{name} {number}" for name, number in versions.items())
     return block
@@ -315,15 +315,17 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
 
     mode = scenario.get("rig", {}).get("mode", "")
     rig_words = (str(scenario.get("rig_set", "")), f"({mode})" if mode else "")
-    adhesion_words = f"{scenario.get('adhesion_set', NOT_STATED)}, mu_cd {adhesion['mu_cd']:.3g}"
+    adhesion_words = (
+        f"{scenario.get('adhesion_set', page.NOT_STATED)}, mu_cd {adhesion['mu_cd']:.3g}"
+    )
     if adhesion.get("initial_adhesion"):
         adhesion_words += f", initial {adhesion['initial_adhesion']:g}"
     wheel_mm = 2e3 * vehicle["wheel_radius_m"]
     return {
         "rig": " ".join(filter(None, rig_words)),
-        "vehicle": f"{scenario.get('vehicle_set', NOT_STATED)}, wheels of {wheel_mm:g} mm",
+        "vehicle": f"{scenario.get('vehicle_set', page.NOT_STATED)}, wheels of {wheel_mm:g} mm",
         "load": f"{vehicle['mass_kg'] / 1e3:g} t in all",
-        "initial speed": f"{3.6 * speed_m_s[0]:.0f} km/h" if len(speed_m_s) else NOT_STATED,
+        "initial speed": f"{3.6 * speed_m_s[0]:.0f} km/h" if len(speed_m_s) else page.NOT_STATED,
         "adhesion": adhesion_words,
     }
 
@@ -424,7 +426,7 @@ def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
     return (
         measure,
         verdict.value_text,
-        f"{verdict.limit} {verdict.unit}",
+        verdict.limit_text,
         _margin(verdict),
         "void" if verdict.void else _result(verdict.result),
         _source(verdict.source),
@@ -452,18 +454,12 @@ def _worded(what: str) -> str:
 
 
 def _source(source: str) -> Markup:
-    """Return the source of a limit, below its standard, or below the word that it is assumed."""
-    standard = _STANDARD.search(source)
-    heading = ""
-    if source.startswith("assumption"):
-        heading = "assumption"
-    elif standard is not None:
-        heading = standard[0]
-
+    """Return the source of a limit, below a heading of what it is worth."""
+    heading, rest = verdict_of.source_words(source)
     parts: list[str] = []
     if heading:
         parts += [element("b", heading), page.BREAK]
-    parts.append(element("small", source if source != heading else ""))
+    parts.append(element("small", rest))
     return element("span", *parts)
 
 

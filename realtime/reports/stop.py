@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
+from matplotlib.textpath import TextPath
 
 from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.pictures import colours
@@ -38,11 +39,24 @@ _SLOWEST_M_S = 1.0
 # m/s. A sound sensor differs less from its wheel: a count on the bus, and the lag of a pole wheel.
 _MEASURED_DIFFERS_M_S = 0.5
 
+# s. The time axis is at least so long.
+_LEAST_S = 0.1
+
 # %. The slip axis ends here.
 _SLIP_PERCENT = (-10.0, 105.0)
 
-# points. Names of neighbouring marks are at different heights.
-_NAME_HEIGHTS_PT = (3, 13, 23)
+# names of marks, in points: their size, the first row above the plot, the next rows, and a gap
+_NAME_PT = 8.0
+_NAME_FOOT_PT = 3.0
+_NAME_ROW_PT = 11.0
+_NAME_GAP_PT = 6.0
+_NAME_CHARACTERS = 90
+
+# a browser may show another font, which is wider by at most this factor
+_FONT_RESERVE = 1.15
+
+# width of the plots in points: the picture without what is left of them, for a picture of 11 in
+_PLOT_PT = 735.0
 
 _AXLES_HEAD = (
     "axle",
@@ -80,7 +94,7 @@ def write(run: Run, out: Path) -> list[Path]:
 
 def picture(column: Column, radius_m: float, marks: Sequence[Mark]) -> Markup:
     """Return speeds, slip, pressures, adhesion and valves over time, as SVG."""
-    return page.picture(lambda figure: _draw(figure, column, radius_m, marks), (11.0, 9.5))
+    return page.picture(lambda figure: draw(figure, column, radius_m, marks), (11.0, 9.5))
 
 
 def slip_percent(sliding_m_s: np.ndarray, vehicle_m_s: np.ndarray) -> np.ndarray:
@@ -155,7 +169,8 @@ def _final(finals: Mapping[str, Any], name: str, axle: int, factor: float, place
 # --- picture ---
 
 
-def _draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]) -> None:
+def draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]) -> None:
+    """Draw speeds, slip, pressures, adhesion and valves over time."""
     time_s = column("time_s")
     plots = figure.subplots(5, 1, sharex=True, height_ratios=(3, 2.4, 3, 3, 2))
     speed, slip, pressure, adhesion, valves = plots
@@ -186,6 +201,8 @@ def _draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]
         for mark in marks:
             colour = page.VERMILION if mark.kind == FAULT else page.GREY
             plot.axvline(mark.time_s, linestyle=":", color=colour)
+    if len(time_s):
+        speed.set_xlim(time_s[0], max(time_s[-1], time_s[0] + _LEAST_S))
     _write_names(speed, marks)
 
     slip.set_ylim(*_SLIP_PERCENT)
@@ -226,23 +243,49 @@ def _draw_valve(plot: Axes, time_s: np.ndarray, valve: np.ndarray, axle: int) ->
 
 
 def _write_names(plot: Axes, marks: Sequence[Mark]) -> None:
-    """Write the names of the marks above the plot; marks of one instant share a place."""
-    marks_at: dict[float, list[Mark]] = {}
-    for mark in marks:
-        marks_at.setdefault(round(mark.time_s, 2), []).append(mark)
+    """Write the names of the marks above the plot; marks of one instant share a place.
 
-    for number, (time_s, together) in enumerate(marks_at.items()):
-        text = ", ".join(mark.name for mark in together if mark.name)
-        if not text:
-            continue
+    No two names overlap: each is in the lowest row where it has room.
+    """
+    marks_at: dict[float, list[Mark]] = {}
+    first_s, last_s = plot.get_xlim()
+    for mark in marks:
+        if mark.name and first_s <= mark.time_s <= last_s:
+            marks_at.setdefault(round(mark.time_s, 2), []).append(mark)
+
+    # for each row of names, where its last name ends, in points from the left edge of the plot
+    ends_pt: list[float] = []
+    for time_s, together in sorted(marks_at.items()):
+        text = _shortened(", ".join(mark.name for mark in together))
+        width_pt = _width_pt(text)
+        mark_pt = _PLOT_PT * (time_s - first_s) / (last_s - first_s)
+        begin_pt = min(max(mark_pt - width_pt / 2.0, 0.0), max(_PLOT_PT - width_pt, 0.0))
+        row = next(
+            (row for row, end_pt in enumerate(ends_pt) if begin_pt > end_pt + _NAME_GAP_PT),
+            len(ends_pt),
+        )
+        if row == len(ends_pt):
+            ends_pt.append(0.0)
+        ends_pt[row] = begin_pt + width_pt
         any_fault = any(mark.kind == FAULT for mark in together)
         plot.annotate(
             text,
             (time_s, 1.0),
-            (0, _NAME_HEIGHTS_PT[number % len(_NAME_HEIGHTS_PT)]),
+            (begin_pt - mark_pt, _NAME_FOOT_PT + _NAME_ROW_PT * row),
             xycoords=("data", "axes fraction"),
             textcoords="offset points",
-            fontsize=8,
-            ha="center",
+            fontsize=_NAME_PT,
+            ha="left",
             color=page.VERMILION if any_fault else page.GREY,
         )
+
+
+def _shortened(text: str) -> str:
+    """Return a name that fits the picture."""
+    return text if len(text) <= _NAME_CHARACTERS else f"{text[: _NAME_CHARACTERS - 3]}..."
+
+
+def _width_pt(text: str) -> float:
+    """Return the width of a name in points, with a reserve for another font."""
+    path = TextPath((0.0, 0.0), text, size=_NAME_PT)
+    return _FONT_RESERVE * float(path.get_extents().width)

@@ -1,14 +1,23 @@
 """Reports: one file, the same verdicts three times, and no pass where something went wrong."""
 
+import dataclasses
+import io
+import itertools
 import json
 import re
 import xml.etree.ElementTree as ET
 from html import escape
+from pathlib import Path
 
 import pytest
 import synthetic_record
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+from pypdf import PdfReader
 from synthetic_record import GOOD
 
+from rollerrig.configs import store
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.commands import sequence as verb_sequence
@@ -56,7 +65,49 @@ def test_the_page_needs_nothing_from_elsewhere(tmp_path):
 def test_the_page_names_the_source_of_every_limit(tmp_path):
     found = outcome(tmp_path)
     page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
-    assert all(escape(one.source) in page for one in found.sequence.criteria.limits)
+    for limit in found.sequence.criteria.limits:
+        for words in verdict.source_words(limit.source):
+            assert escape(words) in page
+
+
+@pytest.mark.parametrize(
+    ("source", "heading", "rest"),
+    [
+        (
+            "recollection, to be checked against EN 15595: up to 0.4 s",
+            "from memory, not verified against EN 15595",
+            "up to 0.4 s",
+        ),
+        (
+            "recollection of typical units, to be checked against UIC 541-05: 1.3",
+            "from memory of typical units, not verified against UIC 541-05",
+            "1.3",
+        ),
+        (
+            "recollection, to be checked against EN 15595",
+            "from memory, not verified against EN 15595",
+            "",
+        ),
+        ("assumption: a tenth", "assumption", "a tenth"),
+        (
+            "EN 15595, clause 7",
+            "EN 15595, as the criteria profile states; not verified",
+            "EN 15595, clause 7",
+        ),
+        ("no wheel slides", "", "no wheel slides"),
+    ],
+)
+def test_a_source_from_memory_says_so_before_it_names_a_standard(source, heading, rest):
+    assert verdict.source_words(source) == (heading, rest)
+
+
+def test_no_packaged_limit_claims_a_standard_that_nobody_has_verified():
+    for path in Path(store.__file__).parent.joinpath("criteria").glob("*.toml"):
+        for limit in verdict.load(str(path)).limits:
+            heading, _ = verdict.source_words(limit.source)
+            assert not re.fullmatch(r"(EN|UIC|ISO|IEC) ?[\d-]+", heading)
+            if "EN 15595" in limit.source:
+                assert heading == "from memory, not verified against EN 15595"
 
 
 def test_the_page_says_what_was_tested_by_whom_and_what_each_axle_did(tmp_path):
@@ -75,7 +126,11 @@ def test_the_page_says_what_was_tested_by_whom_and_what_each_axle_did(tmp_path):
             "slip, %",
             "Longest lock",
             "<b>assumption</b>",
-            "<b>EN 15595</b>",
+            "<b>from memory, not verified against EN 15595</b>",
+            "document number",
+            "revision",
+            "Signatures",
+            "approved by",
         )
     )
     assert (
@@ -131,6 +186,10 @@ def test_junit_and_json_tell_the_same_as_the_verdicts(tmp_path):
     assert len(suite.findall(".//failure")) == int(suite.get("failures")) == len(failed)
     assert int(suite.get("tests")) == len(found.verdicts)
     assert data["result"] == "fail"
+    names = [case.get("name") for case in suite.iter("testcase")]
+    assert "longest_lock: at most 0.4 s" in names
+    assert "deceleration_shortfall: at most 0.8 m/s2" in names
+    assert "(at most 0.4 s)" in suite.findall(".//failure")[0].get("message")
 
 
 def test_a_bench_that_vanished_is_an_error_however_good_the_rest_was(tmp_path):
@@ -161,3 +220,80 @@ def test_what_nobody_expected_is_an_error_of_its_own_sequence(tmp_path):
     assert found.result is Result.ERROR
     assert "a bug" in found.error
     assert verb_sequence._outcome_or_error(lambda: good, good.sequence, tmp_path) is good
+
+
+# --- paper ---
+
+
+def outlines(content):
+    """Return the titles of the bookmarks of a PDF file."""
+    reader = PdfReader(io.BytesIO(content))
+    titles = []
+    for entry in reader.outline:
+        nested = entry if isinstance(entry, list) else [entry]
+        titles += [one.title for one in nested]
+    return titles
+
+
+def test_a_report_on_paper_has_a_title_bookmarks_page_numbers_and_room_to_sign(tmp_path):
+    about = {"document number": "ACME-0815", "revision": "C", "tested by": "A. Meier"}
+    paths = sequences.write([outcome(tmp_path)], tmp_path / "out", about=about, on_paper=True)
+    content = paths[-1].read_bytes()
+    reader = PdfReader(io.BytesIO(content))
+    assert reader.metadata.title == "WSP test sequences on the roller rig"
+    titles = outlines(content)
+    assert titles[0] == "WSP test sequences on the roller rig"
+    assert any("A stop from forty on soap" in title for title in titles)
+    assert "Signatures" in titles
+    for number, sheet in enumerate(reader.pages, start=1):
+        text = sheet.extract_text()
+        assert f"page {number} of {len(reader.pages)}" in text
+        assert "document number: ACME-0815" in text
+        assert "revision: C" in text
+    last = reader.pages[-1].extract_text()
+    assert all(words in last for words in ("tested by", "A. Meier", "approved by", "signature"))
+
+
+@pytest.mark.parametrize("rows", [None, 0, 1, 2])
+def test_a_run_that_broke_off_has_a_report_on_paper_too(tmp_path, rows):
+    found = outcome(tmp_path, error="the bench has gone", verdicts=[])
+    if rows is None:
+        found.record = None
+    else:
+        columns = {name: values[:rows] for name, values in found.record.columns.items()}
+        found.record = dataclasses.replace(found.record, columns=columns)
+    paths = sequences.write([found], tmp_path / "out", on_paper=True)
+    assert [path.name for path in paths] == [
+        sequences.HTML,
+        sequences.JSON,
+        sequences.JUNIT,
+        sequences.PDF,
+    ]
+    text = "".join(
+        sheet.extract_text() for sheet in PdfReader(io.BytesIO(paths[-1].read_bytes())).pages
+    )
+    assert "the bench has gone" in text
+
+
+def test_names_of_marks_do_not_overlap_and_stay_in_the_picture(tmp_path):
+    record = outcome(tmp_path).record
+    marks = [
+        stop.Mark(0.2 + 0.4 * number, stop.FAULT, f"speed_sensor_stuck axle={number} for=3 lifted")
+        for number in range(1, 6)
+    ]
+    marks += [stop.Mark(20.9, stop.STEP, "the driver releases the brake, and the train rolls on")]
+    figure = Figure(figsize=(11.0, 9.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
+    stop.draw(figure, record.columns.__getitem__, radius_m, marks)
+    figure.canvas.draw()
+    names = {mark.name for mark in marks}
+    boxes = [
+        text.get_window_extent() for text in figure.findobj(Annotation) if text.get_text() in names
+    ]
+    assert len(boxes) == len(marks)
+    for first, second in itertools.combinations(boxes, 2):
+        assert not first.overlaps(second)
+    for box in boxes:
+        assert box.x0 >= 0.0
+        assert box.x1 <= figure.bbox.width

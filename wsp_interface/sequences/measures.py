@@ -33,7 +33,8 @@ from rollerrig.configs.vehicle import (
     track_gradient,
     weighed_share,
 )
-from rollerrig.wsp_interface import braking
+from rollerrig.wsp_interface import braking, events
+from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
 
 LOCKED_M_S = 0.1  # a wheelset with a slower rim is locked
 SEGMENT_S = 10.0  # of [M2]
@@ -81,6 +82,23 @@ class Record:
     def wheelsets(self, name: str, unit: str = "") -> np.ndarray:
         """Return a signal of every wheelset over the braking, shape (4, n)."""
         return np.array([self.braked(f"{name}_{axle}{unit}") for axle in _AXLES])
+
+    @cached_property
+    def diagnosis(self) -> Diagnosis:
+        """What the braking shows of the unit's wiring and reference speed."""
+        found = Diagnosis(events.ignore)
+        sliding_m_s = self.wheelsets("sliding", "_m_s").T.tolist()
+        valves = self.wheelsets("valve").T.tolist()
+        for sample in zip(
+            self.braked("time_s").tolist(),
+            self.braked("vehicle_speed_m_s").tolist(),
+            sliding_m_s,
+            valves,
+            self.braked("wsp_reference_speed_m_s").tolist(),
+            strict=True,
+        ):
+            found.look(Sample(*sample))
+        return found
 
 
 def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
@@ -319,7 +337,8 @@ MEASURES: tuple[Measure, ...] = (
         "stop_distance_over_reference",
         "",
         0.0,
-        "stop distance over the computed stop distance, EN 14531",
+        "stop distance over the computed one (EN 14531-1 in its simple form, from memory, not "
+        "verified)",
         lambda r: _ratio(_until_standstill(r, "position_m"), reference_distance_m(r)),
     ),
     Measure(
@@ -426,6 +445,29 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "number of times that a dump valve began to vent, all axles",
         lambda r: float(sum(r.finals["vents"])),
+    ),
+    Measure(
+        "vents_without_sliding",
+        "",
+        0.0,
+        "number of times that a dump valve began to vent although its axle had not slid",
+        lambda r: float(r.diagnosis.vents_without_sliding),
+    ),
+    Measure(
+        "vented_wrong_axle",
+        "s",
+        0.0,
+        "longest time for which a valve vented without need while another axle slid with its valve "
+        "on fill",
+        lambda r: r.diagnosis.wrong_axle_s,
+    ),
+    Measure(
+        "reference_speed_drift",
+        "s",
+        0.0,
+        "longest time for which the unit's reference speed was off by more than 3 m/s and 10 %",
+        lambda r: r.diagnosis.drift_s,
+        "the unit sends no reference speed",
     ),
     Measure(
         "full_brake_after_fault",

@@ -8,6 +8,7 @@ verdict states why. No verdict certifies anything.
 """
 
 import math
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -23,7 +24,10 @@ from rollerrig.wsp_interface.sequences.measures import Record
 
 DISCLAIMER = "not a certification"
 UNVERIFIED = "recollection, to be checked against ..."
+# a source that is only remembered, and the standard against which it has to be checked
+_REMEMBERED = re.compile(r"recollection([^,]*), to be checked against ([^:;,]+)[:;,]?\s*(.*)")
 _VOID = "void: "  # begins the text of a void verdict
+_STANDARD = re.compile(r"(?:prEN|EN|UIC|ISO|IEC) ?\d[\d-]*|[Pp]aper[^:;,]*")
 _KEYS = ("measure", "unit", "max", "min", "source")
 
 
@@ -96,9 +100,14 @@ class Verdict:
         return f"{self.value:.4g} {self.unit}".strip()
 
     @property
+    def limit_text(self) -> str:
+        """The requirement with its unit."""
+        return f"{self.limit} {self.unit}".strip()
+
+    @property
     def against_limit(self) -> str:
         """The value and its limit as text."""
-        return f"{self.what} {self.value_text}, wanted {self.limit} {self.unit}".strip()
+        return f"{self.what} {self.value_text}, wanted {self.limit_text}"
 
 
 def load(name: str, beside: Path | None = None) -> Profile:
@@ -231,6 +240,30 @@ def _margin(limit: Limit, value: float) -> float:
     if math.isfinite(limit.low) and limit.low != 0.0:
         margins.append(-(limit.low - value) / abs(limit.low))
     return min(margins, default=math.nan)
+
+
+def source_words(source: str) -> tuple[str, str]:
+    """Return the source of a limit for a reader: a heading, and the rest of the text.
+
+    A number from memory has a heading that says so. A standard that the author of a profile gives
+    as the source is shown as a statement of the profile: rollerrig has not verified it.
+    """
+    remembered = _REMEMBERED.fullmatch(source)
+    if remembered is not None:
+        of_what, standard, rest = remembered.groups()
+        return f"from memory{of_what}, not verified against {standard.strip()}", rest
+    if source.startswith("assumption"):
+        return "assumption", source.removeprefix("assumption").lstrip(":, ")
+    standard_name = _STANDARD.search(source)
+    if standard_name is not None:
+        return f"{standard_name[0]}, as the criteria profile states; not verified", source
+    return "", source
+
+
+def source_text(source: str) -> str:
+    """Return `source_words` in one line."""
+    heading, rest = source_words(source)
+    return ": ".join(filter(None, (heading, rest)))
 
 
 def worst(results: list[Result]) -> Result:

@@ -1,0 +1,114 @@
+"""What a run shows of a unit's wiring and reference speed: found in units that do it, and never in
+the reference unit on the stops of the paper.
+"""
+
+import asyncio
+import math
+
+import numpy as np
+import pytest
+
+from rollerrig.firmware_sim.wsp import logic
+from rollerrig.realtime.bench import free, scenario
+from rollerrig.realtime.bench.bench import Bench
+from rollerrig.realtime.bench.options import Options
+from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import diagnosis, signals
+from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
+from rollerrig.wsp_interface.events import Code
+
+STOPS = ("velim_a1", "velim_a2", "velim_a3", "velim_b1", "velim_b2", "velim_b3")
+VENT_AXLE_2 = 0b1100  # hold and vent magnet of axle 2
+WSP_CODES = (
+    Code.WSP_VENTS_WITHOUT_SLIDING,
+    Code.WSP_AXLES_SWAPPED,
+    Code.WSP_REFERENCE_DRIFTS,
+)
+
+
+def diagnosed(rows):
+    """Return the diagnosis of the samples of a stop, and its events as (code, fields)."""
+    found = []
+    one = Diagnosis(lambda code, /, **fields: found.append((code, fields)))
+    columns = [
+        rows[:, signals.column("time")].tolist(),
+        rows[:, signals.column("vehicle_speed")].tolist(),
+        rows[:, signals.span("sliding")].tolist(),
+        rows[:, signals.span("valve")].tolist(),
+        rows[:, signals.column("wsp_reference_speed")].tolist(),
+    ]
+    for sample in zip(*columns, strict=True):
+        one.look(Sample(*sample))
+    return one, found
+
+
+def codes(found):
+    return [code for code, _ in found]
+
+
+@pytest.mark.parametrize("name", STOPS)
+def test_the_reference_unit_gives_no_finding_in_the_stops_of_the_paper(name):
+    one, found = diagnosed(free.simulate(scenario.load(name)))
+    assert found == []
+    assert one.vents_without_sliding == 0
+    assert one.wrong_axle_s < diagnosis.SWAPPED_S / 1.5
+    assert one.drift_s == 0.0
+
+
+def test_a_unit_that_vents_a_rolling_axle_is_found_and_its_vents_are_counted():
+    cycles = iter(range(10**6))
+
+    def vents_every_two_seconds(_inputs):
+        return VENT_AXLE_2 if next(cycles) % 200 >= 150 else 0
+
+    rows = free.simulate(scenario.load("dry_stop"), vents_every_two_seconds)
+    one, found = diagnosed(free.moving(rows))
+    assert codes(found) == [Code.WSP_VENTS_WITHOUT_SLIDING]
+    assert found[0][1]["axle"] == 2
+    assert one.vents_without_sliding > 5
+
+
+def test_swapped_axles_are_found_and_named():
+    plan = scenario.load("velim_a1", faults=["swapped_axles axle=1 other=2"])
+    one, found = diagnosed(free.simulate(plan))
+    swaps = [fields for code, fields in found if code == Code.WSP_AXLES_SWAPPED]
+    assert [(swap["axle"], swap["other"]) for swap in swaps] == [(1, 2)]
+    assert one.wrong_axle_s > 10.0
+
+
+def test_a_reference_speed_that_falls_with_the_wheels_is_found():
+    usual = logic.load("reference")
+    falls = usual._replace(
+        reference_fall_m_s2=5.0,
+        first_deceleration_m_s2=3.0,
+        run_up_first_s=60.0,
+        run_up_interval_s=60.0,
+        band_low_fraction=0.5,
+        band_high_fraction=0.6,
+    )
+    one, found = diagnosed(free.simulate(scenario.load("leaf_film"), falls))
+    assert Code.WSP_REFERENCE_DRIFTS in codes(found)
+    fields = dict(found)[Code.WSP_REFERENCE_DRIFTS]
+    assert fields["reference_m_s"] < fields["speed_m_s"] - diagnosis.DRIFT_M_S
+    assert one.drift_s > diagnosis.DRIFT_S
+
+
+def test_a_unit_without_a_reference_speed_gives_no_finding_about_it():
+    rows = free.simulate(scenario.load("velim_a1"), lambda inputs: 0)
+    one, found = diagnosed(rows)
+    assert found == []
+    assert math.isnan(one.drift_s)
+
+
+@pytest.mark.parametrize("pacing", ["free", "lockstep"])
+def test_a_run_records_each_finding_once(tmp_path, pacing):
+    plan = scenario.load("velim_a1", faults=["swapped_axles axle=1 other=2"])
+    options = Options(out=tmp_path / "run", pacing=pacing)
+    asyncio.run(Bench(plan, options, lambda progress: None).run())
+    events = records.load(tmp_path / "run").events
+    found = [event for event in events if event.code in WSP_CODES]
+    assert [event.code for event in found].count(Code.WSP_AXLES_SWAPPED) == 1
+    swap = next(event for event in found if event.code == Code.WSP_AXLES_SWAPPED)
+    assert (swap.fields["axle"], swap.fields["other"]) == (1, 2)
+    assert "swapped" in swap.text
+    assert np.isfinite(swap.fields["for_s"])

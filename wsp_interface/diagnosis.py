@@ -1,0 +1,157 @@
+"""What a run shows of the wiring and the reference speed of a WSP unit, as events and as measures.
+
+`Diagnosis` looks at the true motion once a bus cycle. It reports each finding once a run:
+
+    `wsp.vents_without_sliding`   a dump valve begins to vent, and its axle has not slid by
+                                  `SLIDES_M_S` within the last `MEMORY_S`
+    `wsp.axles_swapped`           a dump valve vents although its axle does not slide, while another
+                                  axle slides by more than `SLIDES_FAR_M_S` and its valve fills;
+                                  together for `SWAPPED_S`, and clearly with one other axle
+    `wsp.reference_drifts`        the reference speed of the unit is off by more than `DRIFT_M_S`
+                                  and by more than `DRIFT_SHARE` of the speed, for `DRIFT_S`
+
+The last one needs the reference speed that the unit sends (TPDO 1A0h, or a mapped signal). It is
+not observable from the magnets alone: a valve that vents too late may have a wrong threshold as
+well as a wrong reference.
+
+Source of the thresholds: assumption. The reference unit stays below each of them by a factor of 1.5
+or more in all stops of the paper (`tests/realtime/test_diagnosis.py`). Limits: below `SLOWEST_M_S`
+nothing is judged, because units cut off there.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.wsp_interface.events import Code, OnEvent
+from rollerrig.wsp_interface.signals import AXLES
+
+FILLS = 0.5  # a valve below this value fills
+VENTS = 1.5  # a valve above this value vents
+SLOWEST_M_S = 2.0
+SLIDES_M_S = 0.4
+MEMORY_S = 0.5
+SLIDES_FAR_M_S = 1.0
+SWAPPED_S = 1.0
+CLEARLY = 1.5  # so many times longer than beside any third axle
+DRIFT_M_S = 3.0
+DRIFT_SHARE = 0.1
+DRIFT_S = 1.0
+_NEVER_S = -1e9
+
+
+class Sample(NamedTuple):
+    """One bus cycle: lists have one value an axle.
+
+    sliding_m_s: true sliding.
+    valves: 0 fill, 1 hold, 2 vent.
+    reference_m_s: the reference speed that the unit sends; NaN if it sends none.
+    """
+
+    time_s: float
+    speed_m_s: float
+    sliding_m_s: list[float]
+    valves: list[float]
+    reference_m_s: float
+
+
+class Diagnosis:
+    """Looks at one sample after another, in the order of their times.
+
+    vents_without_sliding: how often a valve began to vent although its axle had not slid.
+    beside_s: shape (axles, axles): for how long the valve of the first axle vented although this
+        axle did not slide, while the second axle slid far and its valve filled.
+    drift_s: the longest time for which the reference speed was off; NaN if the unit sends none.
+    """
+
+    def __init__(self, on_event: OnEvent) -> None:
+        self._on_event = on_event
+        self.vents_without_sliding = 0
+        self.beside_s = np.zeros((AXLES, AXLES))
+        self.drift_s = float("nan")
+        self._before: Sample | None = None
+        self._slid_at_s = [_NEVER_S] * AXLES
+        self._reported_vents = [False] * AXLES
+        self._reported_swaps: set[frozenset[int]] = set()
+        self._drifts_since_s: float | None = None
+        self._reported_drift = False
+
+    @property
+    def wrong_axle_s(self) -> float:
+        """The longest time for which one valve vented in place of that of another axle."""
+        return float(self.beside_s.max())
+
+    def look(self, sample: Sample) -> None:
+        """Take the next sample; report what is new."""
+        before = self._before
+        if before is None:
+            self._before = sample
+            return
+        if sample.time_s <= before.time_s:
+            return
+        self._before = sample
+        for axle in range(AXLES):
+            if sample.sliding_m_s[axle] > SLIDES_M_S:
+                self._slid_at_s[axle] = sample.time_s
+        if sample.speed_m_s < SLOWEST_M_S:
+            self._drifts_since_s = None
+            return
+        for axle in range(AXLES):
+            vents = sample.valves[axle] > VENTS
+            has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
+            if vents and has_not_slid:
+                if before.valves[axle] <= VENTS:
+                    self._count_vent(axle, sample)
+                self._compare_with_others(axle, sample, sample.time_s - before.time_s)
+        self._look_at_reference(sample)
+
+    def _count_vent(self, axle: int, sample: Sample) -> None:
+        self.vents_without_sliding += 1
+        if not self._reported_vents[axle]:
+            self._reported_vents[axle] = True
+            self._on_event(
+                Code.WSP_VENTS_WITHOUT_SLIDING,
+                axle=axle + 1,
+                sliding_m_s=float(sample.sliding_m_s[axle]),
+                speed_m_s=float(sample.speed_m_s),
+            )
+
+    def _compare_with_others(self, axle: int, sample: Sample, lasts_s: float) -> None:
+        """Count for how long other axles slide, unprotected, while the valve of `axle` vents."""
+        beside_s = self.beside_s[axle]
+        for other in range(AXLES):
+            slides = sample.sliding_m_s[other] > SLIDES_FAR_M_S
+            fills = sample.valves[other] < FILLS
+            if other != axle and slides and fills:
+                beside_s[other] += lasts_s
+        other = int(np.argmax(beside_s))
+        longest_s = float(beside_s[other])
+        next_s = float(np.sort(beside_s)[-2])
+        pair = frozenset((axle, other))
+        is_clear = longest_s >= SWAPPED_S and longest_s > CLEARLY * next_s
+        if is_clear and pair not in self._reported_swaps:
+            self._reported_swaps.add(pair)
+            self._on_event(Code.WSP_AXLES_SWAPPED, axle=axle + 1, other=other + 1, for_s=longest_s)
+
+    def _look_at_reference(self, sample: Sample) -> None:
+        if not np.isfinite(sample.reference_m_s):
+            self._drifts_since_s = None
+            return
+        if np.isnan(self.drift_s):
+            self.drift_s = 0.0
+        error_m_s = sample.reference_m_s - sample.speed_m_s
+        if abs(error_m_s) <= max(DRIFT_M_S, DRIFT_SHARE * sample.speed_m_s):
+            self._drifts_since_s = None
+            return
+        if self._drifts_since_s is None:
+            self._drifts_since_s = sample.time_s
+        lasts_s = sample.time_s - self._drifts_since_s
+        self.drift_s = max(self.drift_s, lasts_s)
+        if lasts_s >= DRIFT_S and not self._reported_drift:
+            self._reported_drift = True
+            self._on_event(
+                Code.WSP_REFERENCE_DRIFTS,
+                reference_m_s=float(sample.reference_m_s),
+                speed_m_s=float(sample.speed_m_s),
+                for_s=lasts_s,
+            )
