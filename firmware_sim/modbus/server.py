@@ -8,11 +8,13 @@ listen.
 - A client that sends many requests takes turns with the others.
 - A client that does not read its answers is not read either.
 - A client that sends no request is closed after a minute.
+- Units 0 and 255 are the device itself, as clients without a unit address it. The answer carries
+  the unit of the request. On a serial line 0 is a broadcast, and 255 is reserved.
 - If all places are taken, a connection without a request is closed for a new one; if there is none,
   the connection that has been idle longest.
 
-Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3 and 4; MODBUS/TCP Security
-v2.1.
+Source: MODBUS Messaging on TCP/IP Implementation Guide V1.0b, sections 3 and 4 (units 0 and 255:
+4.4.1.2); MODBUS/TCP Security v2.1.
 """
 
 import asyncio
@@ -27,6 +29,7 @@ from pymodbus.framer import FramerSocket
 from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import pdu
 from rollerrig.firmware_sim.modbus.access import Counters
+from rollerrig.firmware_sim.modbus.map import PLC_UNIT
 from rollerrig.firmware_sim.modbus.unit import Unit
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.events import OnEvent
@@ -37,6 +40,8 @@ _PREFIX_BYTES = 6
 # the length in the header counts the unit and the request, which has at least a function code
 SHORTEST = 2
 LONGEST = 254
+# over TCP these units address the device itself, without a gateway behind it
+DEVICE_ITSELF = (0, 255)
 FIRST_REQUEST_S = 60.0  # some clients connect when they start, and ask when their user wants it
 BURST = 16  # requests answered before the other clients have their turn: less than 0.5 ms
 _BUFFER_BYTES = 4096
@@ -201,7 +206,8 @@ class Connection(asyncio.BufferedProtocol):
                     return
                 self._received = self._received[used:]
                 self.silent = False
-                reply = self.server.answer(unit, request)
+                addressed = PLC_UNIT if unit in DEVICE_ITSELF else unit
+                reply = self.server.answer(addressed, request)
                 self.transport.write(header.encode(reply, unit, number))
                 answers += 1
         except ValueError:

@@ -104,9 +104,19 @@ def test_a_refused_request_gets_the_standards_exception_and_changes_nothing(what
 
 
 @pytest.mark.conformance("Modbus", "unknown unit: exception 0B")
-@pytest.mark.parametrize("unit", [0, 2, 10, 15, 255])
+@pytest.mark.parametrize("unit", [2, 10, 15, 247, 254])
 def test_an_unknown_unit_is_a_gateway_target_that_does_not_respond(unit, client):
     assert client.ask(two(3, 200, 1), unit).hex() == "830b"
+
+
+@pytest.mark.conformance("Modbus", "TCP: units 0 and 255 address the device itself")
+@pytest.mark.parametrize("unit", [0, 255])
+def test_units_0_and_255_address_the_device_itself_and_stand_in_its_answers(unit, client, site):
+    # `ask` checks that the answer carries the unit of the request
+    assert client.words(208, 3, unit) == client.words(208, 3, 1) == [100, 200, 300]
+    assert client.ask(two(6, 1, 2500), unit) == two(6, 1, 2500)
+    assert site.written == [("speed_set_point", 2500)]
+    assert client.ask(two(3, 9000, 1), unit).hex() == "8302"
 
 
 @pytest.mark.conformance("Modbus", "several requests in one segment")

@@ -1,5 +1,7 @@
 """Other people's Modbus clients against the rig's units: mbpoll, and simonvetter/modbus in Go."""
 
+import ctypes
+import ctypes.util
 import json
 import os
 import shutil
@@ -11,6 +13,8 @@ import pytest
 from modbus_site import Site
 
 GO_CLIENT = Path(__file__).parent / "modbus_go"
+GOBURROW_CLIENT = Path(__file__).parent / "modbus_goburrow"
+LIBMODBUS = ctypes.util.find_library("modbus")
 MBPOLL = shutil.which("mbpoll")
 needs_mbpoll = pytest.mark.skipif(not MBPOLL, reason="needs mbpoll: apt-get install mbpoll")
 
@@ -81,14 +85,47 @@ def test_mbpoll_is_told_what_it_may_not(site):
     assert "Target device failed to respond" in mbpoll(at, "-a", 77, "-t", 4, "-r", 208)[1]
 
 
+@pytest.mark.conformance("Masters", "libmodbus over TCP without modbus_set_slave: unit 255")
+@pytest.mark.skipif(not LIBMODBUS, reason="needs libmodbus: apt-get install libmodbus5")
+@pytest.mark.parametrize("unit", [None, 0, 255, 1], ids=["default", "0", "255", "1"])
+def test_libmodbus_reads_speeds_with_its_default_unit(unit, site):
+    library = ctypes.CDLL(LIBMODBUS)
+    library.modbus_new_tcp.restype = ctypes.c_void_p
+    context = ctypes.c_void_p(library.modbus_new_tcp(b"127.0.0.1", site.listen()))
+    registers = (ctypes.c_uint16 * 4)()
+    try:
+        if unit is not None:
+            assert library.modbus_set_slave(context, unit) == 0
+        assert library.modbus_connect(context) == 0
+        assert library.modbus_read_registers(context, 208, 4, registers) == 4
+        assert list(registers) == [100, 200, 300, 65536 - 400]
+    finally:
+        library.modbus_close(context)
+        library.modbus_free(context)
+
+
+@pytest.mark.conformance("Masters", "goburrow/modbus (Go) over TCP without an ID: unit 0")
+def test_goburrow_reads_speeds_with_its_default_unit(go, tmp_path, site):
+    client = build_go(go, GOBURROW_CLIENT, tmp_path)
+    done = run(client, f"127.0.0.1:{site.listen()}")
+    assert done.returncode == 0, done.stderr
+    speeds = "006400c8012cfe70"
+    assert json.loads(done.stdout) == {"0": speeds, "1": speeds, "255": speeds}
+
+
 @pytest.fixture(scope="session")
 def go_client(tmp_path_factory, go):
+    return build_go(go, GO_CLIENT, tmp_path_factory.mktemp("go"))
+
+
+def build_go(go, source, out):
+    """Build a Go program into a folder, and return its path; skip the test without the proxy."""
     quiet = os.environ | {"GOFLAGS": "-mod=readonly", "GOTOOLCHAIN": "local"}
-    fetched = run(go, "mod", "download", cwd=GO_CLIENT, env=quiet)
+    fetched = run(go, "mod", "download", cwd=source, env=quiet)
     if fetched.returncode:
         pytest.skip(f"the Go module proxy cannot be reached: {fetched.stderr.strip()[-200:]}")
-    program = tmp_path_factory.mktemp("go") / "modbus_client"
-    built = run(go, "build", "-o", program, ".", cwd=GO_CLIENT, env=quiet)
+    program = out / "modbus_client"
+    built = run(go, "build", "-o", program, ".", cwd=source, env=quiet)
     assert built.returncode == 0, built.stderr
     return program
 
