@@ -86,6 +86,7 @@ OUTSIDE = {
     "wsp_interface": "numpy can canopen cantools tomli_w pytest robot",
     "wsp_interface/bus": "can",
     "wsp_interface/sequences": "numpy can cantools",
+    "wsp_interface/unit_map": "can cantools crccheck",
     "firmware_sim": "numpy",
     "firmware_sim/cia301": "canopen",
     "firmware_sim/modbus": "numpy canopen pymodbus",

@@ -101,6 +101,7 @@ class Harness:
     demands: the commanded brake demands, as (simulated time in s, pressure in Pa).
     lockstep: whether simulated time waits for the harness.
     on_silence: called every second while the bench is silent; may raise a RollerrigError.
+    on_cycle: called after every cycle; may raise a RollerrigError.
     on_event: called with each new event.
 
     Use it as a context manager: it joins the bench, and at the end it leaves the bus.
@@ -116,6 +117,7 @@ class Harness:
         self.lockstep = False
         self.joined = False
         self.on_silence: Callable[[], None] = lambda: None
+        self.on_cycle: Callable[[], None] = lambda: None
         self.on_event: Callable[[Event], None] = lambda event: None
         self._owes_answer = False
         # messages that arrived while the harness waited for an SDO answer
@@ -364,6 +366,7 @@ class Harness:
                 )
         self._owes_answer = self.lockstep
         self.trace.append(tuple(self.values.values()))
+        self.on_cycle()
 
     def _take(self, message: can.Message) -> bool:
         """Take one frame; return True when it ends the cycle."""

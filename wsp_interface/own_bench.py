@@ -138,12 +138,17 @@ def start(
             with contextlib.ExitStack() as stack:
                 started = [stack.enter_context(companion(address)) for companion in companions]
                 programs = [one for one in started if isinstance(one, Program)]
-                harness.on_silence = partial(_check, programs)
+                helpers = [one for one in started if isinstance(one, Helper)]
+                harness.on_silence = partial(_check, programs, helpers, harness)
+                harness.on_cycle = partial(_check_helpers, helpers, harness)
                 try:
                     yield harness.join()
-                    for one in started:
-                        if isinstance(one, Failing) and one.failure:
-                            harness.log("unit", one.failure)
+                    _check_helpers(helpers, harness)
+                    for helper in helpers:
+                        if helper.failure:
+                            harness.log("unit", helper.failure)
+                        for text in helper.notes():
+                            harness.log("gateway", text)
                 except BusError as error:
                     causes = _last_words(process, Path(log.name))
                     for program in programs:
@@ -162,10 +167,18 @@ def start(
 
 
 @runtime_checkable
-class Failing(Protocol):
-    """A companion that knows why its unit has failed; `failure` is "" as long as it has not."""
+class Helper(Protocol):
+    """A companion that works for the unit in a thread of this process.
+
+    `failure`: why the unit has failed; "" as long as it has not.
+    `breakdown`: why the companion itself has failed; "" as long as it has not.
+    """
 
     failure: str
+    breakdown: str
+
+    def notes(self) -> Iterable[str]:
+        """Return what is remarkable so far, a sentence each."""
 
 
 class Program(NamedTuple):
@@ -186,14 +199,24 @@ class Program(NamedTuple):
         )
 
 
-def _check(programs: Iterable[Program]) -> None:
-    """Raise UnitError when a program has failed.
+def _check(programs: Iterable[Program], helpers: Iterable[Helper], harness: Harness) -> None:
+    """Raise RollerrigError when a helper has failed, and UnitError when a program has.
 
-    One that has exited with status 0 may have started another process.
+    A program that has exited with status 0 may have started another process.
     """
+    _check_helpers(helpers, harness)
     failed = [program.exit_text() for program in programs if program.process.poll()]
     if failed:
         raise UnitError("".join(failed).removeprefix("; "))
+
+
+def _check_helpers(helpers: Iterable[Helper], harness: Harness) -> None:
+    """Raise RollerrigError when a helper has failed; the reason is also noted in the run."""
+    for helper in helpers:
+        if helper.breakdown:
+            with contextlib.suppress(RollerrigError):  # the bench may have exited
+                harness.note(helper.breakdown)
+            raise RollerrigError(helper.breakdown)
 
 
 def program(command: str, log: Path) -> Companion:

@@ -20,8 +20,8 @@ from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 from rollerrig.firmware_sim.fmu.ls_bus import MEDIA_TYPE
-from rollerrig.wsp_interface import unit_map
 from rollerrig.wsp_interface.signals import AXLES
+from rollerrig.wsp_interface.unit_map import mapping
 
 _AXLES = range(1, AXLES + 1)
 _SPEED_INPUTS = {f"wheel_speed_{axle}": (f"measured_speed_{axle}", 1.0) for axle in _AXLES}
@@ -29,7 +29,7 @@ _PRESSURE_INPUTS = {
     f"cylinder_pressure_{axle}": (f"cylinder_pressure_{axle}", 1.0) for axle in _AXLES
 }
 # the variables of an FMU without a mapping
-NAMES = unit_map.FmuMap(
+NAMES = mapping.FmuMap(
     inputs=_SPEED_INPUTS | _PRESSURE_INPUTS,
     hold=tuple(f"hold_{axle}" for axle in _AXLES),
     vent=tuple(f"vent_{axle}" for axle in _AXLES),
@@ -182,7 +182,7 @@ def examine(
 
     Raises ConfigError if the file cannot be read.
     """
-    names = unit_map.load_fmu_map(map_path) if map_path else NAMES
+    names = mapping.load_fmu_map(map_path) if map_path else NAMES
     description, deviation = _read(path)
     simulation = description.coSimulation
     tool = f", by {description.generationTool}" if description.generationTool else ""
@@ -485,7 +485,7 @@ def _member_problems(bus: _Bus) -> Iterator[Finding]:
 
 
 def _ports(
-    description: Any, names: unit_map.FmuMap, mapped: bool
+    description: Any, names: mapping.FmuMap, mapped: bool
 ) -> tuple[tuple[Port, ...], tuple[Port, ...], list[Finding]]:
     """Return the inputs, the outputs, and one finding for each variable.
 
@@ -519,7 +519,7 @@ def _ports(
     return tuple(inputs), tuple(outputs), findings
 
 
-def _wanted(names: unit_map.FmuMap) -> Iterator[_Wanted]:
+def _wanted(names: mapping.FmuMap) -> Iterator[_Wanted]:
     """Yield the variables that the FMU should have, inputs first."""
     for name, (quantity, factor) in names.inputs.items():
         yield _Wanted(name, quantity, "input", factor)

@@ -30,7 +30,7 @@ from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
 from rollerrig.firmware_sim.wsp import node
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface import rig_objects as rig
-from rollerrig.wsp_interface.unit_map import SOURCES
+from rollerrig.wsp_interface.unit_map.mapping import SOURCES
 
 _EXIT_STATUS_HANGS = 5
 _WATCH_PERIOD_S = 0.1

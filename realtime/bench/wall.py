@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes import memory
 from rollerrig.realtime.bench import tick_data
 from rollerrig.realtime.bench.parts import Parts
@@ -128,7 +129,10 @@ def _on_tick(parts: Parts, bus: RigBus, descriptor: int, woken: asyncio.Event) -
 async def _run_thread(parts: Parts, descriptor: int, woken: asyncio.Event) -> None:
     """Run the real-time thread until the run is done, stopped or given another scenario."""
     woken.clear()
-    thread = threading.Thread(target=_real_time, args=(parts, descriptor), name="real-time")
+    failures: list[Exception] = []
+    thread = threading.Thread(
+        target=_guarded_real_time, args=(parts, descriptor, failures), name="real-time"
+    )
     thread.start()
     try:
         while not woken.is_set() and thread.is_alive():
@@ -139,6 +143,19 @@ async def _run_thread(parts: Parts, descriptor: int, woken: asyncio.Event) -> No
     finally:
         parts.data.control[STOP] = 1
         await asyncio.get_running_loop().run_in_executor(None, thread.join)
+    for error in failures:
+        raise RollerrigError(
+            f"the real-time thread has failed ({type(error).__name__}: {error}); this is a fault "
+            "of rollerrig and not of the unit: please report it with the scenario"
+        ) from error
+
+
+def _guarded_real_time(parts: Parts, descriptor: int, failures: list[Exception]) -> None:
+    """Run the real-time thread; an exception that ends it goes into `failures`."""
+    try:
+        _real_time(parts, descriptor)
+    except Exception as error:
+        failures.append(error)
 
 
 def _real_time(parts: Parts, descriptor: int) -> None:

@@ -269,7 +269,8 @@ def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> 
     Raises ConfigError.
     """
     from rollerrig.firmware_sim.fmu import fmu_file
-    from rollerrig.wsp_interface import unit_choice, unit_map
+    from rollerrig.wsp_interface import unit_choice
+    from rollerrig.wsp_interface.unit_map import mapping
 
     fmus = unit_choice.fmus_of(options.wsp)
     allowed = unit_choice.AllowList.of(options.allow_unit)
@@ -311,7 +312,7 @@ def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> 
             "the command that starts it with --unit COMMAND"
         )
     if maps_external_unit:
-        unit_map.load(options.unit_map)
+        mapping.load(options.unit_map)
 
     with writing(options.out):
         make_folder(options.out)
@@ -458,15 +459,16 @@ def _play_on_new_bench(
     sequence: "Sequence", options: argparse.Namespace, folder: Path
 ) -> "Outcome":
     from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import own_bench, unit_choice, unit_map
+    from rollerrig.wsp_interface import own_bench, unit_choice
     from rollerrig.wsp_interface.sequences import play as player
+    from rollerrig.wsp_interface.unit_map import gateway
 
     companions: list[Any] = []
     run_arguments: tuple[str, ...] = ()
     if options.unit_map:
         if options.wsp == "external":
             # the gateway starts before the unit, which may send immediately
-            companions.append(unit_map.companion(options.unit_map))
+            companions.append(gateway.companion(options.unit_map))
         else:
             run_arguments = ("--unit-map", str(options.unit_map))
     if options.unit:

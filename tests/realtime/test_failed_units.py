@@ -13,12 +13,12 @@ from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import campaign, four_stops
 from rollerrig.realtime.record import records
-from rollerrig.wsp_interface import unit_map
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_HAS_FAILED
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
+from rollerrig.wsp_interface.unit_map import gateway
 
 # the messages of a unit with floating-point signals
 SPEEDS_ID = 1632
@@ -104,7 +104,7 @@ def test_a_gateway_reports_a_unit_whose_signals_are_no_numbers_and_its_run_is_no
         tmp_path / "run",
         pacing,
         wsp="external",
-        companions=(unit_map.companion(tmp_path / "map.toml"), float_unit),
+        companions=(gateway.companion(tmp_path / "map.toml"), float_unit),
     )
     assert outcome.result is Result.ERROR
     assert "the WSP unit (node 32) reports that it has failed: EMCY FF02h" in outcome.error

@@ -1,51 +1,40 @@
-"""A unit with its own plain CAN messages: a DBC file and a mapping connect it to the rig.
-
-A gateway translates between the unit and the rig. After each SYNC it waits for the axle speeds of
-node 16 and sends the unit its messages, encoded as in the DBC. It turns the unit's answer into the
-magnets of node 17, the unit's reference speed and the heartbeat of node 32. So such a unit runs the
-same sequences. In lockstep it must answer the last message of each cycle; a unit that keeps its own
-time is for real time only. If the unit is silent, its heartbeat stops and the brakes apply. If a
-signal of the unit is no finite number, the unit has failed: the gateway sends its EMCY FF02h, its
-heartbeat stops for the rest of the run, and no magnet is energised. Before the first SYNC the
-gateway sends the speeds of a standing train until the unit answers.
+"""Reads the mapping of a unit with its DBC, and refuses what cannot work on the rig's bus.
 
     dbc = "unit.dbc"
     [[to_unit]]
     message = "AXLE_SPEEDS"
     signals = { V1 = "measured_speed_1", V2 = "measured_speed_2" }
     factor = 1.602                # km/h for rad/s at a radius of 0.445 m
+    constants = { MODE = 2 }      # optional: values in the unit of the signal
+    counter = "ALIVE"             # optional: grows by 1 with each message
+    checksum = { signal = "CRC", kind = "crc8_sae_j1850", prefix = [0x1A] }    # optional
     [from_unit]
     message = "VALVES"
     hold = ["HOLD1", "HOLD2", "HOLD3", "HOLD4"]
     vent = ["VENT1", "VENT2", "VENT3", "VENT4"]
     reference = "V_REF"           # optional
     reference_factor = 0.27778    # m/s of one unit of V_REF
+    checksum = { signal = "CRC", kind = "crc8_sae_j1850" }    # optional: it is checked
 
-An FMU has the same mapping without `dbc` and `message`: the signals are variables of the FMU.
+A DBC is judged by its mapped messages only: what is wrong with another message does not matter.
+Messages of CAN FD are refused, because the bus carries 8 bytes. An FMU has the same mapping without
+`dbc`, `message` and what fills messages: the signals are variables of the FMU.
 
 Source: cantools for the DBC.
 """
 
-import contextlib
-import math
-import struct
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import can
 import cantools
 from cantools.database.can import Message as DbcMessage
 
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
-from rollerrig.wsp_interface import magnets, signals
-from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import (
     LSS_ANSWER,
     LSS_REQUEST,
@@ -54,25 +43,9 @@ from rollerrig.wsp_interface.bus.connection_set import (
     SYNC,
     TIME,
 )
-from rollerrig.wsp_interface.rig_objects import (
-    GENERIC_ERROR,
-    MAGNETS_ID,
-    PRESSURES,
-    REFERENCE_SPEED,
-    SPEEDS,
-    UNIT_EMERGENCY_ID,
-    UNIT_HAS_FAILED,
-    UNIT_HEARTBEAT_ID,
-)
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, WSP_NODE
-
-OPERATIONAL = 5  # NMT state in a heartbeat
-HEARTBEAT_SYNCS = 5  # SYNCs between two heartbeats
-QUIET_S = 0.1
-
-# data of frames for a unit that has failed: magnets that are all off, and the EMCY
-_NO_MAGNETS = bytes([magnets.ALL_OFF])
-_FAILED = struct.pack("<HB5x", UNIT_HAS_FAILED, GENERIC_ERROR)
+from rollerrig.wsp_interface.unit_map import fields
+from rollerrig.wsp_interface.unit_map.fields import CHECKSUMS, Checksum, Filled
 
 _NODES = (*signals.RIG_NODES, WSP_NODE, BENCH_NODE)
 # the service codes of nodes in the predefined connection set: EMCY to SDO, and heartbeat
@@ -80,26 +53,30 @@ _SERVICES = (*range(1, 13), 14)
 _SERVICE_BITS = 7  # the service code is above the bits of the node's number
 
 _TOP_KEYS = ("title", "dbc", "to_unit", "from_unit")
-_TO_UNIT_KEYS = ("message", "signals", "factor")
-_FROM_UNIT_KEYS = ("message", "hold", "vent", "reference", "reference_factor")
+_TO_UNIT_KEYS = ("message", "signals", "factor", "constants", "counter", "checksum")
+_FMU_KEYS = ("hold", "vent", "reference", "reference_factor")
+_FROM_UNIT_KEYS = ("message", *_FMU_KEYS, "checksum")
+_CHECKSUM_KEYS = ("signal", "kind", "prefix")
+_CAN_BYTES = 8
 _BOTH_WAYS = "a mapping has at least one [[to_unit]] and one [from_unit]"
 
 # the names of the quantities in a mapping: their columns without the unit
-_SOURCE_OF_COLUMN = {
+SOURCE_OF_COLUMN = {
     column: f"{name}_{axle}"
     for name in ("measured_speed", "cylinder_pressure")
     for axle, column in enumerate(signals.columns(signals.BY_NAME[name]), start=1)
 }
-SOURCES = tuple(_SOURCE_OF_COLUMN.values())
+SOURCES = tuple(SOURCE_OF_COLUMN.values())
 
 
 @dataclass(frozen=True)
 class Outgoing:
-    """One message to the unit: the source of each of its signals, times a factor."""
+    """One message to the unit: the source of each of its signals, times a factor, and the rest."""
 
     message: DbcMessage
     sources: Mapping[str, str]
     factor: float
+    filled: Filled = field(default_factory=Filled)
 
 
 @dataclass(frozen=True)
@@ -112,6 +89,7 @@ class UnitMap:
     vent: tuple[str, ...]
     reference: str  # the unit's signal of the reference speed; "" for none
     reference_factor: float  # m/s of one unit of that signal
+    checksum: Checksum | None  # of the unit's message
 
 
 class FmuMap(NamedTuple):
@@ -148,7 +126,7 @@ def load_fmu_map(path: Path) -> FmuMap:
     if not inputs or not isinstance(from_unit, dict):
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
-    known(from_unit, _FROM_UNIT_KEYS[1:], lambda key: where)
+    known(from_unit, _FMU_KEYS, lambda key: where)
     hold, vent = _magnets(from_unit, where)
     return FmuMap(
         inputs=inputs,
@@ -191,15 +169,26 @@ def load(path: Path) -> UnitMap:
         vent=vent,
         reference=reference,
         reference_factor=_factor(from_unit, "reference_factor", where),
+        checksum=_checksum(from_unit, incoming, where),
     )
 
 
 def _database(path: Path, name: Any) -> Any:
-    """Return the DBC of a mapping; its path is relative to the mapping."""
+    """Return the DBC of a mapping; its path is relative to the mapping.
+
+    The messages are not checked yet, because only the mapped ones matter. Comments and units may
+    be in any encoding, because nothing here depends on them.
+    """
     dbc = path.parent / ("" if name is None else str(name))
     try:
-        user_files.check(dbc, user_files.MESSAGES)
-        return cantools.database.load_file(dbc)
+        content = user_files.read_bytes(dbc, user_files.MESSAGES)
+        if dbc.suffix.lower() != ".dbc":
+            return cantools.database.load_file(dbc, strict=False)
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            text = content.decode("cp1252", errors="replace")
+        return cantools.database.load_string(text, "dbc", strict=False)
     except (ConfigError, OSError, cantools.Error, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: dbc = {name!r}: cannot be read: {error}") from None
 
@@ -209,12 +198,114 @@ def _outgoing(table: Any, database: Any, where: str) -> Outgoing:
     message = _message(table, database, where)
     sources = _sources(table, where)
     _check_signals(tuple(sources), message, f"{where}: signals")
-    missing = sorted({signal.name for signal in message.signals} - set(sources))
+    filled = Filled(
+        constants=_constants(table, message, where),
+        counter=_counter(table, message, where),
+        checksum=_checksum(table, message, where),
+    )
+
+    given = [*sources, *filled.names()]
+    twice = sorted({name for name in given if given.count(name) > 1})
+    if twice:
+        raise ConfigError(f"{where}: {', '.join(twice)} is given twice; a signal has one content")
+    for signal in message.signals:
+        multiplexer = signal.multiplexer_signal
+        if multiplexer is not None and multiplexer not in filled.constants:
+            raise ConfigError(
+                f"{where}: {message.name} is multiplexed by {multiplexer}; choose a group with "
+                f"constants = {{ {multiplexer} = 0 }}, in a separate [[to_unit]] for each group"
+            )
+    carried = fields.selected_signals(message, filled.constants)
+    surplus = sorted(set(given) - set(carried))
+    if surplus:
+        raise ConfigError(
+            f"{where}: {', '.join(surplus)} is not in the multiplexed group that constants "
+            "select; give each group a separate [[to_unit]]"
+        )
+    missing = sorted(set(carried) - set(given))
     if missing:
         raise ConfigError(
-            f"{where}: signals: {message.name} also has {', '.join(missing)}; map all"
+            f"{where}: signals: {message.name} also has {', '.join(missing)}; map all: quantities "
+            "in signals, fixed values in constants = { NAME = 0 }, an alive counter in counter = "
+            '"NAME", a checksum in checksum = { signal = "NAME", kind = "crc8_sae_j1850" }'
         )
-    return Outgoing(message, sources, _factor(table, "factor", where))
+    try:
+        fields.encode(message, dict.fromkeys(carried, 0) | _raw_constants(message, filled))
+    except (cantools.Error, ValueError) as error:
+        raise ConfigError(f"{where}: {message.name} cannot be encoded: {error}") from None
+    return Outgoing(message, sources, _factor(table, "factor", where), filled)
+
+
+def _raw_constants(message: DbcMessage, filled: Filled) -> dict[str, float]:
+    """Return the raw values of the constants of a message."""
+    raw_values = {}
+    for name, value in filled.constants.items():
+        raw_values[name], _ = fields.limited(fields.signal_of(message, name), value)
+    return raw_values
+
+
+def _constants(table: Mapping[str, Any], message: DbcMessage, where: str) -> dict[str, float]:
+    """Return the fixed values of a message by signal. Raises ConfigError if one does not fit."""
+    constants = table.get("constants", {})
+    where = f"{where}: constants"
+    if not isinstance(constants, dict):
+        raise ConfigError(f"{where} = {constants!r}: write {{ MODE = 2 }}")
+    _check_signals(tuple(constants), message, where)
+    checked = {}
+    for name, value in constants.items():
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise ConfigError(f"{where}: {name} = {value!r}: allowed is a number")
+        signal = fields.signal_of(message, name)
+        _, was_limited = fields.limited(signal, value)
+        if was_limited:
+            low, high = fields.raw_range(signal)
+            ends = sorted(signal.offset + signal.scale * raw for raw in (low, high))
+            raise ConfigError(f"{where}: {name} = {value!r}: allowed is {ends[0]:g} to {ends[1]:g}")
+        checked[name] = float(value)
+    return checked
+
+
+def _counter(table: Mapping[str, Any], message: DbcMessage, where: str) -> str:
+    """Return the signal of the alive counter; "" if there is none. Raises ConfigError."""
+    name = table.get("counter", "")
+    if not isinstance(name, str):
+        raise ConfigError(f'{where}: counter = {name!r}: write counter = "ALIVE"')
+    if not name:
+        return ""
+    _check_signals((name,), message, f"{where}: counter")
+    if fields.signal_of(message, name).is_float:
+        raise ConfigError(f"{where}: counter: {name} is a floating-point signal; take an integer")
+    return name
+
+
+def _checksum(table: Mapping[str, Any], message: DbcMessage, where: str) -> Checksum | None:
+    """Return the checksum of a message; None if there is none. Raises ConfigError."""
+    given = table.get("checksum")
+    if given is None:
+        return None
+    where = f"{where}: checksum"
+    if not isinstance(given, dict):
+        raise ConfigError(f'{where} = {given!r}: write {{ signal = "CRC", kind = "sum8" }}')
+    known(given, _CHECKSUM_KEYS, lambda key: where)
+    name = str(given.get("signal", ""))
+    _check_signals((name,), message, where)
+    kind = given.get("kind")
+    if kind not in CHECKSUMS:
+        raise ConfigError(f"{where}: kind = {kind!r}{nearest(str(kind), CHECKSUMS)}")
+
+    bits = fields.checksum_bits(kind)
+    signal = fields.signal_of(message, name)
+    whole_bytes = fields.occupied_bytes(message, name)
+    if signal.length != bits or not whole_bytes or signal.is_signed or signal.is_float:
+        raise ConfigError(
+            f"{where}: {kind} has {bits} bits, and {name} {signal.length} at bit {signal.start}; "
+            f"allowed is an unsigned signal of {bits} bits that fills whole bytes"
+        )
+    prefix = given.get("prefix", [])
+    is_list = isinstance(prefix, list)
+    if not is_list or not all(type(byte) is int and 0 <= byte <= 255 for byte in prefix):
+        raise ConfigError(f"{where}: prefix = {prefix!r}: allowed is a list of bytes from 0 to 255")
+    return Checksum(name, kind, bytes(prefix))
 
 
 def _sources(table: Mapping[str, Any], where: str) -> dict[str, str]:
@@ -250,13 +341,27 @@ def _magnets(from_unit: Mapping[str, Any], where: str) -> tuple[tuple[str, ...],
 def _message(table: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
     """Return the message of a table. Raises ConfigError when the rig uses its identifier."""
     name = table.get("message")
-    messages = {message.name: message for message in database.messages}
+    messages: dict[str, DbcMessage] = {}
+    for message in database.messages:
+        if message.name == name and name in messages:
+            raise ConfigError(f"{where}: message = {name!r}: the DBC has two messages of that name")
+        messages[message.name] = message
     if name not in messages:
         raise ConfigError(
             f"{where}: message = {name!r}: the DBC has no such message"
             f"{nearest(str(name), messages)}"
         )
     message = messages[name]
+    if message.length > _CAN_BYTES or message.is_fd:
+        raise ConfigError(
+            f"{where}: {name} has {message.length} bytes, so it is a message of CAN FD; the rig's "
+            f"bus carries classic CAN, at most {_CAN_BYTES} bytes: give the unit such messages"
+        )
+    try:
+        # what load_file(strict=True) checks of every message of a DBC
+        message.refresh(strict=True)
+    except (cantools.Error, ValueError) as error:
+        raise ConfigError(f"{where}: message = {name!r}: {error}; correct the DBC") from None
     if _is_used_by_rig(message):
         raise ConfigError(
             f"{where}: {name} has the identifier {message.frame_id:X}h, which the rig "
@@ -282,145 +387,3 @@ def _check_signals(names: tuple[str, ...], message: DbcMessage, where: str) -> N
             raise ConfigError(
                 f"{where}: {message.name} has no signal '{name}'{nearest(name, present)}"
             )
-
-
-class Gateway:
-    """Translates between the rig and a unit on the same bus. `run` returns when the bus ends.
-
-    `values` holds the quantities of the rig by source, `answers` counts the unit's answers.
-    `failure` is the reason why the unit has failed; it is empty as long as it has not.
-    """
-
-    def __init__(self, bus: can.BusABC, mapping: UnitMap) -> None:
-        self.bus = bus
-        self.mapping = mapping
-        self.values = dict.fromkeys(SOURCES, 0.0)
-        self.answers = 0
-        self.failure = ""
-        self._syncs = 0
-        self._stopping = False
-        self._alive = False  # the unit has answered since the last heartbeat
-
-    def stop(self) -> None:
-        """Make `run` return within 0.1 s."""
-        self._stopping = True
-
-    def run(self) -> None:
-        """Serve until the bus ends or `stop` is called."""
-        try:
-            next_poll_s = 0.0
-            while not self._stopping:
-                if self._syncs == 0 and time.monotonic() >= next_poll_s:
-                    # before the first SYNC the bench waits for a heartbeat of the unit
-                    next_poll_s = time.monotonic() + QUIET_S
-                    self._send_to_unit()
-                    if self._alive:
-                        self._send_heartbeat()
-                message = self.bus.recv(QUIET_S)
-                if message is not None:
-                    self._take(message)
-        except can.CanError:
-            return
-
-    def _take(self, message: can.Message) -> None:
-        incoming = self.mapping.incoming
-        can_id = message.arbitration_id
-        if can_id == SYNC:
-            self._syncs += 1
-            if self._syncs % HEARTBEAT_SYNCS == 0 and self._alive:
-                self._send_heartbeat()
-                self._alive = False
-        elif can_id == incoming.frame_id and message.is_extended_id == incoming.is_extended_frame:
-            self._translate_answer(bytes(message.data))
-        elif can_id == SPEEDS.can_id:
-            self._store(SPEEDS.read(message.data))
-        elif can_id == PRESSURES.can_id:
-            values = PRESSURES.read(message.data)
-            self._store(values)
-            if values:
-                # pressures come last in a cycle, so all values are now of the same SYNC
-                self._send_to_unit()
-
-    def _store(self, values: Mapping[str, float]) -> None:
-        for column, value in values.items():
-            self.values[_SOURCE_OF_COLUMN[column]] = value
-
-    def _send_to_unit(self) -> None:
-        for outgoing in self.mapping.outgoing:
-            content = {
-                name: outgoing.factor * self.values[source]
-                for name, source in outgoing.sources.items()
-            }
-            message = outgoing.message
-            self.bus.send(
-                can.Message(
-                    arbitration_id=message.frame_id,
-                    data=message.encode(content, strict=False),
-                    is_extended_id=message.is_extended_frame,
-                )
-            )
-
-    def _translate_answer(self, data: bytes) -> None:
-        """Send the rig the unit's reference speed and magnets."""
-        mapping = self.mapping
-        try:
-            content: Any = mapping.incoming.decode(data, decode_choices=False)
-        except (cantools.Error, ValueError):
-            return  # too short: the rig treats it as no answer
-        if not self.failure:
-            self._check(content)
-        if self.failure:
-            self._send(MAGNETS_ID, _NO_MAGNETS)
-            return
-        self._alive = True
-
-        if mapping.reference:
-            raw = signals.count(
-                float(content[mapping.reference]) * mapping.reference_factor,
-                signals.place("wsp_reference_speed", WSP_NODE),
-            )
-            self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
-
-        pairs = []
-        for hold, vent in zip(mapping.hold, mapping.vent, strict=True):
-            pairs.append(magnets.pair(bool(content[hold]), bool(content[vent])))
-        self._send(MAGNETS_ID, bytes([magnets.pack(pairs)]))
-        self.answers += 1
-
-    def _check(self, content: Mapping[str, Any]) -> None:
-        """Notice, and report by an EMCY, a signal of the unit that is no finite number."""
-        mapping = self.mapping
-        names = (*mapping.hold, *mapping.vent, *filter(None, (mapping.reference,)))
-        for name in names:
-            if not math.isfinite(content[name]):
-                self.failure = (
-                    f"the unit has failed: its signal {name} in {mapping.incoming.name} is "
-                    f"{content[name]}; allowed are finite numbers"
-                )
-                self._send(UNIT_EMERGENCY_ID, _FAILED)
-                return
-
-    def _send_heartbeat(self) -> None:
-        self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))
-
-    def _send(self, can_id: int, data: bytes) -> None:
-        self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-
-
-def companion(path: Path) -> Callable[[str], AbstractContextManager[Gateway]]:
-    """Return a context manager that runs a gateway during a bench, given the address of its bus."""
-    mapping = load(path)
-
-    @contextlib.contextmanager
-    def run_gateway(address: str) -> Iterator[Gateway]:
-        with buses.open_client(address) as bus:
-            gateway = Gateway(bus, mapping)
-            thread = threading.Thread(target=gateway.run, name="unit gateway", daemon=True)
-            thread.start()
-            try:
-                yield gateway
-            finally:
-                gateway.stop()
-                thread.join(2.0)
-
-    return run_gateway

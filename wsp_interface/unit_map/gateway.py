@@ -1,0 +1,255 @@
+"""Translates between the rig and a unit with its own CAN messages, while a bench runs.
+
+After each SYNC the gateway waits for the axle speeds of node 16 and sends the unit its messages,
+encoded as in the DBC. A value that does not fit its signal becomes the nearest one that does. The
+gateway turns the unit's answer into the magnets of node 17, the unit's reference speed and the
+heartbeat of node 32. So such a unit runs the same sequences. In lockstep it must answer the last
+message of each cycle; a unit that keeps its own time is for real time only. If the unit is silent,
+its heartbeat stops and the brakes apply. If a signal of the unit is no finite number, the unit has
+failed: the gateway sends its EMCY FF02h, its heartbeat stops for the rest of the run, and no magnet
+is energised. Before the first SYNC the gateway sends the speeds of a standing train until the unit
+answers.
+
+If the gateway itself fails, the run ends with that reason, and the unit is not blamed.
+"""
+
+import contextlib
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import Any
+
+import can
+import cantools
+
+from rollerrig.wsp_interface import magnets, signals
+from rollerrig.wsp_interface.bus import buses
+from rollerrig.wsp_interface.bus.connection_set import SYNC
+from rollerrig.wsp_interface.rig_objects import (
+    GENERIC_ERROR,
+    MAGNETS_ID,
+    PRESSURES,
+    REFERENCE_SPEED,
+    SPEEDS,
+    UNIT_EMERGENCY_ID,
+    UNIT_HAS_FAILED,
+    UNIT_HEARTBEAT_ID,
+)
+from rollerrig.wsp_interface.signals import WSP_NODE
+from rollerrig.wsp_interface.unit_map import fields
+from rollerrig.wsp_interface.unit_map.mapping import (
+    SOURCE_OF_COLUMN,
+    SOURCES,
+    Outgoing,
+    UnitMap,
+    load,
+)
+
+OPERATIONAL = 5  # NMT state in a heartbeat
+HEARTBEAT_SYNCS = 5  # SYNCs between two heartbeats
+QUIET_S = 0.1
+
+# data of frames for a unit that has failed: magnets that are all off, and the EMCY
+_NO_MAGNETS = bytes([magnets.ALL_OFF])
+_FAILED = struct.pack("<HB5x", UNIT_HAS_FAILED, GENERIC_ERROR)
+
+
+class Gateway:
+    """Translates between the rig and a unit on the same bus. `run` returns when the bus ends.
+
+    `values` holds the quantities of the rig by source, `answers` counts the unit's answers.
+    `failure` is the reason why the unit has failed; it is empty as long as it has not.
+    `breakdown` is the reason why the gateway itself has failed; empty as long as it has not.
+    """
+
+    def __init__(self, bus: can.BusABC, mapping: UnitMap) -> None:
+        self.bus = bus
+        self.mapping = mapping
+        self.values = dict.fromkeys(SOURCES, 0.0)
+        self.answers = 0
+        self.failure = ""
+        self.breakdown = ""
+        self._names = {*mapping.hold, *mapping.vent, *filter(None, (mapping.reference,))}
+        self._limited: dict[str, int] = {}  # messages with a limited value, by signal
+        self._wrong_checksums = 0
+        self._counts = [0] * len(mapping.outgoing)  # messages sent, one for each of them
+        self._syncs = 0
+        self._stopping = False
+        self._alive = False  # the unit has answered since the last heartbeat
+
+    def stop(self) -> None:
+        """Make `run` return within 0.1 s."""
+        self._stopping = True
+
+    def run(self) -> None:
+        """Serve until the bus ends or `stop` is called."""
+        try:
+            next_poll_s = 0.0
+            while not self._stopping:
+                if self._syncs == 0 and time.monotonic() >= next_poll_s:
+                    # before the first SYNC the bench waits for a heartbeat of the unit
+                    next_poll_s = time.monotonic() + QUIET_S
+                    self._send_to_unit()
+                    if self._alive:
+                        self._send_heartbeat()
+                message = self.bus.recv(QUIET_S)
+                if message is not None:
+                    self._take(message)
+        except can.CanError:
+            return
+        except Exception as error:
+            # whatever it is, the run must end with it instead of waiting for the unit
+            self.breakdown = (
+                f"the gateway between rig and unit has failed ({type(error).__name__}: {error}); "
+                "this is a fault of rollerrig and not of the unit: please report it with the "
+                "mapping and the DBC"
+            )
+
+    def notes(self) -> Iterator[str]:
+        """Yield what is remarkable about the messages so far, a sentence each."""
+        for name, messages in self._limited.items():
+            yield f"{name}: the value was limited to the range of the signal in {messages} messages"
+        if self._wrong_checksums:
+            yield (
+                f"{self.mapping.incoming.name}: {self._wrong_checksums} messages of the unit had a "
+                "wrong checksum and were ignored"
+            )
+
+    def _take(self, message: can.Message) -> None:
+        incoming = self.mapping.incoming
+        can_id = message.arbitration_id
+        if can_id == SYNC:
+            self._syncs += 1
+            if self._syncs % HEARTBEAT_SYNCS == 0 and self._alive:
+                self._send_heartbeat()
+                self._alive = False
+        elif can_id == incoming.frame_id and message.is_extended_id == incoming.is_extended_frame:
+            self._translate_answer(bytes(message.data))
+        elif can_id == SPEEDS.can_id:
+            self._store(SPEEDS.read(message.data))
+        elif can_id == PRESSURES.can_id:
+            values = PRESSURES.read(message.data)
+            self._store(values)
+            if values:
+                # pressures come last in a cycle, so all values are now of the same SYNC
+                self._send_to_unit()
+
+    def _store(self, values: Mapping[str, float]) -> None:
+        for column, value in values.items():
+            self.values[SOURCE_OF_COLUMN[column]] = value
+
+    def _send_to_unit(self) -> None:
+        for number, outgoing in enumerate(self.mapping.outgoing):
+            message = outgoing.message
+            self.bus.send(
+                can.Message(
+                    arbitration_id=message.frame_id,
+                    data=self._data(outgoing, self._counts[number]),
+                    is_extended_id=message.is_extended_frame,
+                )
+            )
+            self._counts[number] += 1
+
+    def _data(self, outgoing: Outgoing, count: int) -> bytes:
+        """Return the bytes of a message to the unit, the `count`-th of its kind from 0 on."""
+        message = outgoing.message
+        filled = outgoing.filled
+        raw_values: dict[str, float] = {}
+        for name, source in outgoing.sources.items():
+            signal = fields.signal_of(message, name)
+            raw, was_limited = fields.limited(signal, outgoing.factor * self.values[source])
+            raw_values[name] = raw
+            if was_limited:
+                full_name = f"{message.name}.{name}"
+                self._limited[full_name] = self._limited.get(full_name, 0) + 1
+        for name, value in filled.constants.items():
+            raw_values[name], _ = fields.limited(fields.signal_of(message, name), value)
+        if filled.counter:
+            low, high = fields.raw_range(fields.signal_of(message, filled.counter))
+            raw_values[filled.counter] = low + count % (high - low + 1)
+        if not filled.checksum:
+            return fields.encode(message, raw_values)
+
+        name = filled.checksum.signal
+        data = fields.encode(message, raw_values | {name: 0})
+        return fields.encode(message, raw_values | {name: filled.checksum.raw(message, data)})
+
+    def _translate_answer(self, data: bytes) -> None:
+        """Send the rig the unit's reference speed and magnets."""
+        mapping = self.mapping
+        try:
+            content: Any = mapping.incoming.decode(data, decode_choices=False)
+        except (cantools.Error, ValueError):
+            return  # too short: the rig treats it as no answer
+        if not self._names.issubset(content):
+            return  # a multiplexed group without the magnets
+        if not self._has_right_checksum(data):
+            self._wrong_checksums += 1
+            return
+        if not self.failure:
+            self._check(content)
+        if self.failure:
+            self._send(MAGNETS_ID, _NO_MAGNETS)
+            return
+        self._alive = True
+
+        if mapping.reference:
+            raw = signals.count(
+                float(content[mapping.reference]) * mapping.reference_factor,
+                signals.place("wsp_reference_speed", WSP_NODE),
+            )
+            self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
+
+        pairs = []
+        for hold, vent in zip(mapping.hold, mapping.vent, strict=True):
+            pairs.append(magnets.pair(bool(content[hold]), bool(content[vent])))
+        self._send(MAGNETS_ID, bytes([magnets.pack(pairs)]))
+        self.answers += 1
+
+    def _has_right_checksum(self, data: bytes) -> bool:
+        """Return whether a message of the unit has its checksum, or needs none."""
+        checksum = self.mapping.checksum
+        if not checksum:
+            return True
+        raw: Any = self.mapping.incoming.decode(data, decode_choices=False, scaling=False)
+        return int(raw[checksum.signal]) == checksum.raw(self.mapping.incoming, data)
+
+    def _check(self, content: Mapping[str, Any]) -> None:
+        """Notice, and report by an EMCY, a signal of the unit that is no finite number."""
+        for name in sorted(self._names):
+            if not math.isfinite(content[name]):
+                self.failure = (
+                    f"the unit has failed: its signal {name} in {self.mapping.incoming.name} is "
+                    f"{content[name]}; allowed are finite numbers"
+                )
+                self._send(UNIT_EMERGENCY_ID, _FAILED)
+                return
+
+    def _send_heartbeat(self) -> None:
+        self._send(UNIT_HEARTBEAT_ID, bytes([OPERATIONAL]))
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+
+def companion(path: Path) -> Callable[[str], AbstractContextManager[Gateway]]:
+    """Return a context manager that runs a gateway during a bench, given the address of its bus."""
+    mapping = load(path)
+
+    @contextlib.contextmanager
+    def run_gateway(address: str) -> Iterator[Gateway]:
+        with buses.open_client(address) as bus:
+            gateway = Gateway(bus, mapping)
+            thread = threading.Thread(target=gateway.run, name="unit gateway", daemon=True)
+            thread.start()
+            try:
+                yield gateway
+            finally:
+                gateway.stop()
+                thread.join(2.0)
+
+    return run_gateway
