@@ -128,7 +128,7 @@ def selected_signals(message: DbcMessage, constants: Mapping[str, float]) -> tup
     names = []
     for signal in message.signals:
         multiplexer = signal.multiplexer_signal
-        if multiplexer in constants and signal.multiplexer_ids:
+        if multiplexer is not None and multiplexer in constants and signal.multiplexer_ids:
             group = round(_raw(signal_of(message, multiplexer), constants[multiplexer]))
             if group not in signal.multiplexer_ids:
                 continue
