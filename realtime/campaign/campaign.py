@@ -72,6 +72,8 @@ class Plan(NamedTuple):
     axes: tuple[str, ...]
     points: tuple[tuple[Any, ...], ...]
     first: int = 0  # number of the first run in `points`
+    # of a random design, for each axis: the checked range, by the names of RANGE
+    ranges: tuple[dict[str, Any], ...] = ()
 
     @property
     def chunks(self) -> range:
@@ -103,9 +105,13 @@ def load(name: str, allow_code: bool = False, **heads: Any) -> Plan:
     if head["scenario"].endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
 
-    is_matrix = head["design"] == "matrix"
-    points = _matrix(vary, path) if is_matrix else _random(vary, head, path)
-    plan = Plan(head, tuple(vary), tuple(points))
+    ranges: tuple[dict[str, Any], ...] = ()
+    if head["design"] == "matrix":
+        points = _matrix(vary, path)
+    else:
+        ranges = tuple(_span(key, span, head["design"], path) for key, span in vary.items())
+        points = _random(ranges, head)
+    plan = Plan(head, tuple(vary), tuple(points), ranges=ranges)
     _check_unit(head["unit"], path, allow_code)
     _unit(head["unit"])
     resolve(plan, 0)
@@ -124,9 +130,8 @@ def _matrix(vary: Mapping[str, Any], path: Path) -> list[tuple[Any, ...]]:
     return list(itertools.product(*vary.values()))
 
 
-def _random(vary: Mapping[str, Any], head: dict[str, Any], path: Path) -> list[tuple[Any, ...]]:
-    """Return the points of a random design, one per run."""
-    spans = [_span(key, span, head["design"], path) for key, span in vary.items()]
+def _random(spans: Sequence[Mapping[str, Any]], head: dict[str, Any]) -> list[tuple[Any, ...]]:
+    """Return the points of a random design over some ranges, one per run."""
     points = []
     for shares in _unit_cube(head, len(spans)).tolist():
         values = [_at(span, share) for share, span in zip(shares, spans, strict=True)]

@@ -53,9 +53,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="figure that ranks the worst cases (default: braking_distance_m, the stopping "
         "distance from the first brake demand)",
     )
-    parser.add_argument(
-        "--pdf", action="store_true", help="write the report as PDF as well (report.pdf)"
-    )
+    output.report_arguments(parser)
 
 
 def call(options: argparse.Namespace) -> int:
@@ -71,6 +69,7 @@ def call(options: argparse.Namespace) -> int:
     # all that can be wrong is checked before the first run
     if options.pdf:
         pdf.check()
+    about = output.about(options)
     plan = campaign.load(options.plan, options.allow_code)
     if options.worst not in figures.BY_NAME:
         raise ConfigError(f"--worst {options.worst}: allowed are {', '.join(figures.BY_NAME)}")
@@ -83,7 +82,7 @@ def call(options: argparse.Namespace) -> int:
     _run_chunks(options, plan, out)
 
     table = campaign.result(out)
-    report = campaign_report.write(plan, table, out, options.worst, options.pdf)
+    report = campaign_report.write(plan, table, out, options.worst, options.pdf, about)
     failed = sum(error is not None for error in table["error"].to_pylist())
     worst = campaign_report.worst(plan, table, options.worst)
     not_valid = campaign_report.not_valid(plan, table)

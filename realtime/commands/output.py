@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.printable import printable
 from rollerrig.realtime import standard_streams
 
@@ -22,6 +23,33 @@ INVALID = 4
 
 # a little less than 5 s, so that a busy machine, too, prints a line every five seconds
 PERIOD_S = 4.9
+
+
+def report_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of verbs that write a report which people sign."""
+    parser.add_argument(
+        "--about",
+        action="append",
+        default=[],
+        metavar="'WHAT=TEXT'",
+        help="entry in the title block of the report, as in 'document number=R-12', 'revision=B', "
+        "'unit under test=ACME 7' or 'tested by=A. Meier'; names of 'tested by', 'checked by' and "
+        "'approved by' are also where these people sign; may be repeated",
+    )
+    parser.add_argument(
+        "--pdf", action="store_true", help="write the report as PDF as well (report.pdf)"
+    )
+
+
+def about(options: argparse.Namespace) -> dict[str, str]:
+    """Return the entries of the title block that `--about` gives. Raises ConfigError."""
+    entries = {}
+    for text in options.about:
+        key, equals_sign, value = text.partition("=")
+        if not equals_sign or not key.strip():
+            raise ConfigError(f"--about '{text}': write WHAT=TEXT, as in 'tested by=A. Meier'")
+        entries[key.strip()] = value.strip()
+    return entries
 
 
 def print_message(text: str) -> None:

@@ -152,7 +152,9 @@ def view_arguments(parser: argparse.ArgumentParser) -> None:
         "--png",
         type=Path,
         metavar="FILE",
-        help="write a picture and open no window; this works without a display",
+        help="write a picture for a report and open no window: speeds, slip, pressures, adhesion "
+        "and valves on white, with a legend that names the runs; a name that ends with .svg or .pdf "
+        "gives that kind of file",
     )
     parser.add_argument(
         "--size",
@@ -161,19 +163,27 @@ def view_arguments(parser: argparse.ArgumentParser) -> None:
         help="size of the picture in pixels (default: 1600x1000)",
     )
     parser.add_argument(
-        "--time", type=float, metavar="S", help="time in the run that the picture shows"
+        "--time",
+        type=float,
+        metavar="S",
+        help="with --png: write the picture of the viewer instead, with the rig in 3D at this time "
+        "of the run; it needs a Vulkan driver",
     )
 
 
 def view(options: argparse.Namespace) -> int:
     """Open runs in the viewer, or write a picture of them. Returns PASS."""
     from rollerrig.realtime.record import records
+    from rollerrig.realtime.reports import stop
     from rollerrig.realtime.telemetry import viewer
 
     warnings = records.not_valid(run for run in options.run if run.is_dir())
     if options.png:
         size = _picture_size(options.size)
-        picture = viewer.picture(options.run, options.png, size, options.time)
+        if options.time is None:
+            picture = stop.write_runs([records.load(run) for run in options.run], options.png, size)
+        else:
+            picture = viewer.picture(options.run, options.png, size, options.time)
         result = {"picture": str(picture)}
     else:
         result = viewer.open_run(options.run)

@@ -105,17 +105,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--check", action="store_true", help="only read and check the sequences, and run none"
     )
-    parser.add_argument(
-        "--about",
-        action="append",
-        default=[],
-        metavar="'WHAT=TEXT'",
-        help="entry in the title block of the report, as in 'unit under test=ACME 7' or "
-        "'tested by=A. Meier'; may be repeated",
-    )
-    parser.add_argument(
-        "--pdf", action="store_true", help="write the report as PDF as well (report.pdf)"
-    )
+    output.report_arguments(parser)
 
 
 def call(options: argparse.Namespace) -> int:
@@ -133,7 +123,7 @@ def call(options: argparse.Namespace) -> int:
 
     # all options are checked before the first bench starts
     _check_options(options, sequences)
-    about = dict(_parse_about(text) for text in options.about)
+    about = output.about(options)
     if options.pdf:
         pdf.check()
 
@@ -187,14 +177,6 @@ def _warnings(outcomes: "list[Outcome]") -> list[str]:
         for text in outcome.summary.get("warnings", ()):
             warnings.append(f"{outcome.sequence.name}: {text}")
     return warnings
-
-
-def _parse_about(text: str) -> tuple[str, str]:
-    """Return the key and the text of an entry of the title block. Raises ConfigError."""
-    key, equals_sign, value = text.partition("=")
-    if not equals_sign or not key.strip():
-        raise ConfigError(f"--about '{text}': write WHAT=TEXT, as in 'tested by=A. Meier'")
-    return key.strip(), value.strip()
 
 
 # --- reading and checking ---

@@ -24,6 +24,10 @@ BROWN = (150, 110, 85)
 # axles 1 to 4
 AXLES = (SKY_BLUE, ORANGE, GREEN, PURPLE)
 
+# the lines of axles 1 to 4, as lengths of dashes and gaps in points; () is a solid line. Colour is
+# never the only mark of an axle.
+AXLE_DASHES: tuple[tuple[float, ...], ...] = ((), (7, 2), (4, 2, 1, 2), (2, 2))
+
 VEHICLE = STEEL
 # what a signal is compared with: the reference speed of the WSP unit, the brake demand
 REFERENCE = OLIVE

@@ -1,29 +1,39 @@
 """The report of a campaign: quantiles, the worst runs with the command that replays each, and a
 page.
 
-The page has a map over the two inputs that matter most, distributions, figures against what was
-varied, and the stopping distance with its bounds.
+The page begins with a title block and the stopping distance with its bounds. It has the ranges of
+the inputs, a map over the two inputs that matter most, distributions, figures against what was
+varied, and room to sign.
 """
 
 import math
 import textwrap
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from functools import partial
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.record import figures
 from rollerrig.realtime.reports import page, pdf
+from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 HEAD = ("figure", *(f"{100 * q:g} %" for q in QUANTILES))
+
+_RANGES_HEAD = ("input", "from", "to", "spread", "key")
+
+# a name that is not longer is a symbol
+_SYMBOL = 5
 
 # figures that every case of the list of the worst has
 DISTANCES = ("braking_distance_m", "stop_distance_m")
@@ -33,6 +43,23 @@ _WORST = 5
 
 # runs with a figure. With fewer a rank correlation shows nothing.
 _LEAST_RUNS = 3
+
+# units at the end of the names of inputs
+_UNITS = {
+    "m_s2": "m/s2",
+    "rad_s": "rad/s",
+    "m_s": "m/s",
+    "kgm2": "kg m2",
+    "Nm": "N m",
+    "kg": "kg",
+    "Pa": "Pa",
+    "Hz": "Hz",
+    "N": "N",
+    "m": "m",
+    "s": "s",
+    "K": "K",
+    "L": "L",
+}
 
 # standard errors of a 95 % interval
 _NORMAL_95 = 1.96
@@ -107,23 +134,93 @@ def cells(table: pa.Table) -> list[list[str]]:
 
 
 def write(
-    plan: campaign.Plan, table: pa.Table, out: Path, figure: str, on_paper: bool = False
+    plan: campaign.Plan,
+    table: pa.Table,
+    out: Path,
+    figure: str,
+    on_paper: bool = False,
+    about: Mapping[str, str] | None = None,
 ) -> Path:
-    """Write the page, also as PDF if `on_paper`, and return its path. Raises OSError."""
+    """Write the page, also as PDF if `on_paper`, and return its path. Raises OSError.
+
+    `about` are entries of the title block: the document number, who tested, and so on.
+    """
     path = out / "report.html"
-    write_text(path, _page(plan, table, figure))
+    when = datetime.now(UTC)
+    write_text(path, _page(plan, table, figure, when, about or {}))
     if on_paper:
         with page.on_paper():
-            pdf.write(_page(plan, table, figure), path.with_suffix(".pdf"))
+            pdf.write(_page(plan, table, figure, when, about or {}), path.with_suffix(".pdf"))
     return path
 
 
-def _page(plan: campaign.Plan, table: pa.Table, figure: str) -> str:
+def _title_block(
+    plan: campaign.Plan, table: pa.Table, when: datetime, about: Mapping[str, str]
+) -> dict[str, str]:
+    """Return what was tested, with which plan, and when."""
+    unit = plan.head["unit"]
+    if unit == "reference":
+        unit = "reference WSP of rollerrig (simulated)"
+    left_out = table.num_rows - table["invalid_because"].null_count
+    block = page.title_block(
+        {
+            "unit under test": unit,
+            "version of the unit": page.NOT_STATED,
+            "tested by": page.NOT_STATED,
+        },
+        about,
+    )
+    seed = "" if plan.head["design"] == "matrix" else f", seed {plan.head['seed']}"
+    return block | {
+        "scenario": Path(plan.head["scenario"]).stem,
+        "design": f"{plan.head['design']}{seed}",
+        "runs": f"{table.num_rows}, of which {left_out} are not valid and left out",
+        "date": f"{when:%Y-%m-%d %H:%M} UTC",
+        "tested with": f"rollerrig {metadata.version('rollerrig')}",
+    }
+
+
+def input_title(key: str) -> str:
+    """Return the name of a varied input as words, with its unit."""
+    table, _, name = key.rpartition(".")
+    unit = ""
+    for suffix, shown in _UNITS.items():
+        if name.endswith(f"_{suffix}"):
+            name = name.removesuffix(f"_{suffix}")
+            unit = shown
+            break
+    # a symbol such as mu_cd is no word
+    words = name if len(name) <= _SYMBOL else name.replace("_", " ")
+    title = f"{table.replace('_', ' ')}: {words}" if table else words
+    return f"{title}, {unit}" if unit else title
+
+
+def _range_rows(plan: campaign.Plan) -> list[tuple[str, ...]]:
+    """Return, for each input, its key, what it is, the lowest and highest value, and how drawn."""
+    rows: list[tuple[str, ...]] = []
+    for at, key in enumerate(plan.axes):
+        if plan.ranges:
+            span = plan.ranges[at]
+            spread = "evenly in the logarithm" if span["log"] else "evenly"
+            low, high = _input(span["low"]), _input(span["high"])
+        else:
+            values = list(dict.fromkeys(point[at] for point in plan.points))
+            spread = f"{len(values)} listed values"
+            low, high = _input(values[0]), _input(values[-1])
+        rows.append((input_title(key), low, high, spread, page.element("code", key)))
+    return rows
+
+
+def _page(
+    plan: campaign.Plan, table: pa.Table, figure: str, when: datetime, about: Mapping[str, str]
+) -> str:
     left_out = not_valid(plan, table)
     varied = _varied(plan, table)
     all_quantiles = quantiles(table)
     # figures that differ between runs are drawn, the others are listed
     differing = [name for name, values in all_quantiles if values[0] < values[-1]]
+    # stable: the stopping distance first, then in the order of the table
+    differing.sort(key=lambda name: name != DISTANCES[0])
     constant = [
         f"{_title(name)} {figures.BY_NAME[name].scale * values[0]:.4g}"
         for name, values in all_quantiles
@@ -131,28 +228,32 @@ def _page(plan: campaign.Plan, table: pa.Table, figure: str) -> str:
     ]
 
     parts: list[str] = [
+        page.facts(_title_block(plan, table, when, about)),
         page.paragraph(
-            f"{table.num_rows} runs of {plan.head['scenario']}, {plan.head['design']} design over "
-            f"{', '.join(plan.axes)}; {len(left_out)} of them are not valid and left out."
+            page.element("b", f"{DISCLAIMER.capitalize()}."),
+            " Simulated rig and vehicle.",
+            kind="note",
         ),
         *(page.paragraph(f"Warning: {text}", kind="note") for text in warnings(table)),
+        *_stopping(plan, table),
+        page.element("h2", "What was varied"),
+        page.table(_RANGES_HEAD, _range_rows(plan)),
         page.element("h2", f"Worst {_title(figure)}"),
         page.table(
-            ("run", _title(figure), *plan.axes, "to see it"),
+            ("run", _title(figure), *map(input_title, plan.axes), "to see it"),
             _worst_rows(plan, table, figure),
         ),
     ]
     pair = _pair(table, varied, figure)
     if pair is not None:
-        draw = partial(_draw_map, table=table, pair=pair, figure=figure)
+        draw = partial(_draw_map, plan=plan, table=table, pair=pair, figure=figure)
         parts.append(page.picture(draw, (8.0, 4.6)))
-    parts += _stopping(plan, table)
 
     parts += [page.element("h2", "All figures"), page.table(HEAD, cells(table))]
     if constant:
         parts.append(page.paragraph(f"The same in every run: {', '.join(constant)}."))
     if differing:
-        draw = partial(_draw_distributions, varied=varied, table=table, names=differing)
+        draw = partial(_draw_distributions, plan=plan, varied=varied, table=table, names=differing)
         parts.append(page.picture(draw, (11.0, 2.3 * len(differing))))
 
     rows = [
@@ -162,6 +263,7 @@ def _page(plan: campaign.Plan, table: pa.Table, figure: str) -> str:
     parts += [
         page.element("h2", f"Not valid: {len(left_out)} of {table.num_rows} runs"),
         page.table(("run", "why", "to see it"), rows),
+        page.signatures(about),
     ]
     return page.page(plan.head["title"] or "Campaign", *parts)
 
@@ -221,9 +323,12 @@ def _pair(table: pa.Table, varied: Sequence[str], figure: str) -> tuple[str, str
     return first, second
 
 
-def _draw_map(drawn: Figure, table: pa.Table, pair: tuple[str, str], figure: str) -> None:
-    """Draw every run at its two inputs, with its figure as colour; crosses are runs without a
-    figure.
+def _draw_map(
+    drawn: Figure, plan: campaign.Plan, table: pa.Table, pair: tuple[str, str], figure: str
+) -> None:
+    """Draw every run at its two inputs, with its figure as colour, and the ranges of the plan.
+
+    Crosses are runs without a figure.
     """
     across_key, up_key = pair
     across = _values(table, across_key)
@@ -234,8 +339,38 @@ def _draw_map(drawn: Figure, table: pa.Table, pair: tuple[str, str], figure: str
     plot = drawn.subplots()
     points = plot.scatter(across[known], up[known], c=values[known], cmap="cividis", s=26)
     drawn.colorbar(points, ax=plot, label=_wrapped(_title(figure), 34))
-    plot.plot(across[~known], up[~known], "x", color=page.VERMILION)
-    plot.set(xlabel=across_key, ylabel=_wrapped(up_key, 40))
+    plot.plot(
+        across[~known], up[~known], "x", color=page.VERMILION, label="did not stop, or not valid"
+    )
+    plot.set(xlabel=input_title(across_key), ylabel=_wrapped(input_title(up_key), 40))
+    across_span, up_span = (_drawn_range(plan, key) for key in pair)
+    corner = (across_span[0], up_span[0])
+    width = across_span[1] - across_span[0]
+    height = up_span[1] - up_span[0]
+    plot.add_patch(
+        Rectangle(
+            corner, width, height, fill=False, ls="--", ec=page.GREY, label="range of the plan"
+        )
+    )
+    plot.autoscale_view()
+    for key, scale in zip(pair, (plot.set_xscale, plot.set_yscale), strict=True):
+        if _is_logarithmic(plan, key):
+            scale("log")
+    drawn.legend(loc="outside upper center", ncols=2)
+
+
+def _drawn_range(plan: campaign.Plan, key: str) -> tuple[float, float]:
+    """Return the lowest and the highest value that a plan gives a numeric input."""
+    at = plan.axes.index(key)
+    if plan.ranges:
+        return plan.ranges[at]["low"], plan.ranges[at]["high"]
+    values = [point[at] for point in plan.points]
+    return min(values), max(values)
+
+
+def _is_logarithmic(plan: campaign.Plan, key: str) -> bool:
+    """Return whether an input is spread evenly in its logarithm."""
+    return bool(plan.ranges) and bool(plan.ranges[plan.axes.index(key)]["log"])
 
 
 def _wrapped(name: str, width: int = 24) -> str:
@@ -246,9 +381,16 @@ def _wrapped(name: str, width: int = 24) -> str:
 
 
 def _draw_distributions(
-    drawn: Figure, varied: Sequence[str], table: pa.Table, names: Sequence[str]
+    drawn: Figure,
+    plan: campaign.Plan,
+    varied: Sequence[str],
+    table: pa.Table,
+    names: Sequence[str],
 ) -> None:
-    """Draw, for each figure, its distribution and its values against each varied input."""
+    """Draw, for each figure, its distribution and its values against each varied input.
+
+    Dashed lines are the ends of the range of an input.
+    """
     plots = drawn.subplots(len(names), 1 + len(varied), squeeze=False)
     for (counts, *others), name in zip(plots, names, strict=True):
         values = figures.BY_NAME[name].scale * _values(table, name)
@@ -256,7 +398,12 @@ def _draw_distributions(
         counts.set(xlabel=_wrapped(_title(name)), ylabel="runs")
         for plot, key in zip(others, varied, strict=True):
             plot.plot(table[key].to_numpy(), values, ".", markersize=3)
-            plot.set(xlabel=_wrapped(key), ylabel=_wrapped(_title(name)))
+            plot.set(xlabel=_wrapped(input_title(key)), ylabel=_wrapped(_title(name)))
+            if isinstance(plan.points[0][plan.axes.index(key)], int | float):
+                for end in _drawn_range(plan, key):
+                    plot.axvline(end, ls="--", lw=0.8, color=page.GREY)
+            if _is_logarithmic(plan, key):
+                plot.set_xscale("log")
 
 
 # --- stopping distance ---
@@ -274,7 +421,8 @@ def _stopping(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
     confidence = f"{100 * stopping.CONFIDENCE:g} %"
     noise = _NORMAL_95 / math.sqrt(max(distance_m.size - 1, 1))
     drivers = [
-        (key, f"{whole:+.2f}", f"{tail:+.2f}") for key, whole, tail in stopping.drivers(plan, table)
+        (input_title(key), f"{whole:+.2f}", f"{tail:+.2f}")
+        for key, whole, tail in stopping.drivers(plan, table)
     ]
     return [
         page.element("h2", "Stopping distance"),

@@ -93,6 +93,12 @@ tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywher
 # text of a cell in a column of numbers
 _NUMBER = re.compile(r"[-+]?\d|-?$|never|nan")
 
+# without date, creator, format and type matplotlib writes no metadata into a file of a kind
+_NO_METADATA: dict[str, dict[str, None]] = {
+    "svg": dict.fromkeys(("Date", "Creator", "Format", "Type")),
+    "pdf": dict.fromkeys(("CreationDate", "Creator", "Producer")),
+}
+
 # what is drawn in the colour of the text
 _INKED = ("text.color", "axes.edgecolor", "axes.labelcolor", "xtick.color", "ytick.color")
 _MATPLOTLIB: Any = {
@@ -233,18 +239,41 @@ def on_paper() -> Iterator[None]:
 
 def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4.5)) -> Markup:
     """Return what a function draws, as SVG; `size` in inches of 72 points."""
+    if _PIXELS.get():
+        pixels = base64.b64encode(_drawn(draw, size, "png")).decode()
+        return element("img", src=f"{PNG}{pixels}")
+    text = _drawn(draw, size, "svg").decode("utf-8")
+    svg = text[text.index("<svg") :]
+    return Markup(svg.replace(INK, "currentColor"))
+
+
+def picture_file(
+    draw: Callable[[Figure], None], size: tuple[float, float], kind: str, pixels_per_inch: int
+) -> bytes:
+    """Return what a function draws on white, as a file.
+
+    size: in inches.
+    kind: "png", "svg" or "pdf".
+    """
+    return _drawn(draw, size, kind, "white", pixels_per_inch)
+
+
+def _drawn(
+    draw: Callable[[Figure], None],
+    size: tuple[float, float],
+    kind: str,
+    background: str = "none",
+    pixels_per_inch: int = _PIXELS_PER_INCH,
+) -> bytes:
+    """Return what a function draws, as a file; a picture of pixels has a white background."""
     with matplotlib.rc_context(_MATPLOTLIB):
         figure = Figure(figsize=size, layout="constrained")
         draw(figure)
-        if _PIXELS.get():
-            pixels = io.BytesIO()
-            figure.savefig(pixels, format="png", dpi=_PIXELS_PER_INCH, facecolor="white")
-            return element("img", src=f"{PNG}{base64.b64encode(pixels.getvalue()).decode()}")
-
-        # without date, creator, format and type matplotlib writes no metadata
-        no_metadata = dict.fromkeys(("Date", "Creator", "Format", "Type"))
-        drawn = io.StringIO()
-        figure.savefig(drawn, format="svg", metadata=no_metadata)
-    text = drawn.getvalue()
-    svg = text[text.index("<svg") :]
-    return Markup(svg.replace(INK, "currentColor"))
+        file = io.BytesIO()
+        if kind == "png":
+            figure.savefig(file, format=kind, dpi=pixels_per_inch, facecolor="white")
+        else:
+            figure.savefig(
+                file, format=kind, facecolor=background, metadata=_NO_METADATA.get(kind, {})
+            )
+    return file.getvalue()

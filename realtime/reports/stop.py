@@ -6,22 +6,24 @@ measured speed as a thin dotted line. The table has separate rows of what follow
 speeds; these are marked as measured.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.textpath import TextPath
 
-from rollerrig.configs.output_files import write_text
+from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.output_files import make_folder, write_bytes, write_text, writing
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import Markup
-from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.events import Code, Event
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.measures import Record
 from rollerrig.wsp_interface.signals import AXLES
@@ -35,6 +37,10 @@ FAULT = "fault"
 
 # m/s. Below it slip is not shown.
 _SLOWEST_M_S = 1.0
+
+# kinds of files of a picture, and the pixels of an inch of a PNG
+_PICTURE_KINDS = ("png", "svg", "pdf")
+_SCREEN_DPI = 100
 
 # m/s. A sound sensor differs less from its wheel: a count on the bus, and the lag of a pole wheel.
 _MEASURED_DIFFERS_M_S = 0.5
@@ -82,11 +88,7 @@ class Mark(NamedTuple):
 
 def write(run: Run, out: Path) -> list[Path]:
     """Write the picture of a recorded run, and return its path. Raises OSError."""
-    marks = [
-        Mark(event.time_s, FAULT, "")
-        for event in run.events
-        if event.code in (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
-    ]
+    marks = fault_marks(run.events)
     radius_m = run.scenario["vehicle"]["wheel_radius_m"]
     write_text(out, str(picture(run.column, radius_m, marks)))
     return [out]
@@ -169,52 +171,179 @@ def _final(finals: Mapping[str, Any], name: str, axle: int, factor: float, place
 # --- picture ---
 
 
+class _Look(NamedTuple):
+    """How one run is drawn among others."""
+
+    width: float  # of its lines, in points
+    marker: str  # on its lines; "" for none
+    lane: float  # where its valves begin in the lane of an axle, from -0.4 to 0.4
+    lane_height: float
+
+
+_ALONE = _Look(width=1.0, marker="", lane=-0.4, lane_height=0.8)
+# markers of the second and the next runs; the lines of the first run are bold and have none
+_RUN_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+_BOLD_PT = 1.6
+_FINE_PT = 0.8
+_MARKS_ON_A_LINE = 12
+
+
+def write_runs(runs: Sequence[Run], out: Path, size: tuple[int, int]) -> Path:
+    """Write a picture of one run or several, for reports, and return its path.
+
+    The picture is light and has a legend that names the runs. The suffix of `out` is .png, .svg or
+    .pdf; `size` is width and height in pixels of a PNG. Raises ConfigError, OSError.
+    """
+    kind = out.suffix.lower().removeprefix(".")
+    if kind not in _PICTURE_KINDS:
+        allowed = ", ".join(f".{name}" for name in _PICTURE_KINDS)
+        raise ConfigError(f"{out}: a picture of this kind cannot be written; allowed are {allowed}")
+    width, height = size
+    inches = (width / _SCREEN_DPI, height / _SCREEN_DPI)
+    content = page.picture_file(lambda figure: draw_runs(figure, runs), inches, kind, _SCREEN_DPI)
+    with writing(out, "give another file with --png"):
+        make_folder(out.parent)
+        write_bytes(out, content)
+    return out
+
+
+def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
+    """Draw one run or several over one another, with a legend that names each."""
+    plots = _plots(figure)
+    looks = _looks(len(runs))
+    for run, look in zip(runs, looks, strict=True):
+        _draw_run(plots, run.column, run.scenario["vehicle"]["wheel_radius_m"], look)
+        for event in run.events:
+            if event.code in (Code.FAULT_BEGINS, Code.FAULT_LIFTED):
+                for plot in plots:
+                    plot.axvline(event.time_s, linestyle=":", color=page.VERMILION)
+    longest = max(runs, key=lambda run: float(run.column("time_s").max(initial=0.0)))
+    marks = fault_marks(runs[0].events) if len(runs) == 1 else []
+    _finish(plots, longest.column("time_s"), marks)
+
+    names = _run_names(runs)
+    figure.suptitle("" if len(runs) > 1 else names[0], fontsize=10)
+    handles = _handles(plots)
+    if len(runs) > 1:
+        for name, look in zip(names, looks, strict=True):
+            handles.append(
+                Line2D([], [], color=page.INK, lw=look.width, marker=look.marker, label=name)
+            )
+    figure.legend(handles=handles, loc="outside upper center", ncols=6)
+
+
+def fault_marks(events: Iterable[Event]) -> list[Mark]:
+    """Return when faults began and were lifted."""
+    found = []
+    for event in events:
+        if event.code == Code.FAULT_BEGINS:
+            found.append(Mark(event.time_s, FAULT, event.fields["fault"]))
+        elif event.code == Code.FAULT_LIFTED:
+            found.append(Mark(event.time_s, FAULT, f"{event.fields['fault']} lifted"))
+    return found
+
+
+def _looks(count: int) -> list[_Look]:
+    """Return how each of some runs is drawn."""
+    if count == 1:
+        return [_ALONE]
+    height = 0.8 / count
+    looks = []
+    for number in range(count):
+        marker = _RUN_MARKERS[(number - 1) % len(_RUN_MARKERS)] if number else ""
+        width = _FINE_PT if number else _BOLD_PT
+        looks.append(_Look(width, marker, -0.4 + height * number, 0.9 * height))
+    return looks
+
+
+def _run_names(runs: Sequence[Run]) -> list[str]:
+    """Return what the legend says of each run: its folder, scenario and unit."""
+    names = [run.folder.resolve().name for run in runs]
+    if len(set(names)) < len(names):
+        names = [str(run.folder) for run in runs]
+    described = []
+    for name, run in zip(names, runs, strict=True):
+        wsp = run.summary.get("wsp") or {}
+        words = [str(run.summary.get("scenario") or ""), f"unit {wsp.get('unit') or '-'}"]
+        if run.summary.get("valid") is False:
+            words.append("not valid")
+        described.append(f"{name} ({', '.join(filter(None, words))})")
+    return described
+
+
 def draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]) -> None:
     """Draw speeds, slip, pressures, adhesion and valves over time."""
-    time_s = column("time_s")
-    plots = figure.subplots(5, 1, sharex=True, height_ratios=(3, 2.4, 3, 3, 2))
+    plots = _plots(figure)
+    _draw_run(plots, column, radius_m, _ALONE)
+    for mark in marks:
+        colour = page.VERMILION if mark.kind == FAULT else page.GREY
+        for plot in plots:
+            plot.axvline(mark.time_s, linestyle=":", color=colour)
+    _finish(plots, column("time_s"), marks)
+    figure.legend(handles=_handles(plots), loc="outside upper center", ncols=8)
+
+
+def _plots(figure: Figure) -> Any:
+    """Return the empty plots: speeds, slip, pressures, adhesion, valves."""
+    return figure.subplots(5, 1, sharex=True, height_ratios=(3, 2.4, 3, 3, 2))
+
+
+def _draw_run(plots: Any, column: Column, radius_m: float, look: _Look) -> None:
+    """Draw what the axles did in one run; each axle has a colour and a kind of line."""
     speed, slip, pressure, adhesion, valves = plots
+    time_s = column("time_s")
+    vehicle_m_s = column("vehicle_speed_m_s")
+    every = max(len(time_s) // _MARKS_ON_A_LINE, 1)
+    common: dict[str, Any] = {"lw": look.width, "marker": look.marker, "ms": 4}
     for axle, colour in enumerate(page.AXLES, start=1):
+        dashes = colours.AXLE_DASHES[axle - 1]
+        first_marker = every * axle // (AXLES + 1)
+        line = common | {
+            "color": colour,
+            "ls": (0, dashes) if dashes else "-",
+            "markevery": (first_marker, every),
+        }
         wheel_m_s = column(f"wheel_circumferential_speed_{axle}_m_s")
         measured_m_s = radius_m * column(f"measured_speed_{axle}_rad_s")
         sliding_m_s = column(f"sliding_{axle}_m_s")
-        speed.plot(time_s, 3.6 * wheel_m_s, color=colour, label=f"axle {axle}")
+        speed.plot(time_s, 3.6 * wheel_m_s, label=f"axle {axle}", **line)
         _draw_measured(speed, time_s, wheel_m_s, measured_m_s, colour)
-        slip.plot(time_s, slip_percent(sliding_m_s, column("vehicle_speed_m_s")), color=colour)
-        pressure.plot(time_s, 1e-5 * column(f"cylinder_pressure_{axle}_Pa"), color=colour)
-        adhesion.plot(time_s, column(f"adhesion_{axle}"), color=colour)
-        _draw_valve(valves, time_s, column(f"valve_{axle}"), axle)
+        slip.plot(time_s, slip_percent(sliding_m_s, vehicle_m_s), **line)
+        pressure.plot(time_s, 1e-5 * column(f"cylinder_pressure_{axle}_Pa"), **line)
+        adhesion.plot(time_s, column(f"adhesion_{axle}"), **line)
+        _draw_valve(valves, time_s, column(f"valve_{axle}"), axle, look)
 
-    speed.plot(
-        time_s,
-        3.6 * column("wsp_reference_speed_m_s"),
-        "--",
-        color=page.GREY,
-        label="WSP reference, brake demand",
-    )
-    speed.plot(time_s, 3.6 * column("vehicle_speed_m_s"), color=page.INK, label="vehicle")
-    pressure.plot(time_s, 1e-5 * column("brake_demand_Pa"), "--", color=page.GREY)
+    line = common | {"markevery": every}
+    reference_kmh = 3.6 * column("wsp_reference_speed_m_s")
+    name = "WSP reference, brake demand"
+    speed.plot(time_s, reference_kmh, "--", color=page.GREY, label=name, **line)
+    speed.plot(time_s, 3.6 * vehicle_m_s, color=page.INK, label="vehicle", **line)
+    pressure.plot(time_s, 1e-5 * column("brake_demand_Pa"), "--", color=page.GREY, **line)
 
+
+def _finish(plots: Any, time_s: np.ndarray, marks: Sequence[Mark]) -> None:
+    """Name the axes, set their ranges and write the names of the marks."""
+    speed, slip, _, adhesion, valves = plots
     titles = ("speeds, km/h", "slip, %", "brake cylinders, bar", "adhesion used", "valve of axle")
     for plot, title in zip(plots, titles, strict=True):
         plot.set_ylabel(title)
-        for mark in marks:
-            colour = page.VERMILION if mark.kind == FAULT else page.GREY
-            plot.axvline(mark.time_s, linestyle=":", color=colour)
     if len(time_s):
         speed.set_xlim(time_s[0], max(time_s[-1], time_s[0] + _LEAST_S))
     _write_names(speed, marks)
-
     slip.set_ylim(*_SLIP_PERCENT)
     adhesion.set_ylim(0.0, None)
-    figure.align_ylabels()
+    speed.figure.align_ylabels()
     valves.set(yticks=range(1, AXLES + 1), ylim=(AXLES + 0.5, 0.5), xlabel="time, s")
 
-    lines, _ = speed.get_legend_handles_labels()
-    states = [
-        Patch(color=colours.as_hex(shade), label=name) for name, shade in colours.VALVE_STATES[1:]
-    ]
-    figure.legend(handles=[*lines, *states], loc="outside upper center", ncols=8)
+
+def _handles(plots: Any) -> list[Any]:
+    """Return the entries of the legend that all runs share."""
+    lines, labels = plots[0].get_legend_handles_labels()
+    first = {label: line for line, label in zip(reversed(lines), reversed(labels), strict=True)}
+    names = list(dict.fromkeys(labels))
+    shown: list[Any] = [first[name] for name in names]
+    states = colours.VALVE_STATES[1:]
+    return shown + [Patch(color=colours.as_hex(shade), label=name) for name, shade in states]
 
 
 def _draw_measured(
@@ -227,14 +356,14 @@ def _draw_measured(
         plot.plot(time_s, 3.6 * shown_m_s, ":", linewidth=0.8, color=colour)
 
 
-def _draw_valve(plot: Axes, time_s: np.ndarray, valve: np.ndarray, axle: int) -> None:
+def _draw_valve(plot: Axes, time_s: np.ndarray, valve: np.ndarray, axle: int, look: _Look) -> None:
     """Draw where the valve of an axle holds and vents; filling is not drawn."""
     for state, (_, shade) in enumerate(colours.VALVE_STATES[1:], start=1):
         # the edge keeps a pulse of one cycle visible
         plot.fill_between(
             time_s,
-            axle - 0.4,
-            axle + 0.4,
+            axle + look.lane,
+            axle + look.lane + look.lane_height,
             valve == state,
             step="post",
             color=colours.as_hex(shade),

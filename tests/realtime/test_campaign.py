@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import resource
 import signal
 import socket
@@ -14,6 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from pypdf import PdfReader
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.campaign import campaign, stopping
@@ -176,8 +178,50 @@ def test_the_page_shows_every_figure_against_what_was_varied(plan_file, tmp_path
     assert page.count("<svg") == 2
     assert page.index("Worst distance from the start") < page.index("<svg")
     assert "rollerrig run " in page
-    for name in (*plan.axes, "stopping distance, m", "energy of sliding, MJ"):
+    for name in (
+        *plan.axes,
+        "adhesion: mu_cd",
+        "initial speed, m/s",
+        "stopping distance, m",
+        "energy of sliding, MJ",
+    ):
         assert name in page
+
+
+def test_the_page_begins_with_a_title_block_and_the_stopping_distance(plan_file, tmp_path):
+    plan = campaign.load(plan_file("sobol", RANGES))
+    run_serially(plan, tmp_path)
+    about = {"document number": "R-12", "revision": "B", "tested by": "A. Meier"}
+    path = report.write(plan, campaign.result(tmp_path), tmp_path, "stop_time_s", True, about)
+    page = path.read_text()
+    headings = re.findall(r"<h2[^>]*>(.*?)</h2>", page)
+    assert headings[:2] == ["Stopping distance", "What was varied"]
+    assert headings[-1] == "Signatures"
+    for text in ("document number", "R-12", "sobol, seed 3", "reference WSP", "Not a certif"):
+        assert page.index(text) < page.index("Stopping distance")
+    ranges = page[page.index("What was varied") :]
+    for cell in ("adhesion: mu_cd", "0.03", "0.1", "evenly in the logarithm", "2", "5"):
+        assert f">{cell}<" in ranges
+    # the range is in the map, and the axes have names and units
+    assert "range of the plan" in page
+    assert "initial speed, m/s" in page
+    reader = PdfReader(path.with_suffix(".pdf"))
+    assert reader.metadata.title == "short stops"
+    assert "revision: B" in reader.pages[0].extract_text()
+    assert f"page 1 of {len(reader.pages)}" in reader.pages[0].extract_text()
+
+
+@pytest.mark.parametrize(
+    ("key", "title"),
+    [
+        ("initial_speed_m_s", "initial speed, m/s"),
+        ("vehicle.mass_kg", "vehicle: mass, kg"),
+        ("adhesion.mu_cd", "adhesion: mu_cd"),
+        ("valve.dead_time_s", "valve: dead time, s"),
+    ],
+)
+def test_an_input_is_named_in_words_with_its_unit(key, title):
+    assert report.input_title(key) == title
 
 
 def dying_unit():

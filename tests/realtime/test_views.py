@@ -11,12 +11,16 @@ import numpy as np
 import pytest
 import rerun as rr
 import synthetic_stop
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from PIL import Image
 from rerun.chunk import RrdReader
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.pictures import colours
-from rollerrig.realtime.record import channels
+from rollerrig.realtime.record import channels, records
+from rollerrig.realtime.reports import stop as run_stop
 from rollerrig.realtime.telemetry import drawing, scene, viewer, views
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import SIGNALS
@@ -397,3 +401,68 @@ def test_a_picture_shows_every_axle_in_its_colour(folder, tmp_path):
     for colour in colours.AXLES:
         difference = np.abs(image - colour).sum(axis=2)
         assert (difference < 40).sum() > 200
+
+
+# --- pictures for reports ---
+
+
+def other_run(folder, tmp_path):
+    """Return the folder of a second run."""
+    other = tmp_path / "second"
+    shutil.copytree(folder, other)
+    return other
+
+
+@pytest.fixture
+def reported(tmp_path, stop):
+    """The folder of a run with a whole scenario."""
+    path = tmp_path / "first"
+    path.mkdir()
+    writer = channels.Channels(path)
+    writer.add(stop)
+    writer.finish()
+    (path / "scenario.toml").write_text(scenario.dump(scenario.load("velim_a1")))
+    return path
+
+
+def test_a_picture_for_a_report_is_light_and_shows_every_axle_in_its_colour(reported, tmp_path):
+    png = tmp_path / "report.png"
+    run_stop.write_runs([records.load(reported)], png, (1200, 900))
+    image = np.asarray(Image.open(png).convert("RGB")).astype(int)
+    assert image.shape == (900, 1200, 3)
+    assert (image[[0, -1]] == 255).all()
+    assert (image == 255).all(axis=2).mean() > 0.7
+    for colour in colours.AXLES:
+        difference = np.abs(image - colour).sum(axis=2)
+        assert (difference < 40).sum() > 100
+
+
+def test_the_legend_of_a_picture_names_each_run_and_each_has_other_lines(reported, tmp_path):
+    runs = [records.load(reported), records.load(other_run(reported, tmp_path))]
+    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
+    run_stop.draw_runs(figure, runs)
+    (legend,) = figure.legends
+    entries = {
+        text.get_text(): (line.get_marker(), line.get_linewidth())
+        for text, line in zip(legend.get_texts(), legend.legend_handles, strict=True)
+        if isinstance(line, Line2D)
+    }
+    first, second = (look for name, look in entries.items() if name.startswith(("first", "second")))
+    assert first != second
+    assert [f"axle {axle}" in entries for axle in range(1, 5)] == [True] * 4
+
+
+def test_each_axle_has_a_kind_of_line_besides_its_colour(reported):
+    figure = Figure(figsize=(12.0, 9.0), layout="constrained")
+    run_stop.draw_runs(figure, [records.load(reported)])
+    kinds = {
+        line.get_label(): str(line._dash_pattern)
+        for line in figure.axes[0].get_lines()
+        if line.get_label().startswith("axle")
+    }
+    assert len(kinds) == len(set(kinds.values())) == 4
+
+
+def test_a_picture_of_an_unknown_kind_is_refused_with_the_kinds_that_there_are(reported, tmp_path):
+    with pytest.raises(ConfigError, match=r"allowed are .png, .svg, .pdf"):
+        run_stop.write_runs([records.load(reported)], tmp_path / "run.gif", (800, 600))
