@@ -35,6 +35,7 @@ FLOORS = {
         "identify",
     ),
     "rig/identify": (
+        "files",
         "data",
         "replay train_recorder",
         "causes",
@@ -80,6 +81,7 @@ OUTSIDE = {
     "rig": "numpy",
     "rig/compiled": "numpy numba llvmlite",
     "rig/identify": "numpy scipy threadpoolctl",
+    "rig/identify/files": "numpy pyarrow",
     "rig/identify/data": "numpy scipy pyarrow asammdf",
     "rig/identify/train_recorder": "numpy scipy pyarrow rosbags",
     # pytest and robot: for the tests of users

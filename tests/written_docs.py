@@ -166,6 +166,7 @@ TABLES = {
     "datasets.md": {
         "| key | default | allowed | what |": lambda: keys(dataset.HEAD),
         "| key of a run | default | allowed | what |": lambda: keys(dataset.RUN),
+        "| key of a channel | default | allowed | what |": lambda: keys(dataset.CHANNEL),
         "| key of the accuracy | default | allowed | what |": lambda: keys(dataset.ACCURACY),
         "| table | its keys |": overrides,
     },

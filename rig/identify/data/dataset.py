@@ -9,20 +9,19 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute
-import pyarrow.csv
-import pyarrow.parquet
 
-from rollerrig.configs import store, table, toml_text, unpacking, user_files
+from rollerrig.configs import store, table, toml_text, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, flag, number
 from rollerrig.rig import params
 from rollerrig.rig.identify.data import mdf, quality
 from rollerrig.rig.identify.data.runs import AXLES, Curve, Dataset, Run
+from rollerrig.rig.identify.files import channels, tables, units
+from rollerrig.rig.identify.files.channels import Source
+from rollerrig.rig.identify.files.tables import Table
 
 # the keys of dataset.toml outside its tables
 HEAD = (
@@ -30,6 +29,8 @@ HEAD = (
     # in the file the key is `vehicle`; `parse` renames it
     choice("vehicle_set", "uic_z1", (), "configs/vehicles; written `vehicle`"),
     number("sample_time_s", 0.01, 1e-4, 0.1, "s"),
+    choice("separator", "auto", tables.SEPARATORS, "of a CSV; auto: found in the file"),
+    choice("decimal", "auto", tables.DECIMALS, "of a CSV; auto: found in the file"),
     choice("file", "", (), "the file of a creep curve"),
     choice("title", "", (), "a sentence"),
     choice("source", "", (), "where the data is from"),
@@ -78,12 +79,29 @@ CHANNELS = (
     *columns_of_axles("brake_torque", "Nm"),
     *columns_of_axles("surface_speed", "m_s"),
 )
-FILE_REMEDY = "correct `file` in dataset.toml"
-MOST_COLUMNS = 10_000
-MOST_TEXT_BYTES = 256_000_000  # of a column of texts
-TABLES = ("vehicle", "adhesion", "contact", "brake", "accuracy", "axles", "run")
+# the columns of a creep curve
+CURVE_CHANNELS = ("creepage", "adhesion", "speed_m_s", "wheel_load_N", "series")
+# the keys of an entry of [channels]
+CHANNEL = (
+    choice("column", "", (), "column or channel of the file; default: the key"),
+    choice("unit", "", (), "of the values in the file; default: from the file, else from the key"),
+)
+# the unit at the end of a key -> unit
+KEY_UNITS = {
+    "time_s": "s",
+    "m_s": "m/s",
+    "rad_s": "rad/s",
+    "N": "N",
+    "Nm": "Nm",
+    "m": "m",
+    "creepage": "-",
+    "adhesion": "-",
+}
+TABLES = ("vehicle", "adhesion", "contact", "brake", "accuracy", "axles", "channels", "run")
 MODEL_TABLES = ("vehicle", "adhesion", "contact", "brake")
 
+# Larger stamps are dates. They count from the first sample, so that they lose no digits.
+LARGEST_TIME_S = 1e6
 LEAST_CURVE_POINTS = 12  # a creep curve has five parameters to fit
 LARGEST_CURVE_VALUE = 1.5  # creepage and adhesion are shares; larger values are probably percent
 DEFAULT_CURVE_SPEED_M_S = 10.0
@@ -104,17 +122,17 @@ def load(folder: Path | str) -> Dataset:
             "as braking runs; use rollerrig explain"
         )
 
-    tables = _take_tables(content, path)
+    toml_tables = _take_tables(content, path)
     head = table.read(HEAD, content, str(path))
-    sections = base_sections(head["vehicle_set"], tables, str(path))
+    sections = base_sections(head["vehicle_set"], toml_tables, str(path))
     dataset = Dataset(
         name=folder.name,
         kind=head["kind"],
         folder=folder,
         sample_time_s=head["sample_time_s"],
         sections=sections,
-        accuracy=read_rows(ACCURACY, tables.get("accuracy", {}), f"{path} [accuracy]"),
-        axle_position_m=_axle_positions(tables.get("axles", {}), sections, str(path)),
+        accuracy=read_rows(ACCURACY, toml_tables.get("accuracy", {}), f"{path} [accuracy]"),
+        axle_position_m=_axle_positions(toml_tables.get("axles", {}), sections, str(path)),
         runs=[],
         curve=None,
         warnings=[],
@@ -122,10 +140,18 @@ def load(folder: Path | str) -> Dataset:
     if head["note"]:
         dataset.warnings.append(head["note"])
 
+    keys = ("time_s", *CHANNELS)
     if head["kind"] == "creep_curve":
-        return dataset._replace(curve=_creep_curve(dataset, head, tables))
-    for number_of_run, row in enumerate(tables.get("run", []), start=1):
-        dataset.runs.append(_run(dataset, row, number_of_run, path))
+        keys = CURVE_CHANNELS
+    reading = _Reading(
+        form={"separator": head["separator"], "decimal": head["decimal"]},
+        sources=_read_sources(toml_tables.get("channels", {}), keys, f"{path} [channels]"),
+        radius_m=sections["vehicle"]["wheel_radius_m"],
+    )
+    if head["kind"] == "creep_curve":
+        return dataset._replace(curve=_creep_curve(dataset, head, toml_tables, reading))
+    for number_of_run, row in enumerate(toml_tables.get("run", []), start=1):
+        dataset.runs.append(_run(dataset, row, number_of_run, path, reading))
     quality.check(dataset, str(path))
     return dataset
 
@@ -225,97 +251,114 @@ def _axle_positions(given: Any, sections: Mapping[str, Any], where: str) -> np.n
     return positions
 
 
-def read_table(path: Path, folder: Path) -> pa.Table:
-    """Return the table of a CSV or Parquet file of a dataset in a folder. Raises ConfigError."""
-    try:
-        if path.suffix.lower() == ".parquet":
-            return _read_parquet(path, folder)
-        content = user_files.read_bytes(path, user_files.CSV, folder, FILE_REMEDY)
-        # skip the comment lines at the top of a CSV file
-        while content.startswith(b"#"):
-            content = content[content.index(b"\n") + 1 :]
-        check_columns(path, content.partition(b"\n")[0].count(b",") + 1)
-        return pyarrow.csv.read_csv(pa.BufferReader(content))
-    except (pa.ArrowInvalid, ValueError, OSError) as error:
-        raise ConfigError(f"{path}: cannot be read as a table: {error}") from None
+# --- the columns of data files ---
 
 
-def check_columns(path: Path, count: int) -> None:
-    """Raise ConfigError if a file has more columns than are allowed."""
-    if count > MOST_COLUMNS:
-        raise ConfigError(
-            f"{path}: has {count} columns; at most {MOST_COLUMNS} are allowed: leave out what is not "
-            "needed"
+class _Reading(NamedTuple):
+    """How the data files of a dataset are read.
+
+    form: the keys `separator` and `decimal` of dataset.toml.
+    sources: of the channels in [channels], by key.
+    radius_m: of the wheels, for wheel speeds that are given in m/s or km/h.
+    """
+
+    form: dict[str, Any]
+    sources: dict[str, Source]
+    radius_m: float
+
+    def column(self, key: str) -> str:
+        """Return the name of the column of a channel."""
+        if key in self.sources:
+            return self.sources[key].column
+        return key
+
+
+class _DataFile(NamedTuple):
+    """The table of a data file, and how it is read."""
+
+    path: Path
+    table: Table
+    reading: _Reading
+
+    def has(self, key: str) -> bool:
+        """Return whether the file has a channel."""
+        return self.reading.column(key) in self.table.names
+
+    def channel(self, key: str) -> np.ndarray:
+        """Return finite values (n,) in the unit of the key. Raises ConfigError."""
+        source = self.reading.sources.get(key, Source(key, ""))
+        if key == "time_s":
+            stamps = channels.seconds(self.path, self.table, source)
+            self._check_finite(source.column, stamps.time_s)
+            if not np.any(np.abs(stamps.time_s) > LARGEST_TIME_S):
+                return stamps.time_s
+            return stamps.time_s - stamps.time_s[0]
+
+        values = channels.values(self.path, self.table, source.column)
+        self._check_finite(source.column, values)
+        key_unit = _key_unit(key)
+        found = self.table.units.get(source.column, "")
+        channels.check_name(self.path, self.reading.sources, key, key_unit, found)
+        factor = channels.factor(self.path, source, key, key_unit, found, self.reading.radius_m)
+        return values if factor == 1.0 else factor * values
+
+    def axles(self, quantity: str, unit: str) -> np.ndarray:
+        """Return a quantity of all wheelsets, shape (samples, AXLES). Raises ConfigError."""
+        return np.column_stack([self.channel(key) for key in columns_of_axles(quantity, unit)])
+
+    def _check_finite(self, column: str, values: np.ndarray) -> None:
+        """Raise ConfigError if a value is not a finite number."""
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise ConfigError(
+                f"{self.path}: column '{column}' is not a finite number in {bad.size} rows, the "
+                f"first is {self.table.place(int(bad[0]))}; split the run at the gap into two runs, "
+                "or repair it"
+            )
+
+
+def _key_unit(key: str) -> str:
+    """Return the unit of a channel by its key; "" if it has none."""
+    for ending, unit in KEY_UNITS.items():
+        if key == ending or key.endswith(f"_{ending}"):
+            return unit
+    return ""
+
+
+def _read_sources(content: Any, keys: tuple[str, ...], where: str) -> dict[str, Source]:
+    """Return the sources of the channels of a table [channels]. Raises ConfigError."""
+    if not isinstance(content, Mapping):
+        raise ConfigError(f"{where}: is not a table; write [channels]")
+    sources = {}
+    for key, given in content.items():
+        if key not in keys:
+            raise ConfigError(
+                f"{where}: {key} is no channel{table.nearest(key, keys)}; allowed: "
+                f"{', '.join(name for name in keys if not re.search('_[2-9]_', name))}, and so on "
+                "for each wheelset"
+            )
+        row = table.read(
+            CHANNEL, {"column": given} if isinstance(given, str) else given, f"{where} {key}"
         )
+        sources[key] = Source(row["column"] or key, row["unit"])
+        if row["unit"] and units.find(row["unit"]) is None:
+            raise ConfigError(
+                f"{where} {key}: unit = '{row['unit']}' is not known; allowed: "
+                f"{', '.join(channels.allowed_in(_key_unit(key)))}"
+            )
+    return sources
 
 
-def _read_parquet(path: Path, folder: Path) -> pa.Table:
-    """Return the table of a Parquet file. Raises ConfigError, and what pyarrow raises."""
-    user_files.check(path, user_files.PARQUET, folder, FILE_REMEDY)
-    metadata = pyarrow.parquet.read_metadata(path)
-    check_columns(path, metadata.num_columns)
-    unpacking.check_parquet(path, metadata)
-
-    texts = unpacking.text_columns(metadata)
-    data = pyarrow.parquet.ParquetFile(path, read_dictionary=texts).read()
-    for place, name in enumerate(data.column_names):
-        values = data.column(place)
-        if pa.types.is_dictionary(values.type):
-            _check_text_size(path, name, values)
-            data = data.set_column(place, name, values.cast(values.type.value_type))
-    return data
-
-
-def _check_text_size(path: Path, name: str, values: pa.ChunkedArray) -> None:
-    """Raise ConfigError if a column of texts, read as dictionary, is too large as texts."""
-    size = 0
-    for chunk in values.chunks:
-        lengths = pyarrow.compute.binary_length(chunk.dictionary)
-        size += pyarrow.compute.sum(lengths.take(chunk.indices)).as_py() or 0
-    if size > MOST_TEXT_BYTES:
-        raise ConfigError(
-            f"{path}: the texts of column '{name}' need {size / 1e6:.4g} MB; at most "
-            f"{MOST_TEXT_BYTES / 1e6:.4g} MB are allowed: leave the column out"
-        )
-
-
-def column(data: pa.Table, name: str, path: Path) -> np.ndarray:
-    """Return a column of finite numbers. Raises ConfigError with the column and the row."""
-    count = data.column_names.count(name)
-    if count == 0:
-        similar = table.nearest(name, data.column_names)
-        raise ConfigError(f"{path}: column '{name}' is missing{similar}")
-    if count > 1:
-        raise ConfigError(f"{path}: column '{name}' is there {count} times; keep one")
-
-    try:
-        values = np.asarray(data[name].to_numpy(zero_copy_only=False), dtype=float)
-    except (ValueError, TypeError):
-        raise ConfigError(
-            f"{path}: column '{name}' does not hold numbers only; give one number in each row"
-        ) from None
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        # row 1 of the file is its header, so sample 0 is in row 2
-        raise ConfigError(
-            f"{path}: column '{name}' is not a finite number in {bad.size} rows, the first is row "
-            f"{bad[0] + 2}; split the run at the gap into two runs, or repair it"
-        )
-    return values
-
-
-def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Path) -> Run:
+def _run(
+    dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Path, reading: _Reading
+) -> Run:
     """Return the checked run of a table [[run]]. Raises ConfigError."""
     where = f"{toml} [[run]] {number_of_run}"
     entry = read_rows(RUN, row, where)
     if not entry["file"]:
         raise ConfigError(f"{where}: file is missing; give the name of this run's data file")
-    path = dataset.folder / entry["file"]
-    if path.suffix.lower() in mdf.SUFFIXES:
-        user_files.check(path, user_files.MDF, dataset.folder, FILE_REMEDY)
-        data = mdf.read(path, dataset.sample_time_s, CHANNELS, dataset.warnings)
-    else:
-        data = read_table(path, dataset.folder)
+    file = _open(dataset, dataset.folder / entry["file"], reading)
+    path = file.path
 
     if entry["held"]:
         mass_kg = math.inf  # so that the forces of the wheels do not change the speed
@@ -324,23 +367,21 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
     else:
         mass_kg = dataset.sections["vehicle"]["mass_kg"]
 
-    position_m = None
-    if "position_m" in data.column_names:
-        position_m = column(data, "position_m", path)
+    position_m = file.channel("position_m") if file.has("position_m") else None
     surface_m_s = None
-    if "surface_speed_1_m_s" in data.column_names:
-        surface_m_s = _values_of_axles(data, "surface_speed", "m_s", path)
+    if file.has("surface_speed_1_m_s"):
+        surface_m_s = file.axles("surface_speed", "m_s")
 
     run = Run(
         name=path.stem,
         group=entry["group"],
         mass_kg=mass_kg,
         mu_cd=entry["mu_cd"] if entry["mu_cd"] > 0 else None,
-        time_s=column(data, "time_s", path),
-        speed_m_s=column(data, "vehicle_speed_m_s", path),
-        wheel_speed_rad_s=_values_of_axles(data, "wheel_speed", "rad_s", path),
-        load_N=_values_of_axles(data, "wheel_load", "N", path),
-        torque_Nm=_values_of_axles(data, "brake_torque", "Nm", path),
+        time_s=file.channel("time_s"),
+        speed_m_s=file.channel("vehicle_speed_m_s"),
+        wheel_speed_rad_s=file.axles("wheel_speed", "rad_s"),
+        load_N=file.axles("wheel_load", "N"),
+        torque_Nm=file.axles("brake_torque", "Nm"),
         position_m=position_m,
         surface_m_s=surface_m_s,
     )
@@ -348,26 +389,46 @@ def _run(dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Pat
     return run
 
 
-def _values_of_axles(data: pa.Table, quantity: str, unit: str, path: Path) -> np.ndarray:
-    """Return a quantity of all wheelsets, shape (samples, AXLES). Raises ConfigError."""
-    return np.column_stack([column(data, name, path) for name in columns_of_axles(quantity, unit)])
+def _open(dataset: Dataset, path: Path, reading: _Reading) -> _DataFile:
+    """Return the table of a run's file; notes are added to the dataset. Raises ConfigError."""
+    if path.suffix.lower() not in mdf.SUFFIXES:
+        content = tables.read(path, dataset.folder, reading.form)
+        dataset.warnings.extend(f"{path.name}: {note}" for note in content.notes)
+        return _DataFile(path, content, reading)
+
+    user_files.check(path, user_files.MDF, dataset.folder, tables.FILE_REMEDY)
+    names = tuple(reading.column(key) for key in CHANNELS)
+    mapped = {source.column for source in reading.sources.values()}
+    content = mdf.read(
+        path,
+        dataset.sample_time_s,
+        names,
+        dataset.warnings,
+        lead=reading.column("wheel_speed_1_rad_s"),
+        mapped=mapped,
+    )
+    # the stamps of MDF are part of the format
+    sources = {key: source for key, source in reading.sources.items() if key != "time_s"}
+    return _DataFile(path, content, reading._replace(sources=sources))
 
 
-def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str, Any]) -> Curve:
+def _creep_curve(
+    dataset: Dataset, head: Mapping[str, Any], toml_tables: Mapping[str, Any], reading: _Reading
+) -> Curve:
     """Return the checked creep curve of a dataset. Raises ConfigError.
 
     Its points are in the file of the key `file`, else in the files of the tables [[run]]. Warnings
     are added to the dataset.
     """
-    names = [row.get("file", "") for row in tables.get("run", [])]
+    names = [row.get("file", "") for row in toml_tables.get("run", [])]
     if head["file"]:
         names = [head["file"]]
     if not names or not all(names):
         toml = dataset.folder / "dataset.toml"
         raise ConfigError(f'{toml}: no data file is given; write file = "curve.csv"')
     paths = [dataset.folder / name for name in names]
-    files = [(path, read_table(path, dataset.folder)) for path in paths]
-    first_file = files[0][0]
+    files = [_open(dataset, path, reading) for path in paths]
+    first_file = files[0].path
 
     creepage = _joined_columns(files, "creepage", None)
     adhesion = _joined_columns(files, "adhesion", None)
@@ -400,25 +461,23 @@ def _creep_curve(dataset: Dataset, head: Mapping[str, Any], tables: Mapping[str,
     )
 
 
-def _joined_columns(
-    files: Sequence[tuple[Path, pa.Table]], name: str, default: float | None
-) -> np.ndarray:
+def _joined_columns(files: Sequence[_DataFile], name: str, default: float | None) -> np.ndarray:
     """Return a column of all files in one array.
 
     `default` fills files without the column. None: each file must have it.
     """
     parts = []
-    for path, data in files:
-        if name in data.column_names or default is None:
-            parts.append(column(data, name, path))
+    for file in files:
+        if file.has(name) or default is None:
+            parts.append(file.channel(name))
         else:
-            parts.append(np.full(len(data), default))
+            parts.append(np.full(len(file.table.data), default))
     return np.concatenate(parts)
 
 
 def _warn_of_default(
     dataset: Dataset,
-    files: Sequence[tuple[Path, pa.Table]],
+    files: Sequence[_DataFile],
     name: str,
     default: float,
     consequence: str,
@@ -427,7 +486,7 @@ def _warn_of_default(
 
     `consequence` is what depends on the column.
     """
-    without = [str(path) for path, data in files if name not in data.column_names]
+    without = [str(file.path) for file in files if not file.has(name)]
     if without:
         dataset.warnings.append(
             f"{', '.join(without)}: column '{name}' is missing, so {default:g} is used, and "

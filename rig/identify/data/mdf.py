@@ -15,7 +15,7 @@ import math
 import mmap
 import re
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +27,7 @@ from scipy.signal import resample_poly
 
 from rollerrig.configs import unpacking
 from rollerrig.configs.errors import ConfigError
+from rollerrig.rig.identify.files.tables import Table
 
 SUFFIXES = (".mf4", ".mdf")
 # Accepted spellings of a unit, by the end of the channel's name. A channel without a unit in the
@@ -58,7 +59,6 @@ _WITHOUT_FRAMES: Any = {"process_bus_logging": False}
 _SHOWN_OF_FORMULA = 60
 _LEAST_SAMPLES = 4  # a cubic spline needs them
 _LONGEST_STEP = 1.5  # times the typical step; a longer one is a gap
-_LEAD_CHANNEL = "wheel_speed_1_rad_s"
 
 # what a file may need in memory
 _MOST_BYTES = 1_000_000_000
@@ -78,14 +78,32 @@ class _ZipHeader(NamedTuple):
     packed_bytes: int
 
 
-def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str]) -> pa.Table:
+def read(
+    path: Path,
+    step_s: float,
+    names: tuple[str, ...],
+    warnings: list[str],
+    lead: str,
+    mapped: Collection[str] = (),
+) -> Table:
     """Return those channels of a file that exist, on one clock of `step_s`, and `time_s`.
+
+    `lead` is the channel of the first wheel speed. `mapped` are channels that dataset.toml names:
+    the unit in the file is returned, and not held against the unit in the name.
 
     Adds a warning where samples were moved. Raises ConfigError where asammdf is missing, the file
     is damaged, or a channel has gaps, another unit, or no time in common with the others.
     """
     signals = channels(path, names)
-    checked = {name: _checked(signal, name, path) for name, signal in signals.items()}
+    found_units = {}
+    checked = {}
+    for name, signal in signals.items():
+        unit = str(signal.unit or "").strip()
+        if name in mapped:
+            found_units[name] = unit
+        else:
+            _check_unit(unit, name, path)
+        checked[name] = _checked(signal, name, path)
 
     first_s = max(float(time[0]) for time, _ in checked.values())
     last_s = min(float(time[-1]) for time, _ in checked.values())
@@ -96,7 +114,7 @@ def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str])
         )
 
     # the common clock is that of the first wheel speed: interpolation must not change innovations
-    lead_time, _ = checked.get(_LEAD_CHANNEL, next(iter(checked.values())))
+    lead_time, _ = checked.get(lead, next(iter(checked.values())))
     lead_s = lead_time[0]
     first_s = lead_s + step_s * math.ceil((first_s - lead_s) / step_s - 1e-6)
     grid_s = first_s + step_s * np.arange(int((last_s - first_s) / step_s + 1e-6) + 1)
@@ -112,7 +130,7 @@ def read(path: Path, step_s: float, names: tuple[str, ...], warnings: list[str])
             f"{path.name}: channels with other clocks were moved to the common clock: "
             f"{', '.join(moved)}; delays below one sample cannot be judged"
         )
-    return pa.table(columns)
+    return Table(pa.table(columns), found_units, 0, "MDF4")
 
 
 def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
@@ -230,7 +248,6 @@ def _formulas(conversion: Any) -> Iterator[str]:
 
 def _checked(signal: Any, name: str, path: Path) -> tuple[np.ndarray, np.ndarray]:
     """Return (time in s, values) of a signal. Raises ConfigError."""
-    _check_unit(str(signal.unit or "").strip(), name, path)
     time_s = np.asarray(signal.timestamps, float)
     values = np.asarray(signal.samples, float)
     if time_s.size < _LEAST_SAMPLES:

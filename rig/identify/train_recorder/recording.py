@@ -15,6 +15,8 @@ from rollerrig.configs import table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, number
 from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.files import channels as file_channels
+from rollerrig.rig.identify.files import tables, units
 from rollerrig.rig.identify.train_recorder import files
 
 HEAD = (
@@ -22,8 +24,8 @@ HEAD = (
     choice("title", "", (), "a sentence"),
     choice("source", "", (), "where the data is from"),
     choice("note", "", (), "what a reader of the report must know; the report repeats it"),
-    choice("separator", "auto", ("auto", ",", ";", "tab"), "of a CSV; auto: found in the file"),
-    choice("decimal", ".", (".", ","), "of a CSV"),
+    choice("separator", "auto", tables.SEPARATORS, "of a CSV; auto: found in the file"),
+    choice("decimal", "auto", tables.DECIMALS, "of a CSV; auto: found in the file"),
     number("wheel_radius_m", 0.445, 0.2, 0.7, "that the recorder assumes, for speeds in rad/s"),
 )
 CHANNEL = (
@@ -71,14 +73,14 @@ KEYS = (
 # unit in a key -> unit
 _KEY_UNITS = {"m_s": "m/s", "rad_s": "rad/s"}
 
-# unit -> m/s or m
-UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "m": 1.0, "km": 1000.0}
+# quantity -> unit to which its values are converted
+_SI_UNITS = {"speed": "m/s", "reference": "m/s", "position": "m", "demand": ""}
 
 # quantity -> allowed units
 _ALLOWED_UNITS = {
-    "speed": ("m/s", "km/h", "mph", "rad/s"),
-    "reference": ("m/s", "km/h", "mph"),
-    "position": ("m", "km"),
+    "speed": (*units.of_quantity(units.SPEED), *units.of_quantity(units.ROTATION)),
+    "reference": units.of_quantity(units.SPEED),
+    "position": units.of_quantity(units.LENGTH),
     "demand": ("",),
 }
 
@@ -144,7 +146,7 @@ class _Key(NamedTuple):
 
 
 class _Stamps(NamedTuple):
-    """Column and unit of the stamps."""
+    """Column of the stamps, and their unit, or "" if dataset.toml gives none."""
 
     column: str
     unit: str
@@ -160,7 +162,7 @@ class _ChannelSource(NamedTuple):
     unit: str
     unit_is_given: bool  # by `unit`, not only by the key
     delay_s: float
-    scale: float  # of `unit` to SI
+    radius_m: float  # that the recorder assumes
 
 
 def load(folder: Path | str) -> Recording:
@@ -191,7 +193,8 @@ def load(folder: Path | str) -> Recording:
         name = Path(row["file"]).stem
         if name in {run.name for run in runs}:
             name = f"{name}_{len(runs) + 1}"
-        channels = _load_channels(place / row["file"], file_head, sources, place)
+        channels, notes_of_file = _load_channels(place / row["file"], file_head, sources, place)
+        notes.extend(notes_of_file)
         runs.append(Run(name, row["date"], row["vehicle_id"], channels))
     return Recording(place.name, runs, notes)
 
@@ -245,14 +248,14 @@ def _read_channels(
     tables: Mapping[str, Any], head: Mapping[str, Any], where: str
 ) -> tuple[_Stamps, list[_ChannelSource]]:
     """Return column and unit of the stamps, and the channels."""
-    stamps = _Stamps("time_s", "s")
+    stamps = _Stamps("time_s", "")
     sources = []
     for key, content in tables.items():
         given = {"column": content} if isinstance(content, str) else content
         row = dataset.read_rows(CHANNEL, given, f"{where} {key}")
         row["column"] = row["column"] or key
         if key == "time_s":
-            stamps = _Stamps(row["column"], row["unit"] or "s")
+            stamps = _Stamps(row["column"], row["unit"])
         else:
             sources.append(_channel_source(key, row, head, where))
 
@@ -282,7 +285,8 @@ def _channel_source(
             "position_m"
         )
 
-    unit = row["unit"] or kind.unit
+    known = units.find(row["unit"] or kind.unit)
+    unit = known.name if known else row["unit"]
     allowed = _ALLOWED_UNITS[kind.quantity]
     if kind.quantity != "demand" and unit not in allowed:
         raise ConfigError(
@@ -293,7 +297,6 @@ def _channel_source(
     delay_s = row["delay_s"]
     if delay_s < 0.0:  # not given
         delay_s = REFERENCE_DELAY_S if kind.quantity == "reference" else 0.0
-    scale = head["wheel_radius_m"] if unit == "rad/s" else UNITS.get(unit, 1.0)
     return _ChannelSource(
         quantity=kind.quantity,
         name=row["name"] or kind.name,
@@ -302,15 +305,16 @@ def _channel_source(
         unit=unit,
         unit_is_given=bool(row["unit"]),
         delay_s=delay_s,
-        scale=scale,
+        radius_m=head["wheel_radius_m"],
     )
 
 
 def _load_channels(
     path: Path, head: Mapping[str, Any], sources: list[_ChannelSource], folder: Path
-) -> dict[str, Channel]:
-    """Return the channels of a file by name, in SI units, with stamps from the first sample on.
+) -> tuple[dict[str, Channel], list[str]]:
+    """Return the channels of a file by name, in SI units, and notes of the file.
 
+    The stamps count from the first sample.
     The file belongs to a dataset in `folder`.
     """
     columns = files.read(path, [source.column for source in sources], head, folder)
@@ -335,22 +339,37 @@ def _load_channels(
             quantum=scale * quantum(column.values),
             axle=source.axle,
         )
-    return channels
+    notes = list(columns[sources[0].column].notes)
+    other_units: dict[tuple[str, str], list[str]] = {}
+    for source in sources:
+        found = units.find(columns[source.column].unit)
+        if found and source.unit and not source.unit_is_given and found.name != source.unit:
+            other_units.setdefault((found.name, source.unit), []).append(source.column)
+    for (unit_of_file, unit_of_key), names in other_units.items():
+        notes.append(
+            f"{path.name}: {', '.join(names)} have the unit {unit_of_file} in the file, but "
+            f"{unit_of_key} in the keys of dataset.toml; the unit of the file is used: write it as "
+            "`unit` in [channels]"
+        )
+    return channels, notes
 
 
 def _scale(path: Path, source: _ChannelSource, column: files.Column) -> float:
-    """Return the factor to SI units; a unit in the file wins over the unit in the key."""
-    file_unit = column.unit.replace(" ", "")
-    if file_unit not in UNITS:
-        return source.scale
-    if source.unit_is_given and file_unit != source.unit:
-        raise ConfigError(
-            f"{path}: column '{source.column}' has the unit '{file_unit}', but dataset.toml gives "
-            f"unit = '{source.unit}' for {source.name}; correct one of them"
-        )
-    if file_unit in _ALLOWED_UNITS[source.quantity]:
-        return UNITS[file_unit]
-    return source.scale
+    """Return the factor to SI units; a unit in the file wins over the unit in the key.
+
+    Raises ConfigError if the unit in the file contradicts the unit in dataset.toml.
+    """
+    if source.quantity == "demand":
+        return 1.0
+    found = column.unit
+    if found in units.AMBIGUOUS and source.unit == "rad/s":
+        found = ""  # the key decides what this unit means
+    given = file_channels.Source(source.column, source.unit)
+    if found and not source.unit_is_given:
+        given = given._replace(unit="")
+    return file_channels.factor(
+        path, given, source.name, _SI_UNITS[source.quantity], found, source.radius_m
+    )
 
 
 def quantum(values: np.ndarray) -> float:

@@ -224,10 +224,10 @@ def test_a_local_clock_without_a_zone_that_is_turned_is_reported_as_a_step_of_an
 
 
 @pytest.mark.parametrize(
-    "stamp", ["29.03.2026 10:00:00", "03/29/2026 10:00:00", "2026-03-29 25:00:00", "yesterday"]
+    "stamp", ["31.02.2026 10:00:00", "13/29/2026 10:00:00", "2026-03-29 25:00:00", "yesterday"]
 )
 @pytest.mark.parametrize("name", ["one.csv", "one.parquet"])
-def test_an_ambiguous_date_is_refused_with_the_form_that_is_required(tmp_path, stamp, name):
+def test_text_that_is_no_stamp_is_refused_with_the_forms_that_are_read(tmp_path, stamp, name):
     write_recording(tmp_path, name, [stamp] * N)
     with pytest.raises(ConfigError, match=r"one\.(csv|parquet): column 't'.*2026-03-29 10:00:00"):
         loaded(tmp_path, name)

@@ -279,8 +279,8 @@ WRONG = {
     ),
     "no such unit": Edit(
         old='unit = "km/h"',
-        new='unit = "kmh"',
-        message="kmh.*allowed: .*km/h",
+        new='unit = "km/s"',
+        message="km/s.*allowed: .*km/h",
     ),
     "no such channel": Edit(
         old="reference_speed_m_s",
