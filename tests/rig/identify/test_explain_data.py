@@ -82,15 +82,15 @@ def test_a_torque_of_the_wrong_sign_is_refused(copy: Path) -> None:
         dataset.load(copy)
 
 
-def test_a_missing_value_names_its_row(copy: Path) -> None:
+def test_a_missing_value_names_its_line(copy: Path) -> None:
     def without_value_7(speed_rad_s: np.ndarray) -> np.ndarray:
         speed_rad_s = speed_rad_s.copy()
         speed_rad_s[7] = np.nan
         return speed_rad_s
 
     change_column(copy, "a2", "wheel_speed_3_rad_s", without_value_7)
-    # rows of the file count from 1, and the first one is the header
-    with pytest.raises(ConfigError, match="row 9"):
+    # lines of the file count from 1, and the first one holds the names
+    with pytest.raises(ConfigError, match="line 9"):
         dataset.load(copy)
 
 
