@@ -225,7 +225,7 @@ TABLE: dict[Code, Row] = {
         WARNING,
         {"axle": int, "sliding_m_s": float, "speed_m_s": float},
         "the dump valve of axle {axle} vents at {speed_m_s:km/h}, although the axle does not slide "
-        "(sliding {sliding_m_s:km/h})",
+        "(sliding {sliding_m_s:.2f} m/s)",
         "check the speed sensor of the axle, the wheel diameters in the unit and its thresholds; "
         "further vents of this axle are counted by the measure vents_without_sliding",
     ),

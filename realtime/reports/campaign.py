@@ -353,9 +353,12 @@ def _draw_map(
         )
     )
     plot.autoscale_view()
-    for key, scale in zip(pair, (plot.set_xscale, plot.set_yscale), strict=True):
-        if _is_logarithmic(plan, key):
-            scale("log")
+    if _is_logarithmic(plan, across_key):
+        plot.set_xscale("log")
+        page.plain_logarithm(plot.xaxis)
+    if _is_logarithmic(plan, up_key):
+        plot.set_yscale("log")
+        page.plain_logarithm(plot.yaxis)
     drawn.legend(loc="outside upper center", ncols=2)
 
 
@@ -404,6 +407,7 @@ def _draw_distributions(
                     plot.axvline(end, ls="--", lw=0.8, color=page.GREY)
             if _is_logarithmic(plan, key):
                 plot.set_xscale("log")
+                page.plain_logarithm(plot.xaxis)
 
 
 # --- stopping distance ---
@@ -505,3 +509,4 @@ def _draw_exceedance(drawn: Figure, table: pa.Table) -> None:
         yscale="log",
         ylim=(0.5 / distance_m.size, 1.1),
     )
+    page.plain_logarithm(exceeded.yaxis)

@@ -18,7 +18,9 @@ from typing import Any
 from urllib.parse import quote
 
 import matplotlib
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from rollerrig.configs.printable import printable
 from rollerrig.realtime.pictures import colours
@@ -245,6 +247,13 @@ def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4
     text = _drawn(draw, size, "svg").decode("utf-8")
     svg = text[text.index("<svg") :]
     return Markup(svg.replace(INK, "currentColor"))
+
+
+def plain_logarithm(axis: Axis) -> None:
+    """Give a logarithmic axis labels such as 0.02, at 1, 2 and 5 times the powers of ten."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def picture_file(

@@ -66,8 +66,8 @@ _PLOT_PT = 735.0
 
 _AXLES_HEAD = (
     "axle",
-    "mean sliding, km/h",
-    "largest, km/h",
+    "mean sliding, m/s",
+    "largest, m/s",
     "largest slip, %",
     "longest lock, s",
     "mean cylinder, bar",
@@ -141,8 +141,8 @@ def _sliding_cells(record: Record, sliding_m_s: np.ndarray) -> list[str]:
         return ["-"] * 3
     slip = slip_percent(sliding_m_s, record.braked("vehicle_speed_m_s"))
     return [
-        f"{3.6 * np.nanmean(sliding_m_s):z.1f}",
-        f"{3.6 * np.nanmax(sliding_m_s):z.1f}",
+        f"{np.nanmean(sliding_m_s):z.2f}",
+        f"{np.nanmax(sliding_m_s):z.2f}",
         f"{np.nanmax(slip, initial=0.0):.0f}",
     ]
 

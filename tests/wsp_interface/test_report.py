@@ -150,11 +150,11 @@ def test_what_sensors_measured_is_in_separate_rows_of_the_page(tmp_path):
     dead = found.record.columns["time_s"] > 8.0
     found.record.columns["measured_speed_3_rad_s"][dead] = 0.0
     head, rows, classes = stop.axles(found.record)
-    largest_km_h = head.index("largest, km/h")
+    largest_m_s = head.index("largest, m/s")
     assert rows[2][0] == "3"
-    assert rows[2][largest_km_h] == "0.0"
+    assert rows[2][largest_m_s] == "0.00"
     assert rows[6][0] == "3, as measured"
-    assert float(rows[6][largest_km_h]) == pytest.approx(3.6 * 13.0, abs=0.1)
+    assert float(rows[6][largest_m_s]) == pytest.approx(13.0, abs=0.03)
     assert classes == [""] * 4 + ["void"] * 4
     page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
     assert "3, as measured" in page
