@@ -13,7 +13,13 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.firmware_sim import process_image
-from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, SYNCHRONOUS, Pdo, Profile
+from rollerrig.firmware_sim.cia301.communication import (
+    ACYCLIC,
+    EVENT_DRIVEN,
+    SYNCHRONOUS,
+    Pdo,
+    Profile,
+)
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
@@ -35,7 +41,11 @@ TITLES = {0x6401: "Read analogue input 16-bit"}
 DEMAND = BY_NAME["brake_demand"].places[0]
 HIGHEST_DEMAND_mbar = 10_000
 RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
-TPDOS = (Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))),)
+TPDOS = (
+    Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))),
+    # the brake demand, with the SYNC after a change
+    Pdo(ACYCLIC, ((0x6411, 1, 16),)),
+)
 
 
 def rows(parameters: Mapping[str, float]) -> list[Row]:

@@ -1,12 +1,15 @@
-"""Files that describe the bus to other tools: an EDS for each node, one DBC, the signal table.
+"""Files that describe the bus to other tools: an EDS for each node, one DBC, two tables.
 
 All are written from the object dictionaries and from the table of signals, so a description always
 agrees with the device. An EDS file contains what strict parsers require: mapping flags as 0 or 1,
-and the numbers of objects and PDOs.
+the numbers of objects and PDOs, and no keys beyond those of CiA 306. Units and factors of objects,
+for which CiA 306 has no keys, are in a table of their own.
 
 Source: CiA 306-1 (EDS); the DBC keywords as cantools reads them.
 """
 
+import csv
+import io
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -18,7 +21,7 @@ from cantools.database.can import Message, Node, Signal
 from cantools.database.conversion import BaseConversion
 
 from rollerrig.configs import output_files
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface.bus import connection_set
 
 # object types of CiA 301
@@ -58,6 +61,20 @@ _TO_MAPPING = 0x200
 _INVALID = 1 << 31
 _EXTENDED = 1 << 29
 _ID_MASK = 0x1FFFFFFF
+# transmission types of a PDO: with every n-th SYNC up to 240; after changes from 254 on
+_LAST_SYNCHRONOUS = 240
+_EVENT_DRIVEN = 254
+
+# a unit sends its heartbeat at least so often
+_UNIT_HEARTBEAT_ms = 200
+
+# the names of the pairs of magnets in the DBC
+_MAGNET_NAMES = {
+    magnets.ALL_OFF: "fill",
+    magnets.HOLDING: "hold",
+    magnets.VENT_MAGNET: "vent_without_hold",
+    magnets.VENTING: "vent",
+}
 
 _NMT_STATES = {0: "INITIALISING", 4: "STOPPED", 5: "OPERATIONAL", 127: "PRE_OPERATIONAL"}
 
@@ -174,10 +191,6 @@ def _variable_section(variable: ODVariable) -> Options:
         "PDOMapping": int(variable.pdo_mappable),
         "LowLimit": variable.min,
         "HighLimit": variable.max,
-        # beyond the standard, and read by canopen: the value of one count
-        "Factor": f"{variable.factor:.12g}" if variable.factor != 1 else None,
-        "Unit": variable.unit or None,
-        "Description": variable.description.replace(";", ",") or None,
     }
     return {option: value for option, value in options.items() if value is not None}
 
@@ -193,28 +206,66 @@ def _default(variable: ODVariable) -> str:
     return str(default)
 
 
+def object_table(dictionaries: Iterable[ObjectDictionary]) -> str:
+    """Return what an EDS file cannot hold of all objects, as CSV: unit, value of a count, meaning.
+
+    A row has the node, index and sub-index (hexadecimal, as in the EDS), name, unit, the value of
+    one count in that unit, and the meaning.
+    """
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(("node", "index", "sub", "name", "unit", "value_of_a_count", "meaning"))
+    for dictionary in dictionaries:
+        for index in dictionary:
+            entry = dictionary[index]
+            variables = [entry] if isinstance(entry, ODVariable) else entry.subindices.values()
+            for variable in variables:
+                rows.writerow(
+                    (
+                        dictionary.node_id,
+                        f"{index:04X}",
+                        f"{variable.subindex:X}",
+                        variable.name,
+                        variable.unit,
+                        f"{variable.factor:.12g}",
+                        variable.description,
+                    )
+                )
+    return text.getvalue()
+
+
 # -- DBC
 
 
-def dbc(dictionaries: Iterable[ObjectDictionary]) -> str:
-    """Return one DBC file with the PDOs of all nodes, the SYNC and the heartbeats, as text."""
+def dbc(dictionaries: Iterable[ObjectDictionary], sync_period_s: float) -> str:
+    """Return one DBC file with the PDOs of all nodes, the SYNC and the heartbeats, as text.
+
+    Messages that are sent regularly have their cycle time: with every n-th SYNC, or the producer
+    time of a heartbeat.
+    """
     dictionaries = list(dictionaries)
+    sync_ms = round(1000 * sync_period_s)
+    heartbeats_ms = {
+        dictionary.node_id: _number(dictionary, 0x1017, 0) for dictionary in dictionaries
+    }
+    heartbeats_ms[signals.WSP_NODE] = _UNIT_HEARTBEAT_ms
     described = [dictionary.node_id or 0 for dictionary in dictionaries]
     nodes = dict.fromkeys([*described, signals.WSP_NODE, signals.BENCH_NODE])
 
-    messages = [_message("SYNC", connection_set.SYNC, _node_name(signals.BENCH_NODE), [])]
+    bench_name = _node_name(signals.BENCH_NODE)
+    messages = [_message("SYNC", connection_set.SYNC, bench_name, [], sync_ms)]
     for dictionary in dictionaries:
-        messages += _pdo_messages(dictionary)
+        messages += _pdo_messages(dictionary, sync_ms)
     if signals.WSP_NODE not in described:
         messages.append(_unit_message())
     for node in nodes:
-        messages.append(_heartbeat_message(node))
+        messages.append(_heartbeat_message(node, heartbeats_ms.get(node, 0)))
 
     database = Database(messages, [Node(_node_name(node), None) for node in nodes], version="")
     return database.as_dbc_string(sort_signals=None, shorten_long_names=False)
 
 
-def _pdo_messages(dictionary: ObjectDictionary) -> Iterator[Message]:
+def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Message]:
     """Yield the PDOs that a node has by default, as CAN messages."""
     node = dictionary.node_id or 0
     own_name = _node_name(node)
@@ -233,10 +284,31 @@ def _pdo_messages(dictionary: ObjectDictionary) -> Iterator[Message]:
             if cob_id & _INVALID or is_empty:
                 continue
             name = f"node_{node}_{word}{index - first + 1}"
-            yield _message(name, cob_id, sender, list(_contents(dictionary, mapping, receiver)))
+            carried = list(_contents(dictionary, mapping, receiver))
+            cycle_ms = 0
+            if node == signals.BRAKE_NODE and word == "RPDO":
+                cycle_ms = sync_ms  # the magnets: a unit answers every SYNC
+            elif word == "TPDO":
+                cycle_ms = _cycle_ms(dictionary, index, sync_ms)
+            yield _message(name, cob_id, sender, carried, cycle_ms)
 
 
-def _message(name: str, cob_id: int, sender: str, carried: list[Signal]) -> Message:
+def _cycle_ms(dictionary: ObjectDictionary, index: int, sync_ms: int) -> int:
+    """Return the cycle time of a transmit PDO; 0 if it is sent after changes only.
+
+    `index` is that of its communication parameters.
+    """
+    transmission_type = _number(dictionary, index, 2)
+    if 1 <= transmission_type <= _LAST_SYNCHRONOUS:
+        return transmission_type * sync_ms
+    if transmission_type >= _EVENT_DRIVEN:
+        return _number(dictionary, index, 5)
+    return 0
+
+
+def _message(
+    name: str, cob_id: int, sender: str, carried: list[Signal], cycle_ms: int = 0
+) -> Message:
     bits = max((signal.start + signal.length for signal in carried), default=0)
     return Message(
         cob_id & _ID_MASK,
@@ -245,6 +317,7 @@ def _message(name: str, cob_id: int, sender: str, carried: list[Signal]) -> Mess
         carried,
         senders=[sender],
         is_extended_frame=bool(cob_id & _EXTENDED),
+        cycle_time=cycle_ms or None,
         strict=True,
     )
 
@@ -298,6 +371,7 @@ def _contents(dictionary: ObjectDictionary, mapping: int, receiver: str) -> Iter
             names = signal_names(dictionary.node_id or 0, variable)
             # one byte may carry a signal of all axles, a few bits each
             bits_each = bits // len(names)
+            are_magnets = names == signals.columns(signals.BY_NAME["magnets"])
             for position, name in enumerate(names):
                 yield _signal(
                     name,
@@ -308,6 +382,7 @@ def _contents(dictionary: ObjectDictionary, mapping: int, receiver: str) -> Iter
                     factor=variable.factor,
                     unit=variable.unit,
                     text=variable.description,
+                    choices=_MAGNET_NAMES if are_magnets else None,
                 )
         start += bits
 
@@ -372,10 +447,10 @@ def _unit_message() -> Message:
     )
 
 
-def _heartbeat_message(node: int) -> Message:
+def _heartbeat_message(node: int, cycle_ms: int) -> Message:
     name = _node_name(node)
     state = _signal(f"{name}_nmt_state", 0, 7, None, choices=_NMT_STATES)
-    return _message(f"{name}_heartbeat", connection_set.HEARTBEAT + node, name, [state])
+    return _message(f"{name}_heartbeat", connection_set.HEARTBEAT + node, name, [state], cycle_ms)
 
 
 def _node_name(node: int) -> str:
@@ -432,13 +507,19 @@ def _place_text(place: signals.Place, axles: int) -> str:
     return text
 
 
-def write(folder: Path, dictionaries: Iterable[ObjectDictionary]) -> list[Path]:
-    """Write the EDS of every node, `rig.dbc` and `signals.md` into a folder; return their paths."""
+def write(
+    folder: Path, dictionaries: Iterable[ObjectDictionary], sync_period_s: float = 0.01
+) -> list[Path]:
+    """Write the EDS of every node, `rig.dbc` and two tables into a folder; return their paths.
+
+    The tables are `objects.csv` (units and factors of all objects) and `signals.md`.
+    """
     dictionaries = list(dictionaries)
     texts = {}
     for dictionary in dictionaries:
         texts[f"{file_name(dictionary)}.eds"] = eds(dictionary)
-    texts["rig.dbc"] = dbc(dictionaries)
+    texts["rig.dbc"] = dbc(dictionaries, sync_period_s)
+    texts["objects.csv"] = object_table(dictionaries)
     texts["signals.md"] = signal_table()
 
     output_files.make_folder(folder)

@@ -31,6 +31,7 @@ MOST_MAPPED = 8  # objects in a PDO
 SDO_SERVERS = 3
 HISTORY = 8  # errors in 1003h
 # transmission types of PDOs
+ACYCLIC = 0  # with the SYNC after a change
 SYNCHRONOUS = 1  # with every SYNC
 EVENT_DRIVEN = 255  # received data take effect immediately
 NO_IDENTIFIER = 0  # of a PDO that has none in the predefined connection set

@@ -8,7 +8,7 @@ types.
 
 from collections.abc import Callable
 
-from rollerrig.firmware_sim.cia301.communication import split, valid
+from rollerrig.firmware_sim.cia301.communication import ACYCLIC, split, valid
 from rollerrig.firmware_sim.cia301.emergency import PDO_LENGTH, RPDO_LATE
 from rollerrig.firmware_sim.cia301.host import MS, Host
 from rollerrig.firmware_sim.cia301.objects import AbortError, key, packer
@@ -26,9 +26,8 @@ from rollerrig.firmware_sim.cia301.pdo_mapping import (
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
-# Transmission types. The types 1 to 240 (LAST_SYNCHRONOUS) mean: with every n-th SYNC, n being the
-# type.
-ACYCLIC = 0  # with a SYNC, if the content has changed
+# Transmission types beside ACYCLIC. The types 1 to 240 (LAST_SYNCHRONOUS) mean: with every n-th
+# SYNC, n being the type.
 LAST_SYNCHRONOUS = 240
 RTR_SYNCHRONOUS = 252  # sampled with SYNC, sent on a remote request
 RTR = 253  # sampled and sent on a remote request

@@ -46,7 +46,7 @@ def call(options: argparse.Namespace) -> int:
 
     with writing(options.out):
         paths = [
-            *descriptions.write(options.out, nodes),
+            *descriptions.write(options.out, nodes, plan["bus"]["sync_period_s"]),
             *map.write(options.out, drives, tuple(store.names("scenarios"))),
         ]
 

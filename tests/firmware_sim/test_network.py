@@ -86,6 +86,12 @@ def test_one_sync_brings_the_process_data_of_all_nodes_once(rig):
     of_drives = [0x181, 0x281, 0x182, 0x282, 0x183, 0x283, 0x184, 0x284]
     of_speed_unit = [0x190, 0x290, 0x390]
     of_brake_io = [0x191]
+    brake_demand = [0x291]  # with the first SYNC, and then after changes
+    assert sorted(pdos) == sorted(of_drives + of_speed_unit + of_brake_io + brake_demand)
+
+    rig.frames.clear()
+    rig.network.sync()
+    _, *pdos = [frame.can_id for frame in rig.frames]
     assert sorted(pdos) == sorted(of_drives + of_speed_unit + of_brake_io)
 
 

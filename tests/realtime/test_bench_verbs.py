@@ -57,7 +57,7 @@ def test_devices_writes_an_eds_of_every_node_one_dbc_and_the_tables(tmp_path, ca
     descriptions = [name for name in names if name.endswith(".eds")]
     for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE):
         assert any(name.startswith(f"node_{node:03d}") for name in descriptions)
-    assert {"rig.dbc", "signals.md"} < names
+    assert {"rig.dbc", "signals.md", "objects.csv"} < names
 
     database = cantools.database.load_file(f"{printed['folder']}/rig.dbc")
     assert database.get_message_by_frame_id(0x180 + signals.SPEED_NODE).length == 8

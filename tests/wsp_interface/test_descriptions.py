@@ -1,6 +1,11 @@
 """EDS, DBC and the signal table: parsers of other projects read the nodes as they are."""
 
 import configparser
+import csv
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import canopen
 import cantools
@@ -22,9 +27,21 @@ ATTRIBUTES = (
     "pdo_mappable",
     "min",
     "max",
-    "unit",
-    "description",
 )
+# the options of CiA 306-1 for an object; any other option is an error for strict tools
+OPTIONS = {
+    "ParameterName",
+    "ObjectType",
+    "DataType",
+    "AccessType",
+    "DefaultValue",
+    "PDOMapping",
+    "LowLimit",
+    "HighLimit",
+    "SubNumber",
+}
+NODES = (1, 2, 3, 4, 16, 17, 18)
+FIELD = Path(__file__).parent.parent / "data" / "field" / "eds_tools"
 
 
 @pytest.fixture
@@ -64,7 +81,6 @@ def test_canopen_reads_from_the_eds_the_same_objects_that_the_node_has(rig, fold
         same = read.get_variable(at >> 8, at & 0xFF)
         for name in ATTRIBUTES:
             assert getattr(same, name) == getattr(variable, name), (hex(at), name)
-        assert same.factor == pytest.approx(variable.factor, rel=1e-9)
         assert same.default == variable.default, hex(at)
     dummies = {index for index in read if index < 0x1000}
     assert set(read) - dummies == set(node.dictionary)
@@ -95,6 +111,67 @@ def test_the_eds_has_mapping_flags_of_0_or_1_and_the_numbers_of_pdos(folder, num
         if "SubNumber" in body:
             subs = [section for section in parser if section.startswith(f"{name}sub")]
             assert int(body["SubNumber"]) == len(subs)
+
+
+@pytest.mark.parametrize("number", NODES)
+def test_an_object_in_an_eds_has_only_the_options_of_cia_306(folder, number):
+    parser = configparser.ConfigParser()
+    parser.optionxform = str
+    parser.read(eds_of(folder, number))
+    objects = [body for name, body in parser.items() if "ParameterName" in body]
+    assert len(objects) > 50
+    for body in objects:
+        assert set(body) <= OPTIONS, body
+
+
+def test_units_and_factors_of_all_objects_are_in_a_table(rig, folder):
+    with (folder / "objects.csv").open(encoding="utf-8", newline="") as file:
+        rows = {(int(row["node"]), row["index"], row["sub"]): row for row in csv.DictReader(file)}
+    count = 0
+    for number, node in rig[0].items():
+        for at, variable in node.objects.variables.items():
+            row = rows[number, f"{at >> 8:04X}", f"{at & 0xFF:X}"]
+            assert (row["name"], row["unit"]) == (variable.name, variable.unit)
+            assert float(row["value_of_a_count"]) == pytest.approx(variable.factor, rel=1e-9)
+            assert row["meaning"] == variable.description
+            count += 1
+    assert count == len(rows)
+
+
+def tool(name, *arguments, folder):
+    """Run a tool of another project in a folder; return its status and all that it prints."""
+    program = shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
+    if not program:
+        pytest.skip(f"needs {name}: pip install dcf-tools objdictgen")
+    command = [program, *map(str, arguments)]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.conformance("CiA 301", "EDS: accepted by dcfchk of Lely, without a remark")
+@pytest.mark.parametrize("number", NODES)
+def test_dcfchk_of_lely_finds_nothing_in_an_eds(folder, number):
+    assert tool("dcfchk", "-n", number, eds_of(folder, number), folder=folder) == (0, "")
+
+
+@pytest.mark.conformance("CiA 301", "EDS: accepted by the editor of CANfestival")
+@pytest.mark.parametrize("number", NODES)
+def test_the_editor_of_canfestival_lists_the_objects_of_an_eds(folder, number):
+    status, text = tool("odg", "list", eds_of(folder, number), folder=folder)
+    assert status == 0, text
+    assert "ValueError" not in text
+    assert "0x1018" in text
+
+
+@pytest.mark.conformance(
+    "CiA 301", "EDS: dcfgen of Lely makes the files of a master of three nodes"
+)
+def test_dcfgen_of_lely_makes_a_master_from_the_eds_files(folder):
+    status, text = tool("dcfgen", "-r", "-d", folder, FIELD / "bus.yml", folder=folder)
+    assert status == 0, text
+    # the concise DCF: what the master writes into the drive at its boot-up
+    assert (folder / "drive_1.bin").stat().st_size > 100
+    assert (folder / "master.dcf").is_file()
 
 
 def test_an_identifier_follows_the_node_number(folder):
@@ -138,8 +215,8 @@ def expected_signals():
         if signal.direction != signals.OUT or not signal.places:
             continue
         place = signal.places[0]
-        # the harness maps the PDOs of the bench; no default PDO has the demand and the counters
-        if place.node == signals.BENCH_NODE or place.index in (0x6411, 0x2101):
+        # the harness maps the PDOs of the bench; no default PDO has the counters
+        if place.node == signals.BENCH_NODE or place.index == 0x2101:
             continue
         for name in signals.columns(signal):
             columns[name] = place
@@ -150,6 +227,48 @@ def test_the_dbc_encodes_magnets_axle_by_axle(folder):
     database = cantools.database.load_file(folder / "rig.dbc")
     pairs = {"magnets_1": 3, "magnets_2": 0, "magnets_3": 1, "magnets_4": 2}
     assert database.encode_message("node_17_RPDO1", pairs) == bytes([0b10_01_00_11])
+
+
+def test_the_dbc_names_the_magnets(folder):
+    database = cantools.database.load_file(folder / "rig.dbc")
+    decoded = database.decode_message("node_17_RPDO1", bytes([0b10_01_00_11]))
+    assert [str(decoded[f"magnets_{axle}"]) for axle in range(1, 5)] == [
+        "vent",
+        "fill",
+        "hold",
+        "vent_without_hold",
+    ]
+
+
+def test_the_dbc_has_the_cycle_times_of_messages_that_are_sent_regularly(rig, tmp_path):
+    dictionaries = [node.dictionary for node in rig[0].values()]
+    descriptions.write(tmp_path, dictionaries, sync_period_s=0.02)
+    database = cantools.database.load_file(tmp_path / "rig.dbc")
+    cycle_ms = {message.name: message.cycle_time for message in database.messages}
+    assert cycle_ms["SYNC"] == 20
+    assert cycle_ms["node_16_TPDO1"] == cycle_ms["node_17_RPDO1"] == 20
+    assert cycle_ms["node_17_TPDO2"] is None  # after changes only
+    heartbeat_ms = rig[0][16].dictionary[0x1017].default
+    assert cycle_ms["axle_speed_unit_heartbeat"] == heartbeat_ms > 0
+    assert cycle_ms["wsp_unit_heartbeat"] == 200
+
+
+def test_the_brake_demand_is_a_signal_of_the_dbc(rig, folder):
+    nodes, row = rig
+    database = cantools.database.load_file(folder / "rig.dbc")
+    sent = []
+    node = nodes[17]
+    node.start(sent.append, 0)
+    node.on_frame(Frame(NMT, b"\x01\0"))
+    demands = []
+    for pressure_Pa in (0.0, 3.8e5, 3.8e5, 1.2e5):
+        row[signals.column("brake_demand")] = pressure_Pa
+        node.on_frame(Frame(SYNC, b""))
+    for frame in sent:
+        if frame.can_id == TPDO[1] + 17:
+            demands.append(database.decode_message(frame.can_id, frame.data)["brake_demand_Pa"])
+    # with the SYNC after a change
+    assert demands == pytest.approx([0.0, 3.8e5, 1.2e5])
 
 
 def test_every_identifier_and_every_name_of_a_signal_is_in_the_dbc_only_once(folder):
