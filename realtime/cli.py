@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import NamedTuple
 
-from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
 from rollerrig.realtime import standard_streams
@@ -239,6 +239,28 @@ def _shortened(message: str) -> str:
     return f"{message[:MESSAGE_BEGIN]} ... {message[-MESSAGE_END:]}"
 
 
+def _check_names(options: argparse.Namespace) -> None:
+    """Raise ConfigError if a name on the command line is no UTF-8, before anything runs.
+
+    Python marks such bytes by half surrogate pairs. Records and reports, which are UTF-8, cannot
+    hold them.
+    """
+    for key, value in vars(options).items():
+        values = value if isinstance(value, list | tuple) else [value]
+        for one in values:
+            if not isinstance(one, str | os.PathLike):
+                continue
+            try:
+                str(one).encode()
+            except UnicodeEncodeError:
+                # as a shell writes it, so that the user recognises the bytes
+                shown = str(one).encode(errors="surrogateescape").decode(errors="backslashreplace")
+                raise ConfigError(
+                    f"{key.replace('_', '-')}: the name {shown} is not in UTF-8, and records and "
+                    "reports are; rename the file or folder, or give another one"
+                ) from None
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     standard_streams.make_harmless()
@@ -258,6 +280,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         importlib.import_module("can")
 
     try:
+        _check_names(options)
         return options.call(options)
     except RollerrigError as error:
         message = _shortened(str(error))

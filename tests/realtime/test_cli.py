@@ -155,3 +155,22 @@ def test_a_shell_completes_verbs(tmp_path):
         env=os.environ | asked | {"_ARGCOMPLETE_STDOUT_FILENAME": str(answer)},
     )
     assert "campaign" in answer.read_text()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("sequence", "emergency_120", "--out", "rep\udce9/o"),
+        ("run", "velim_a1", "--out", "rep\udce9"),
+        ("export", "rep\udce9", "--format", "csv"),
+    ],
+)
+def test_a_name_that_is_not_utf_8_is_refused_before_anything_runs(
+    words, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(list(words)) == 2
+    message = capsys.readouterr().err
+    assert r"the name rep\xe9" in message
+    assert "is not in UTF-8" in message
+    assert list(tmp_path.iterdir()) == []

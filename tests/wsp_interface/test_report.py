@@ -297,3 +297,39 @@ def test_names_of_marks_do_not_overlap_and_stay_in_the_picture(tmp_path):
     for box in boxes:
         assert box.x0 >= 0.0
         assert box.x1 <= figure.bbox.width
+
+
+# every character that XML 1.0 forbids, colours of a terminal, and a mark that reorders text
+HIDDEN = "".join(map(chr, [*range(9), 11, 12, *range(14, 32), 0x7F, 0x85, 0x202E, 0xFFFE]))
+
+
+def test_control_characters_in_titles_are_visible_in_every_report(tmp_path):
+    title = f"A stop \x1b[31mwith colours\x1b[0m {HIDDEN}"
+    escaped = json.dumps(title)
+    text = re.sub(r'(?m)^title = ".*"$', lambda _: f"title = {escaped}", GOOD, count=1)
+    assert escaped in text
+    found = outcome(tmp_path, text)
+    found.verdicts = [dataclasses.replace(found.verdicts[0], what=title, text=title)]
+    out = tmp_path / "out"
+    sequences.write([found], out, on_paper=True)
+
+    tree = ET.parse(out / sequences.JUNIT)
+    names = [case.get("name") for case in tree.iter("testcase")]
+    assert any(r"A stop \x1b[31mwith colours\x1b[0m \x00\x01" in name for name in names)
+    for name in (sequences.JUNIT, sequences.HTML):
+        written = (out / name).read_text(encoding="utf-8")
+        assert not set(HIDDEN) & set(written), name
+        assert r"\x1b[31m" in written
+    on_paper = "".join(one.extract_text() for one in PdfReader(out / sequences.PDF).pages)
+    assert r"\x1b[31m" in on_paper
+    assert "\x1b" not in on_paper
+    assert json.loads((out / sequences.JSON).read_text(encoding="utf-8"))["result"]
+
+
+def test_the_field_case_of_a_coloured_title_is_read_and_reported(tmp_path):
+    field = Path(__file__).parent.parent / "data" / "field" / "junit" / "title_esc.toml"
+    found = outcome(tmp_path)
+    found.sequence = sequence.load(field, catalogue.parse)
+    assert "\x1b" in found.sequence.title
+    sequences.write([found], tmp_path / "out")
+    assert ET.parse(tmp_path / "out" / sequences.JUNIT).getroot().tag == "testsuites"
