@@ -41,6 +41,7 @@ FLOORS = {
         "causes",
         "decide",
         "paper next_stops",
+        "creep_curves",
     ),
     "wsp_interface": (
         "events unit_choice",

@@ -80,13 +80,13 @@ def _explain_braking_runs(given: argparse.Namespace, data: "Dataset", out: Path)
 
 
 def _explain_creep_curve(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
-    from rollerrig.realtime.reports import creep_curve
+    from rollerrig.realtime.reports.creep_curve import explained
     from rollerrig.realtime.telemetry import study_view
-    from rollerrig.rig.identify.paper import polach_fit
+    from rollerrig.rig.identify.creep_curves import judgement
 
-    fitted = polach_fit.fit(data, given.seed)
+    judged = judgement.judge(data, given.seed)
     study_view.creep_points(out / "report.rrd", data)
-    return study.publish(given, out, "report", creep_curve.explain_report(data, fitted))
+    return study.publish(given, out, "report", explained.explain_report(data, judged))
 
 
 def _is_recorder(names: list[str]) -> bool:

@@ -77,11 +77,12 @@ def tune(given: argparse.Namespace) -> int:
 
 def _tune_creep_curve(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
     """Fit Polach's parameters to a creep curve, and report them."""
-    from rollerrig.realtime.reports import creep_curve
+    from rollerrig.realtime.reports.creep_curve import tuned
+    from rollerrig.rig.identify.creep_curves import judgement
     from rollerrig.rig.identify.paper import polach_fit
 
     fitted = polach_fit.fit(data, given.seed)
-    report = creep_curve.tune_report(data, fitted)
+    report = tuned.tune_report(data, fitted, judgement.without_law(data, given.seed))
     return study.publish(given, out, "tune", report, has_recording=False)
 
 

@@ -18,7 +18,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, flag, number
 from rollerrig.rig import params
 from rollerrig.rig.identify.data import mdf, quality
-from rollerrig.rig.identify.data.runs import AXLES, Curve, Dataset, Run
+from rollerrig.rig.identify.data.runs import AXLES, LARGEST_ADHESION, Curve, Dataset, Run
 from rollerrig.rig.identify.files import channels, tables, units
 from rollerrig.rig.identify.files.channels import Source
 from rollerrig.rig.identify.files.tables import Table
@@ -103,7 +103,7 @@ MODEL_TABLES = ("vehicle", "adhesion", "contact", "brake")
 # Larger stamps are dates. They count from the first sample, so that they lose no digits.
 LARGEST_TIME_S = 1e6
 LEAST_CURVE_POINTS = 12  # a creep curve has five parameters to fit
-LARGEST_CURVE_VALUE = 1.5  # creepage and adhesion are shares; larger values are probably percent
+LARGEST_CREEPAGE = 1.5  # creepage and adhesion are shares; larger values are probably percent
 DEFAULT_CURVE_SPEED_M_S = 10.0
 DEFAULT_CURVE_LOAD_N = 52700.0  # about the static load of one wheel of the vehicle uic_z1
 
@@ -437,8 +437,10 @@ def _creep_curve(
             f"{first_file}: {creepage.size} points are too few for five parameters; give at least "
             f"{LEAST_CURVE_POINTS}"
         )
-    _check_share(first_file, "creepage", creepage, "sliding over speed (1 is a locked wheel)")
-    _check_share(first_file, "adhesion", adhesion, "force over load, below 1")
+    meaning = "sliding over speed (1 is a locked wheel)"
+    _check_share(first_file, "creepage", creepage, LARGEST_CREEPAGE, meaning)
+    _check_share(first_file, "adhesion", adhesion, LARGEST_ADHESION, "force over load")
+    _check_signs(first_file, creepage, adhesion)
 
     _warn_of_default(
         dataset,
@@ -452,12 +454,20 @@ def _creep_curve(
         dataset, files, "wheel_load_N", DEFAULT_CURVE_LOAD_N, "the initial slope (k_A, k_S)"
     )
     load_N = _joined_columns(files, "wheel_load_N", DEFAULT_CURVE_LOAD_N)
+    for name, values, least in (("wheel_load_N", load_N, 1e-6), ("speed_m_s", speed_m_s, 0.0)):
+        if values.min() < least:
+            raise ConfigError(
+                f"{first_file}: column '{name}' is {values.min():g} in a point; it must be "
+                f"{'above 0' if least else 'at least 0'}: correct or remove the point"
+            )
     return Curve(
         creepage=creepage,
         adhesion=adhesion,
         speed_m_s=speed_m_s,
         load_N=load_N,
         series=_joined_columns(files, "series", 0.0),
+        temperature_K=_optional_quantity(files, _TEMPERATURES),
+        pressure_Pa=_optional_quantity(files, _PRESSURES),
     )
 
 
@@ -494,11 +504,70 @@ def _warn_of_default(
         )
 
 
-def _check_share(path: Path, name: str, values: np.ndarray, meaning: str) -> None:
+def _check_share(path: Path, name: str, values: np.ndarray, limit: float, meaning: str) -> None:
     """Raise ConfigError where values of a creep curve are too large, as percent are."""
     largest = np.max(np.abs(values))
-    if largest > LARGEST_CURVE_VALUE:
+    if largest > limit:
         raise ConfigError(
-            f"{path}: {name} reaches {largest:.3g}; it is {meaning}: if these are percent, divide by "
-            "100"
+            f"{path}: {name} reaches {largest:.3g}; it is {meaning}, and at most {limit:g} is "
+            "allowed: if these are percent, divide by 100"
         )
+
+
+def _check_signs(path: Path, creepage: np.ndarray, adhesion: np.ndarray) -> None:
+    """Raise ConfigError where adhesion has the other sign than creepage."""
+    if np.median(adhesion * np.sign(creepage)) < 0.0:
+        raise ConfigError(
+            f"{path}: adhesion and creepage have opposite signs; both are positive in braking: flip "
+            "the sign of one of them"
+        )
+    if not np.any(adhesion):
+        raise ConfigError(f"{path}: adhesion is 0 in all points; give the measured force over load")
+
+
+class _Unit(NamedTuple):
+    """A column that gives a quantity in some unit: SI value = factor (value + offset)."""
+
+    column: str
+    factor: float
+    offset: float
+
+
+_TEMPERATURES = (_Unit("temperature_K", 1.0, 0.0), _Unit("temperature_degC", 1.0, 273.15))
+_PRESSURES = (
+    _Unit("pressure_Pa", 1.0, 0.0),
+    _Unit("pressure_kPa", 1e3, 0.0),
+    _Unit("pressure_bar", 1e5, 0.0),
+    _Unit("pressure_MPa", 1e6, 0.0),
+)
+
+
+def _optional_quantity(
+    files: Sequence[_DataFile], allowed: tuple[_Unit, ...]
+) -> np.ndarray | None:
+    """Return an optional quantity of all files in SI units; None where no file has it.
+
+    Raises ConfigError where only some files have it, or where a value is not above 0.
+    """
+    parts = []
+    for file in files:
+        for unit in allowed:
+            if file.has(unit.column):
+                values = unit.factor * (file.channel(unit.column) + unit.offset)
+                if np.any(values <= 0.0):
+                    raise ConfigError(
+                        f"{file.path}: column '{unit.column}' has a value at or below 0 in SI "
+                        f"units; allowed columns are {', '.join(row.column for row in allowed)}: "
+                        "check the unit"
+                    )
+                parts.append(values)
+                break
+    if not parts:
+        return None
+    if len(parts) < len(files):
+        names = ", ".join(unit.column for unit in allowed)
+        raise ConfigError(
+            f"{files[0].path.parent}: only some files of the creep curve have one of the columns "
+            f"{names}; give it in all files, or in none"
+        )
+    return np.concatenate(parts)

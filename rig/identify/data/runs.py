@@ -7,6 +7,9 @@ import numpy as np
 
 from rollerrig.rig.state import AXLES as AXLES
 
+# adhesion of a measured creep curve: wheels with grousers on sand reach 2.2, tyres 2
+LARGEST_ADHESION = 3.0
+
 
 class Run(NamedTuple):
     """One measured stop. Arrays have the shape (n,), or (n, AXLES) with one column per wheelset."""
@@ -32,6 +35,12 @@ class Curve(NamedTuple):
     speed_m_s: np.ndarray
     load_N: np.ndarray
     series: np.ndarray  # number of the measured series of each point
+    temperature_K: np.ndarray | None = None  # None: not measured
+    pressure_Pa: np.ndarray | None = None  # of a tyre, or of the contact; None: not measured
+
+    def chosen(self, points: np.ndarray) -> "Curve":
+        """Return the points with these places (k,), in this order."""
+        return Curve(*(None if column is None else column[points] for column in self))
 
 
 class Dataset(NamedTuple):

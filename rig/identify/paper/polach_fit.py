@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.identify.data.parameters import patch_of
-from rollerrig.rig.identify.data.runs import Curve, Dataset
+from rollerrig.rig.identify.data.runs import LARGEST_ADHESION, Curve, Dataset
 from rollerrig.rig.identify.paper.tuning import Interval, rms
 
 
@@ -38,7 +38,10 @@ class Parameters(NamedTuple):
 
 NAMES = Parameters._fields
 LOW = np.array(Parameters(mu_0=0.02, A=0.05, gamma_s_m=0.0, k_a=0.01, k_s=0.001))
-HIGH = np.array(Parameters(mu_0=1.5, A=1.0, gamma_s_m=5.0, k_a=1.0, k_s=1.0))
+HIGH = np.array(Parameters(mu_0=LARGEST_ADHESION, A=1.0, gamma_s_m=5.0, k_a=1.0, k_s=1.0))
+
+# a parameter within this share of the range between its bounds is at a bound
+AT_BOUND = 1e-3
 
 # several starts, because the sum of squares has several minima
 STARTS = (
@@ -82,12 +85,17 @@ class PolachFit(NamedTuple):
     correlation: np.ndarray
 
 
-def model(x: np.ndarray, curve: Curve, patch: Patch) -> np.ndarray:
-    """Return the adhesion [C1] [C2] at the points of a curve (n,); x is in the order of NAMES."""
+def model(
+    x: np.ndarray, curve: Curve, patch: Patch, factor: np.ndarray | float = 1.0
+) -> np.ndarray:
+    """Return the adhesion [C1] [C2] at the points of a curve (n,); x is in the order of NAMES.
+
+    `factor` multiplies the friction of each point.
+    """
     mu_0, A, gamma, k_a, k_s = x
     creepage = np.abs(curve.creepage)
     unit = patch.eps1 * curve.load_N ** (-1.0 / 3.0)
-    mu = mu_0 * (A + (1.0 - A) * np.exp(-gamma * creepage * curve.speed_m_s))
+    mu = factor * mu_0 * (A + (1.0 - A) * np.exp(-gamma * creepage * curve.speed_m_s))
     eps = unit * creepage / mu
     shape = 2.0 / np.pi * (k_a * eps / (1.0 + (k_a * eps) ** 2) + np.arctan(k_s * eps))
     return np.sign(curve.creepage) * mu * shape
@@ -166,7 +174,7 @@ def _bootstrap(curve: Curve, patch: Patch, x: np.ndarray, seed: int) -> np.ndarr
     for i in range(REPLICATES):
         drawn = rng.integers(len(blocks), size=len(blocks))
         points = np.concatenate([blocks[k] for k in drawn])
-        replicate = Curve(*(column[points] for column in curve))
+        replicate = curve.chosen(points)
         out[i], _ = _best(replicate, patch, _ALL_FREE, (Parameters(*x),))
     return out
 
@@ -184,13 +192,28 @@ def _scatter_floor(curve: Curve) -> float:
     offsets = []
     for i in range(_NEIGHBOURS, adhesion.size - _NEIGHBOURS):
         near = np.r_[i - _NEIGHBOURS : i, i + 1 : i + _NEIGHBOURS + 1]
-        _, at_point = np.polyfit(creepage[near] - creepage[i], adhesion[near], 1)
+        at_point = _line_at_zero(creepage[near] - creepage[i], adhesion[near])
         # the line has an error, too
         offsets.append((adhesion[i] - at_point) / np.sqrt(1.0 + 1.0 / near.size))
     return float(np.sqrt(np.mean(np.square(offsets)))) if offsets else float("nan")
 
 
-def falls(fitted: PolachFit, points: int) -> bool:
-    """Whether falling friction is supported: its two parameters gain more than they cost (BIC)."""
-    gain = points * np.log(fitted.rms_without_fall**2 / fitted.rms**2)
-    return bool(gain > 2.0 * np.log(points))
+def _line_at_zero(x: np.ndarray, y: np.ndarray) -> float:
+    """Return the best straight line at x = 0; the mean of y where all x are equal."""
+    centred = x - x.mean()
+    spread = float(centred @ centred)
+    if spread == 0.0:
+        return float(y.mean())
+    slope = float(centred @ y) / spread
+    return float(y.mean() - slope * x.mean())
+
+
+def bound_of(name: str, value: float) -> str:
+    """Return "low" or "high" where the value of a parameter is at its bound, else ""."""
+    i = NAMES.index(name)
+    margin = AT_BOUND * (HIGH[i] - LOW[i])
+    if value < LOW[i] + margin:
+        return "low"
+    if value > HIGH[i] - margin:
+        return "high"
+    return ""

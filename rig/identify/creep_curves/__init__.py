@@ -1,0 +1,1 @@
+"""What a measured creep curve shows: whether friction falls, what it depends on, which law fits."""

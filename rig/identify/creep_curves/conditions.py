@@ -1,0 +1,222 @@
+"""The conditions under which the points of a creep curve were measured, as columns of a fit.
+
+Adhesion is taken as a curve of creepage times one factor for each condition that varies:
+
+    [K1] adhesion = f(creepage) exp(X beta)
+
+A column of X is load, speed or pressure over its median, less 1, or the logarithm of that ratio,
+whichever fits better; the temperature less its median in 10 K; or 1 for the points of a series.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.identify.data.runs import Curve
+
+SERIES = "series"
+LOAD = "load"
+SPEED = "speed"
+TEMPERATURE = "temperature"
+PRESSURE = "pressure"
+
+# A condition that varies by less is one value. Share of the median; for the temperature in K.
+LEAST_SHARE = 0.02
+LEAST_TEMPERATURE_K = 1.0
+# K of temperature that are 1 in its column
+TEMPERATURE_STEP_K = 10.0
+
+# Values are levels if they have at most so many clusters, each narrower than a share of the range.
+MOST_LEVELS = 8
+WIDEST_LEVEL = 0.1
+
+# share of the variance of a column that other columns explain, above which they go together
+TOGETHER = 0.98
+
+
+class Condition(NamedTuple):
+    """A condition of the points: values (n,) in SI units, and its columns of X (n, columns)."""
+
+    name: str
+    unit: str
+    values: np.ndarray
+    columns: np.ndarray  # no columns where the condition does not vary
+    is_levels: bool  # whether the values are few levels
+    other_columns: np.ndarray | None = None  # another form of the columns; None: there is none
+
+    @property
+    def varies(self) -> bool:
+        """Whether the condition differs between points."""
+        return self.columns.shape[1] > 0
+
+    def chosen(self, points: np.ndarray) -> "Condition":
+        """Return the condition of some points, by a mask (n,)."""
+        other = self.other_columns
+        return self._replace(
+            values=self.values[points],
+            columns=self.columns[points],
+            other_columns=None if other is None else other[points],
+        )
+
+    def in_other_form(self) -> "Condition":
+        """Return the condition with its other columns, where there are any."""
+        if self.other_columns is None:
+            return self
+        return self._replace(columns=self.other_columns, other_columns=self.columns)
+
+    @property
+    def low(self) -> float:
+        """Smallest value."""
+        return float(self.values.min())
+
+    @property
+    def high(self) -> float:
+        """Largest value."""
+        return float(self.values.max())
+
+
+class Prepared(NamedTuple):
+    """The points of a creep curve, sorted by creepage, all arrays (n,) or (n, columns)."""
+
+    curve: Curve  # sorted
+    creepage: np.ndarray  # without sign
+    adhesion: np.ndarray  # positive where the force has the direction of the sliding
+    file_order: np.ndarray  # place of each point in the file
+    conditions: tuple[Condition, ...]
+    group: np.ndarray  # number of the group of equal conditions of each point
+
+    def columns(self, names: Sequence[str] | None = None) -> np.ndarray:
+        """Return the columns of the conditions with these names, by default of all."""
+        parts = [
+            condition.columns
+            for condition in self.conditions
+            if names is None or condition.name in names
+        ]
+        return np.column_stack(parts) if parts else np.empty((self.creepage.size, 0))
+
+    def chosen(self, points: np.ndarray) -> "Prepared":
+        """Return some of the points, by a mask (n,). Medians stay those of all points."""
+        return Prepared(
+            curve=self.curve.chosen(points),
+            creepage=self.creepage[points],
+            adhesion=self.adhesion[points],
+            file_order=self.file_order[points],
+            conditions=tuple(condition.chosen(points) for condition in self.conditions),
+            group=self.group[points],
+        )
+
+
+def prepare(curve: Curve) -> Prepared:
+    """Return the points sorted by creepage, with their conditions and groups."""
+    order = np.argsort(np.abs(curve.creepage), kind="stable")
+    points = curve.chosen(order)
+    sign = np.where(points.creepage < 0.0, -1.0, 1.0)
+    conditions = [
+        _series(points.series),
+        _ratio(LOAD, "N", points.load_N),
+        _ratio(SPEED, "m/s", points.speed_m_s),
+    ]
+    if points.temperature_K is not None:
+        conditions.append(_temperature(points.temperature_K))
+    if points.pressure_Pa is not None:
+        conditions.append(_ratio(PRESSURE, "Pa", points.pressure_Pa))
+    return Prepared(
+        curve=points,
+        creepage=np.abs(points.creepage),
+        adhesion=points.adhesion * sign,
+        file_order=order,
+        conditions=tuple(conditions),
+        group=_groups(conditions, order.size),
+    )
+
+
+def _series(values: np.ndarray) -> Condition:
+    numbers = np.unique(values)
+    dummies = (values[:, None] == numbers[None, 1:]).astype(float)
+    return Condition(SERIES, "", values, dummies, is_levels=True)
+
+
+def _ratio(name: str, unit: str, values: np.ndarray) -> Condition:
+    """Return a condition whose factor is a power of its value."""
+    middle = float(np.median(values))
+    positive = np.maximum(values, 1e-3 * max(middle, 1e-9))
+    column = np.log(positive / max(middle, 1e-9))
+    if np.ptp(column) < LEAST_SHARE:
+        return Condition(name, unit, values, np.empty((values.size, 0)), is_levels=True)
+    return Condition(
+        name=name,
+        unit=unit,
+        values=values,
+        columns=column[:, None],
+        is_levels=levels(column) is not None,
+        other_columns=(values / middle - 1.0)[:, None] if middle > 0.0 else None,
+    )
+
+
+def _temperature(values_K: np.ndarray) -> Condition:
+    if np.ptp(values_K) < LEAST_TEMPERATURE_K:
+        return Condition(TEMPERATURE, "K", values_K, np.empty((values_K.size, 0)), is_levels=True)
+    column = (values_K - np.median(values_K)) / TEMPERATURE_STEP_K
+    return Condition(TEMPERATURE, "K", values_K, column[:, None], levels(column) is not None)
+
+
+def levels(values: np.ndarray) -> np.ndarray | None:
+    """Return the number of the level of each value; None where values are not few levels."""
+    order = np.argsort(values)
+    jumps = np.diff(values[order]) > WIDEST_LEVEL * np.ptp(values)
+    number_sorted = np.concatenate(([0], np.cumsum(jumps)))
+    if number_sorted[-1] >= MOST_LEVELS:
+        return None
+    for k in range(number_sorted[-1] + 1):
+        level = values[order][number_sorted == k]
+        if np.ptp(level) > WIDEST_LEVEL * np.ptp(values):
+            return None
+    number = np.empty(values.size, dtype=int)
+    number[order] = number_sorted
+    return number
+
+
+def _groups(conditions: Sequence[Condition], points: int) -> np.ndarray:
+    """Return the number of the group of equal levels of all conditions, (n,)."""
+    keys = []
+    for condition in conditions:
+        if condition.varies and condition.is_levels:
+            if condition.name == SERIES:
+                keys.append(np.unique(condition.values, return_inverse=True)[1])
+            else:
+                keys.append(levels(condition.columns[:, 0]))
+    if not keys:
+        return np.zeros(points, dtype=int)
+    _, number = np.unique(np.column_stack(keys), axis=0, return_inverse=True)
+    return number.reshape(-1)
+
+
+def going_together(conditions: Sequence[Condition]) -> dict[str, list[str]]:
+    """Return for each condition that others explain: the names of these others.
+
+    A condition is only compared with those before it, so the first of several is kept.
+    """
+    found: dict[str, list[str]] = {}
+    kept: list[Condition] = []
+    for condition in conditions:
+        if not condition.varies:
+            continue
+        partners = [other for other in kept if _explained(condition, [other])]
+        if not partners and kept and _explained(condition, kept):
+            partners = kept.copy()
+        if partners:
+            found[condition.name] = [other.name for other in partners]
+        else:
+            kept.append(condition)
+    return found
+
+
+def _explained(condition: Condition, others: Sequence[Condition]) -> bool:
+    """Whether other conditions explain nearly all of the columns of a condition."""
+    points = condition.columns.shape[0]
+    base = np.column_stack([np.ones(points), *(other.columns for other in others)])
+    fitted = base @ np.linalg.lstsq(base, condition.columns, rcond=None)[0]
+    left = np.sum((condition.columns - fitted) ** 2, axis=0)
+    centred = condition.columns - condition.columns.mean(axis=0)
+    return bool(np.any(left < (1.0 - TOGETHER) * np.sum(centred**2, axis=0)))

@@ -1,0 +1,229 @@
+"""By how much adhesion depends on load, speed, series, temperature and pressure.
+
+All points share one smooth curve of creepage, and each condition that varies multiplies it [K1].
+Conditions change friction, which is the level at large creepage, more than the slope at small
+creepage. So only the points at large creepage are used where these are enough.
+Errors of the factors allow for points whose scatter differs (White, Econometrica 48 (1980) 817-838)
+and for errors that neighbours share.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from rollerrig.rig.identify.creep_curves import conditions, shape
+from rollerrig.rig.identify.creep_curves.conditions import Condition, Prepared
+
+# A factor is reported if by chance it were as large in one of so many sets of data.
+ALPHA = 0.001
+# A smaller change over the range of the data is not reported.
+LEAST_EFFECT = 0.01
+# Points at large creepage begin at this share of the largest creepage that all groups reach. They
+# are enough if each group has so many of them.
+LATE = 0.5
+LEAST_LATE_POINTS = 10
+# degrees of freedom below which no factor is judged
+LEAST_FREEDOM = 5
+# share of sets of data in which the smallest size that is reported would have been shown
+_POWER_DEVIATIONS = 0.84
+
+
+class Effect(NamedTuple):
+    """The effect of one condition: how adhesion changes from its low to its high value.
+
+    Of series: from the first to the one that differs most. Sizes are shares; -0.2 is 20 % less.
+    """
+
+    name: str
+    judged: bool
+    why_not: str
+    size: float
+    low: float  # 95 % interval
+    high: float
+    smallest: float  # change that these data would have shown
+    is_reported: bool
+    exponent: float  # of one column: beta [K1]
+    series: dict[float, float]  # of series: the change of each against the first
+    together_with: list[str]  # conditions that these data cannot distinguish from it
+
+
+class Factors(NamedTuple):
+    """The effects of all conditions, and the exponents of [K1]."""
+
+    effects: list[Effect]
+    conditions: tuple[Condition, ...]  # of all points, with the columns of the better form
+    beta: np.ndarray
+    names: list[str]  # of the conditions in the fit, one for each column of beta
+
+
+def fit(all_points: Prepared) -> Factors:
+    """Return the effects of the conditions on one shared curve."""
+    prepared = all_points
+    late = _at_large_creepage(prepared)
+    if not late.all():
+        prepared = prepared.chosen(late)
+    smooth = shape.fit(
+        prepared.creepage,
+        prepared.adhesion,
+        np.zeros_like(prepared.group),
+        np.empty((prepared.group.size, 0)),
+        prepared.file_order,
+    )
+    basis = np.column_stack([np.ones(prepared.creepage.size), smooth.groups[0].basis])
+    together = conditions.going_together(prepared.conditions)
+    fitted = [c for c in prepared.conditions if c.varies and c.name not in together]
+    names = [c.name for c in fitted for _ in range(c.columns.shape[1])]
+    freedom = prepared.creepage.size - basis.shape[1] - len(names)
+
+    if freedom < LEAST_FREEDOM or not names:
+        effects = [_not_judged(c, together, freedom, len(names)) for c in prepared.conditions]
+        return Factors(effects, all_points.conditions, np.zeros(len(names)), names)
+
+    estimate = _estimate(prepared, basis, fitted)
+    in_other_form = []
+    for place, c in enumerate(fitted):
+        tried = fitted.copy()
+        tried[place] = c.in_other_form()
+        other = _estimate(prepared, basis, tried)
+        if other.squares < estimate.squares:
+            fitted, estimate = tried, other
+            in_other_form.append(c.name)
+
+    errors = estimate.errors * math.sqrt(smooth.inflation)
+    effects = []
+    for c in prepared.conditions:
+        in_fit = next((f for f in fitted if f.name == c.name), None)
+        if in_fit is None:
+            effects.append(_not_judged(c, together, freedom, len(names)))
+            continue
+        places = [k for k, name in enumerate(names) if name == c.name]
+        partners = [name for name, others in together.items() if c.name in others]
+        effects.append(_effect(in_fit, estimate.beta[places], errors[places], freedom, partners))
+    chosen = tuple(
+        c.in_other_form() if c.name in in_other_form else c for c in all_points.conditions
+    )
+    return Factors(effects, chosen, estimate.beta, names)
+
+
+class _Estimate(NamedTuple):
+    """Exponents of [K1] (k,), their errors (k,), and the residual sum of squares."""
+
+    beta: np.ndarray
+    errors: np.ndarray
+    squares: float
+
+
+def _at_large_creepage(prepared: Prepared) -> np.ndarray:
+    """Return which points are at large creepage (n,); all where these are too few."""
+    numbers = np.unique(prepared.group)
+    reached = min(prepared.creepage[prepared.group == number].max() for number in numbers)
+    late = prepared.creepage >= LATE * reached
+    counts = [int(late[prepared.group == number].sum()) for number in numbers]
+    if min(counts) < LEAST_LATE_POINTS:
+        return np.ones_like(late)
+    return late
+
+
+def _estimate(prepared: Prepared, basis: np.ndarray, fitted: list[Condition]) -> _Estimate:
+    """Return the exponents of some conditions, with errors that are not shared by neighbours."""
+    adhesion = prepared.adhesion
+    columns = np.column_stack([c.columns for c in fitted])
+
+    def curve_of(beta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        factor = np.exp(np.clip(columns @ beta, -20.0, 20.0))
+        scaled = basis * factor[:, None]
+        coefficients = np.linalg.lstsq(scaled, adhesion, rcond=None)[0]
+        return scaled, scaled @ coefficients
+
+    def residual(beta: np.ndarray) -> np.ndarray:
+        _, modelled = curve_of(beta)
+        return adhesion - modelled
+
+    solution = least_squares(residual, np.zeros(columns.shape[1]))
+    beta = solution.x
+    scaled, modelled = curve_of(beta)
+    left = adhesion - modelled
+
+    # the errors of a linear model in the neighbourhood of the solution
+    jacobian = np.column_stack([columns * modelled[:, None], scaled])
+    inverse = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-12)
+    leverage = np.einsum("ij,jk,ik->i", jacobian, inverse, jacobian)
+    squares = (left / np.maximum(1.0 - leverage, 0.1)) ** 2
+    least = (shape.LEAST_SCATTER * np.max(np.abs(adhesion))) ** 2
+    squares = np.maximum(squares, least)
+    covariance = inverse @ (jacobian.T * squares) @ jacobian @ inverse
+    k = columns.shape[1]
+    errors = np.sqrt(np.maximum(np.diag(covariance)[:k], 0.0))
+    return _Estimate(beta, errors, float(left @ left))
+
+
+def _effect(
+    c: Condition, beta: np.ndarray, errors: np.ndarray, freedom: int, partners: list[str]
+) -> Effect:
+    """Return the effect of a condition from its coefficients and their errors."""
+    tests = beta.size
+    limit = float(student.ppf(1.0 - ALPHA / (2.0 * tests), freedom))
+    wide = float(student.ppf(0.975, freedom))
+    if c.name == conditions.SERIES:
+        span = 1.0
+        k = int(np.argmax(np.abs(beta) / np.maximum(errors, 1e-12)))
+        numbers = np.unique(c.values)[1:]
+        series = {float(n): math.expm1(float(b)) for n, b in zip(numbers, beta, strict=True)}
+    else:
+        span = float(np.ptp(c.columns))
+        k = 0
+        series = {}
+    size = math.expm1(span * float(beta[k]))
+    is_significant = abs(float(beta[k])) > limit * float(errors[k])
+    return Effect(
+        name=c.name,
+        judged=True,
+        why_not="",
+        size=size,
+        low=math.expm1(span * float(beta[k] - wide * errors[k])),
+        high=math.expm1(span * float(beta[k] + wide * errors[k])),
+        smallest=max(
+            math.expm1(min(span * (limit + _POWER_DEVIATIONS) * float(errors[k]), 20.0)),
+            LEAST_EFFECT,
+        ),
+        is_reported=is_significant and abs(size) >= LEAST_EFFECT,
+        exponent=float(beta[k]),
+        series=series,
+        together_with=partners,
+    )
+
+
+def _not_judged(
+    c: Condition, together: dict[str, list[str]], freedom: int, coefficients: int
+) -> Effect:
+    if c.name in together:
+        why_not = f"it changes together with {' and '.join(together[c.name])} in these data"
+    elif not c.varies:
+        why_not = _one_value(c)
+    else:
+        why_not = (
+            f"{coefficients} factors leave {max(freedom, 0)} degrees of freedom; "
+            f"at least {LEAST_FREEDOM} are needed"
+        )
+    return Effect(
+        name=c.name,
+        judged=False,
+        why_not=why_not,
+        size=0.0,
+        low=0.0,
+        high=0.0,
+        smallest=math.inf,
+        is_reported=False,
+        exponent=0.0,
+        series={},
+        together_with=[],
+    )
+
+
+def _one_value(c: Condition) -> str:
+    if c.name == conditions.SERIES:
+        return "there is one series"
+    return f"all points have the same {c.name}, {float(np.median(c.values)):.4g} {c.unit}"
