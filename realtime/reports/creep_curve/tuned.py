@@ -175,8 +175,10 @@ def _draw_curve(figure: Figure, data: Dataset, fitted: PolachFit, shown: Shown) 
     for line in lines:
         for k, fine in enumerate(fine_curves):
             adhesion = model(np.array(line.parameters), fine, patch)
-            label = line.label if k == 0 else None
-            axes.plot(100 * fine.creepage, adhesion, line.style, color=line.colour, label=label)
+            shown_label = line.label if k == 0 else None
+            axes.plot(
+                100 * fine.creepage, adhesion, line.style, color=line.colour, label=shown_label
+            )
     axes.set(
         xlabel="creepage, %", ylabel="adhesion coefficient", xlim=(0.0, None), ylim=(0.0, None)
     )

@@ -181,11 +181,13 @@ def _groups(conditions: Sequence[Condition], points: int) -> np.ndarray:
     """Return the number of the group of equal levels of all conditions, (n,)."""
     keys = []
     for condition in conditions:
-        if condition.varies and condition.is_levels:
-            if condition.name == SERIES:
-                keys.append(np.unique(condition.values, return_inverse=True)[1])
-            else:
-                keys.append(levels(condition.columns[:, 0]))
+        if not condition.varies:
+            continue
+        number = levels(condition.columns[:, 0])
+        if condition.name == SERIES:
+            _, number = np.unique(condition.values, return_inverse=True)
+        if number is not None:
+            keys.append(number)
     if not keys:
         return np.zeros(points, dtype=int)
     _, number = np.unique(np.column_stack(keys), axis=0, return_inverse=True)

@@ -30,6 +30,9 @@ AT_BOUND = 1e-3
 
 REPLICATES = 60
 
+# beta is within +- this
+WIDEST_BETA = 20.0
+
 
 class Bounded(NamedTuple):
     """A parameter, its 95 % interval, and the bound at which it is ("low", "high" or "")."""
@@ -80,11 +83,43 @@ def _bounds(has_fall: bool) -> tuple[np.ndarray, np.ndarray]:
     return low, high
 
 
+class _Problem(NamedTuple):
+    """The least-squares fit of the law to adhesions at the points of a curve."""
+
+    curve: Curve
+    columns: np.ndarray
+    patch: Patch
+    has_fall: bool
+
+    def split(self, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return Polach's parameters (5,) and beta (k,) of the free parameters."""
+        count = free.size - self.columns.shape[1]
+        return _with_ratio(free[:count], self.has_fall), free[count:]
+
+    def solve(self, adhesion: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:
+        """Return the free parameters of the best fit of all starts."""
+        low, high = _bounds(self.has_fall)
+        wide = np.full(self.columns.shape[1], WIDEST_BETA)
+        low = np.concatenate([low, -wide])
+        high = np.concatenate([high, wide])
+
+        def residual(free: np.ndarray) -> np.ndarray:
+            x, beta = self.split(free)
+            return modelled(x, beta, self.columns, self.curve, self.patch) - adhesion
+
+        fits = [
+            least_squares(residual, np.clip(start, low, high), bounds=(low, high), x_scale=high)
+            for start in starts
+        ]
+        best = min(fits, key=lambda solution: solution.cost)
+        return best.x
+
+
 def modelled(
     x: np.ndarray, beta: np.ndarray, columns: np.ndarray, curve: Curve, patch: Patch
 ) -> np.ndarray:
     """Return the adhesion [L1] at the points of a curve; `columns` (n, k) belong to beta (k,)."""
-    factor = np.exp(np.clip(columns @ beta, -20.0, 20.0))
+    factor = np.exp(np.clip(columns @ beta, -WIDEST_BETA, WIDEST_BETA))
     return polach_fit.model(x, curve, patch, factor)
 
 
@@ -99,27 +134,7 @@ def fit(
 ) -> Law:
     """Return Polach's law with or without falling friction, fitted and judged."""
     curve = prepared.curve._replace(creepage=prepared.creepage)
-    low, high = _bounds(has_fall)
-    wide = np.full(beta_start.size, 20.0)
-    low_all = np.concatenate([low, -wide])
-    high_all = np.concatenate([high, wide])
-
-    def solve(adhesion: np.ndarray, points: Curve, at: np.ndarray, starts: list[np.ndarray]):
-        def residual(part: np.ndarray) -> np.ndarray:
-            x = _with_ratio(part[: low.size], has_fall)
-            return modelled(x, part[low.size :], at, points, patch) - adhesion
-
-        fits = [
-            least_squares(
-                residual,
-                np.clip(start, low_all, high_all),
-                bounds=(low_all, high_all),
-                x_scale=np.concatenate([high, np.ones(beta_start.size)]),
-            )
-            for start in starts
-        ]
-        return min(fits, key=lambda solution: solution.cost)
-
+    problem = _Problem(curve, columns, patch, has_fall)
     top = float(np.max(prepared.adhesion))
     starts = []
     for start in polach_fit.STARTS:
@@ -128,9 +143,8 @@ def fit(
             if not has_fall:
                 first = [first[0], first[3], first[4]]
             starts.append(np.concatenate([first, beta_start]))
-    best = solve(prepared.adhesion, curve, columns, starts)
-    x = _with_ratio(best.x[: low.size], has_fall)
-    beta = best.x[low.size :]
+    best = problem.solve(prepared.adhesion, starts)
+    x, beta = problem.split(best)
     model = modelled(x, beta, columns, curve, patch)
     residual = model - prepared.adhesion
 
@@ -140,13 +154,13 @@ def fit(
     blocks = int(smooth.block.max()) + 1
     for i in range(REPLICATES):
         signs = rng.choice((-1.0, 1.0), size=blocks)[smooth.block]
-        again = solve(model + signs * residual, curve, columns, [best.x])
-        replicates[i] = _with_ratio(again.x[: low.size], has_fall)
+        again = problem.solve(model + signs * residual, [best])
+        replicates[i], _ = problem.split(again)
 
     rms = float(np.sqrt(np.mean(residual**2)))
     squares = float(residual @ residual)
     free_squares = smooth.scatter**2 * max(smooth.freedom, 1)
-    freer = max(smooth.coefficients - best.x.size, 1)
+    freer = max(smooth.coefficients - best.size, 1)
     ratio = max(squares - free_squares, 0.0) / freer / (smooth.scatter**2 * smooth.inflation)
     p_value = float(fisher.sf(ratio, freer, max(smooth.freedom, 1)))
     beyond = math.sqrt(max(squares - free_squares, 0.0) / residual.size)

@@ -542,9 +542,7 @@ _PRESSURES = (
 )
 
 
-def _optional_quantity(
-    files: Sequence[_DataFile], allowed: tuple[_Unit, ...]
-) -> np.ndarray | None:
+def _optional_quantity(files: Sequence[_DataFile], allowed: tuple[_Unit, ...]) -> np.ndarray | None:
     """Return an optional quantity of all files in SI units; None where no file has it.
 
     Raises ConfigError where only some files have it, or where a value is not above 0.

@@ -40,7 +40,17 @@ class Curve(NamedTuple):
 
     def chosen(self, points: np.ndarray) -> "Curve":
         """Return the points with these places (k,), in this order."""
-        return Curve(*(None if column is None else column[points] for column in self))
+        temperature_K = self.temperature_K
+        pressure_Pa = self.pressure_Pa
+        return Curve(
+            creepage=self.creepage[points],
+            adhesion=self.adhesion[points],
+            speed_m_s=self.speed_m_s[points],
+            load_N=self.load_N[points],
+            series=self.series[points],
+            temperature_K=None if temperature_K is None else temperature_K[points],
+            pressure_Pa=None if pressure_Pa is None else pressure_Pa[points],
+        )
 
 
 class Dataset(NamedTuple):
