@@ -31,7 +31,7 @@ rollerrig uses. `make docs` writes it from what the installed packages declare.
 
 rollerrig is under the [Apache License 2.0](../LICENSE). It contains no code of these packages: `pip`
 installs them next to it, and you can replace each of them by another version. An FMU that
-`rollerrig export-fmu` writes contains files of pythonfmu3. This page is no legal advice.
+`rollerrig export-fmu` writes contains the headers of FMI 3.0 (BSD-2-Clause). This page is no legal advice.
 
 """
 _COPYLEFT_TEXT = """## Copyleft

@@ -279,16 +279,17 @@ def fmu_arguments(parser: argparse.ArgumentParser) -> None:
 def export_fmu(options: argparse.Namespace) -> int:
     """Write the rig with a scenario as an FMU. Returns PASS."""
     from rollerrig.firmware_sim.faults import panel
-    from rollerrig.realtime.bench import as_fmu, scenario
+    from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.bench.rig_fmu import description, export
 
     plan = scenario.load(options.scenario, options.model, tuple(options.set))
     panel.check_without_bus(
         plan.faults, "the FMU of a rig", f"remove the fault from scenario {options.scenario}"
     )
-    variables = as_fmu.write(plan, options.out)
+    variables = export.write(plan, options.out)
     return output.show(
         options,
-        {"file": str(options.out), "variables": variables, "step_s": as_fmu.STEP_S},
-        f"{options.out}: {variables} variables, FMI 3.0, steps of {as_fmu.STEP_S:g} s; Python with "
+        {"file": str(options.out), "variables": variables, "step_s": description.STEP_S},
+        f"{options.out}: {variables} variables, FMI 3.0, steps of {description.STEP_S:g} s; Python with "
         "rollerrig must be installed where the FMU runs",
     )

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import re
 import shlex
 import sys
 import zipfile
@@ -11,7 +12,8 @@ import pytest
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import as_fmu, scenario
+from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.bench.rig_fmu import export
 from rollerrig.realtime.campaign import campaign
 from rollerrig.wsp_interface.sequences import play, sequence
 
@@ -134,16 +136,20 @@ def test_the_command_that_repeats_a_run_is_one_command_whatever_is_in_the_plan(f
 
 
 def test_the_name_of_a_scenario_is_not_part_of_the_program_in_its_fmu(folder):
-    pytest.importorskip("pythonfmu3")
+    pytest.importorskip("fmpy")
     name = 'a"""\nimport pathlib\npathlib.Path("ran").touch()\n"""b'
     scenario_path = folder / f"{name}.toml"
     scenario_path.write_text('title = "A stop"\n')
-    as_fmu.write(scenario.load(str(scenario_path)), folder / "rig.fmu")
+    export.write(scenario.load(str(scenario_path)), folder / "rig.fmu")
     assert not (folder / "ran").exists()
     with zipfile.ZipFile(folder / "rig.fmu") as archive:
-        program = archive.read("resources/rig.py").decode()
+        for source in export.SOURCES:
+            program = Path(export.__file__).with_name(source).read_bytes()
+            assert archive.read(f"sources/{source}") == program
+        token = archive.read("sources/token.h").decode()
         model = archive.read("modelDescription.xml").decode()
-    assert program == as_fmu._SCRIPT
+        assert not any(name.endswith(".py") for name in archive.namelist())
+    assert re.fullmatch(r'#define INSTANTIATION_TOKEN "[0-9a-f]{64}"\n', token)
     assert 'modelName="a____import_pathlib_' in model
 
 
