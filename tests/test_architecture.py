@@ -37,7 +37,7 @@ FLOORS = {
     "rig/identify": (
         "files",
         "data",
-        "replay train_recorder",
+        "base replay train_recorder",
         "causes",
         "decide",
         "paper next_stops",

@@ -270,20 +270,20 @@ def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
 
     speed_m_s = accuracy["speed_m_s"]
     if speed_m_s <= 0:
-        speed_m_s = max(_estimated_noise(run.speed_m_s), LEAST_SPEED_NOISE_M_S)
+        speed_m_s = max(estimated_noise(run.speed_m_s), LEAST_SPEED_NOISE_M_S)
 
     wheel_rad_s = accuracy["wheel_speed_rad_s"]
     if wheel_rad_s <= 0:
-        wheel_rad_s = max(_estimated_noise(run.wheel_speed_rad_s), LEAST_WHEEL_NOISE_RAD_S)
+        wheel_rad_s = max(estimated_noise(run.wheel_speed_rad_s), LEAST_WHEEL_NOISE_RAD_S)
 
     if accuracy["torque_fraction"] > 0:
         torque_Nm = accuracy["torque_fraction"] * float(np.max(run.torque_Nm))
     else:
-        torque_Nm = _estimated_noise(run.torque_Nm)
+        torque_Nm = estimated_noise(run.torque_Nm)
     return speed_m_s, wheel_rad_s, max(torque_Nm, LEAST_TORQUE_NOISE_NM)
 
 
-def _estimated_noise(values: np.ndarray) -> float:
+def estimated_noise(values: np.ndarray) -> float:
     """Return the standard deviation of white noise on a smooth signal, from third differences."""
     third = np.diff(values, n=3, axis=0)
     # 0.6745 is the median of |x| for a normal distribution of standard deviation 1. A third
@@ -291,16 +291,24 @@ def _estimated_noise(values: np.ndarray) -> float:
     return float(np.median(np.abs(third)) / 0.6745 / np.sqrt(20.0)) + 1e-9
 
 
+def samples_before_braking(torque_Nm: np.ndarray, step_s: float) -> int:
+    """Return the number of samples before the brake of a wheelset applies, less a margin.
+
+    `torque_Nm` (n,) is its torque. 0 if the brake is applied from the beginning, or never.
+    """
+    smooth = gaussian_filter1d(torque_Nm, RELEASED_SMOOTHING_S / step_s)
+    applied = np.flatnonzero(smooth > RELEASED_SHARE * np.max(smooth))
+    if not applied.size:
+        return 0
+    return max(int(applied[0]) - int(RELEASED_MARGIN_S / step_s), 0)
+
+
 def _released_torque(torque_Nm: np.ndarray, step_s: float) -> tuple[float, float]:
     """Return the mean torque before the brake applies and its standard error.
 
     Both are NaN where less than LEAST_RELEASED_S of the recording is with the brake released.
     """
-    smooth = gaussian_filter1d(torque_Nm, RELEASED_SMOOTHING_S / step_s)
-    applied = np.flatnonzero(smooth > RELEASED_SHARE * np.max(smooth))
-    samples = 0
-    if applied.size:
-        samples = int(applied[0]) - int(RELEASED_MARGIN_S / step_s)
+    samples = samples_before_braking(torque_Nm, step_s)
     if samples < LEAST_RELEASED_S / step_s:
         return float("nan"), float("nan")
     before = torque_Nm[:samples]

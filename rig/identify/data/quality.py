@@ -37,6 +37,8 @@ def check_run(run: Run, path: Path, dataset: Dataset, initial_speed_m_s: float) 
     vehicle = dataset.sections["vehicle"]
     _check_time(run, path, dataset.sample_time_s)
     _check_constant(run, path)
+    _check_forwards(run, path)
+    units.check_rolling(run, path, vehicle["wheel_radius_m"])
     _check_speed(run, path, initial_speed_m_s)
     _check_signs(run, path)
     units.check(run, path, vehicle, dataset.warnings)
@@ -130,7 +132,7 @@ def _check_speed(run: Run, path: Path, initial_m_s: float) -> None:
 
 
 def _check_signs(run: Run, path: Path) -> None:
-    """Raise ConfigError where a brake torque or a wheel speed has the wrong sign."""
+    """Raise ConfigError where a brake torque has the wrong sign."""
     mean_Nm = np.mean(run.torque_Nm)
     if mean_Nm < 0.0:
         raise ConfigError(
@@ -144,6 +146,11 @@ def _check_signs(run: Run, path: Path) -> None:
                 f"{path}: the mean of brake_torque_{j + 1}_Nm is negative, those of the other "
                 "wheelsets are not: change its sign"
             )
+
+
+def _check_forwards(run: Run, path: Path) -> None:
+    """Raise ConfigError where a wheel turns backwards at the start."""
+    for j in range(run.wheel_speed_rad_s.shape[1]):
         if np.median(run.wheel_speed_rad_s[:50, j]) < 0.0:
             raise ConfigError(
                 f"{path}: wheel_speed_{j + 1}_rad_s is negative; wheels that turn forwards have "

@@ -30,6 +30,7 @@ _SPEED_RATIOS = (
     (1.0 / (2.0 * np.pi), "wheel_speed is in turns a second: multiply it by 2 pi"),
     (180.0 / np.pi, "wheel_speed is in degrees a second: multiply it by pi / 180"),
     (1.0 / 3.6, "vehicle_speed_m_s is in km/h: divide it by 3.6"),
+    (0.44704, "vehicle_speed_m_s is in miles an hour: multiply it by 0.44704"),
     (2.0, "wheel_radius_m is a diameter: halve it"),
 )
 # omega / v, where the channel has the speed of the rim and not the angular speed:
@@ -48,6 +49,7 @@ _LOAD_RATIOS = (
 # integral of sum C / r over the loss of momentum:
 _TORQUE_RATIOS = (
     (1e-3, "it is in kN m: multiply by 1000"),
+    (0.1, "it is in daN m or kgf m: multiply by 10 or by 9.80665"),
     (0.5, "it is of one wheel: double it"),
     (AXLES, f"it is the vehicle's: divide by {AXLES}"),
 )
@@ -64,8 +66,10 @@ CLEAR_GAIN = 0.5
 
 
 def check(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
-    """Check the units of a run; warns where torque and speed disagree. Raises ConfigError."""
-    _check_rolling(run, path, vehicle["wheel_radius_m"])
+    """Check loads and torques of a run; warns where torque and speed disagree.
+
+    Raises ConfigError.
+    """
     if np.isfinite(run.mass_kg):
         _check_weight(run, path)
         _check_momentum(run, path, vehicle, warnings)
@@ -79,7 +83,7 @@ def _meaning(ratio: float, table: tuple[tuple[float, str], ...], otherwise: str)
     return otherwise
 
 
-def _check_rolling(run: Run, path: Path, radius_m: float) -> None:
+def check_rolling(run: Run, path: Path, radius_m: float) -> None:
     """Raise ConfigError where wheels at the start of a run do not roll with the vehicle [D1]."""
     speed_m_s = max(float(np.median(run.speed_m_s[:50])), 1e-9)
     for j in range(run.wheel_speed_rad_s.shape[1]):
@@ -88,9 +92,12 @@ def _check_rolling(run: Run, path: Path, radius_m: float) -> None:
         if 0.5 < ratio < 1.5:
             continue
         unknown = "check the radius (metres) and the unit of wheel_speed (rad/s)"
-        # the table of rim speeds goes first, and the other table serves where it has no match
-        other_unit = _meaning(ratio, _SPEED_RATIOS, unknown)
-        why = _meaning(wheel_rad_s / speed_m_s, _RIM_SPEED_RATIOS, other_unit)
+        # both tables may match: with a radius of 0.447 m a rim in m/s looks like a speed in mph
+        meanings = [
+            _meaning(wheel_rad_s / speed_m_s, _RIM_SPEED_RATIOS, ""),
+            _meaning(ratio, _SPEED_RATIOS, ""),
+        ]
+        why = ", or ".join(meaning for meaning in meanings if meaning) or unknown
         raise ConfigError(
             f"{path}: wheelset {j + 1} runs at {ratio:.3g} times the vehicle's speed with "
             f"wheel_radius_m = {radius_m:g}; rolling wheels give 1: {why}"
@@ -101,22 +108,25 @@ def _check_weight(run: Run, path: Path) -> None:
     """Raise ConfigError where a load is far from the wheelset's share of the weight [D1]."""
     axles = run.load_N.shape[1]
     static_N = run.mass_kg * GRAVITY_M_S2 / axles
+    # braking moves load from one wheelset to another, so the mean of all shows the unit
+    mean_ratio = float(np.mean(np.median(run.load_N, axis=0))) / static_N
     for j in range(axles):
         load_N = np.median(run.load_N[:, j])
         ratio = float(load_N) / static_N
         if not 0.7 < ratio < 1.4:
             unknown = "loads are newtons for both wheels; check mass_kg too"
-            why = _meaning(ratio, _LOAD_RATIOS, unknown)
+            why = _meaning(ratio, _LOAD_RATIOS, _meaning(mean_ratio, _LOAD_RATIOS, unknown))
             raise ConfigError(
                 f"{path}: wheel_load_{j + 1}_N is {load_N:.4g}, a wheelset of this vehicle carries "
                 f"{static_N:.4g} N: {why}"
             )
 
 
-def _check_momentum(
-    run: Run, path: Path, vehicle: Mapping[str, float], warnings: list[str]
-) -> None:
-    """Raise ConfigError, or warns, where the torques do not account for the lost momentum [D1]."""
+def torque_share(run: Run, vehicle: Mapping[str, float]) -> float | None:
+    """Return the share of the momentum that the vehicle loses for which the torques account [D1].
+
+    1 is right. None if the brakes took too little momentum to judge them.
+    """
     step_s = float(np.mean(np.diff(run.time_s)))
     radius_m = vehicle["wheel_radius_m"]
     v = run.speed_m_s
@@ -132,12 +142,17 @@ def _check_momentum(
         - float(coast_N.sum()) * step_s
         + vehicle["wheelset_inertia_kgm2"] / radius_m * lost_rad_s
     )
-    # the brakes took too little momentum to judge them
     if lost_m_s < 3.0 or momentum_Ns < 0.3 * run.mass_kg * lost_m_s:
-        return
+        return None
+    return float(run.torque_Nm.sum()) * step_s / radius_m / momentum_Ns
 
-    share = float(run.torque_Nm.sum()) * step_s / radius_m / momentum_Ns
-    if 0.6 < share < 1.6:
+
+def _check_momentum(
+    run: Run, path: Path, vehicle: Mapping[str, float], warnings: list[str]
+) -> None:
+    """Raise ConfigError, or warns, where the torques do not account for the lost momentum [D1]."""
+    share = torque_share(run, vehicle)
+    if share is None or 0.6 < share < 1.6:
         return
     finding = (
         f"{path}: brake_torque accounts for {share:.3g} of the momentum that the vehicle loses"
@@ -220,7 +235,7 @@ def _best_shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float,
     three values are 0 if the run is too short.
     """
     step_s = float(np.mean(np.diff(run.time_s)))
-    window = 2 * max(int(0.1 / step_s), 3) + 1
+    window = derivative_window(step_s)
     most_samples = max(int(1.0 / step_s), 4)  # the largest shift that is tried, one second
     is_moving = run.speed_m_s > 5.0
     if np.count_nonzero(is_moving) < 4 * most_samples:
@@ -229,8 +244,8 @@ def _best_shift(run: Run, axle: int, inertia_kgm2: float) -> tuple[float, float,
     wheel_rad_s = run.wheel_speed_rad_s[:, axle]
     inertial_Nm = inertia_kgm2 * smoothed(wheel_rad_s, window, 3, 1, step_s)
     braking_Nm = -smoothed(run.torque_Nm[:, axle], window, 3)
-    inertial = _fast_part(inertial_Nm, most_samples, is_moving)
-    braking = _fast_part(braking_Nm, most_samples, is_moving)
+    inertial = fast_part(inertial_Nm, most_samples, is_moving)
+    braking = fast_part(braking_Nm, most_samples, is_moving)
 
     shifts = range(-most_samples, most_samples + 1)
     correlations = np.array([_correlation(inertial, braking, shift) for shift in shifts])
@@ -255,7 +270,12 @@ def _correlation(inertial: np.ndarray, braking: np.ndarray, shift: int) -> np.fl
     return np.mean(later * earlier)
 
 
-def _fast_part(values: np.ndarray, width: int, chosen: np.ndarray) -> np.ndarray:
+def derivative_window(step_s: float) -> int:
+    """Return the samples of the window in which accelerations of wheels are compared, odd."""
+    return 2 * max(int(0.1 / step_s), 3) + 1
+
+
+def fast_part(values: np.ndarray, width: int, chosen: np.ndarray) -> np.ndarray:
     """Return the fast changes of values at the chosen samples, scaled to mean 0 and deviation 1.
 
     A change is fast if a Gaussian filter of this width, in samples, removes it.

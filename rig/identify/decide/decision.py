@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.rig.identify.base import check as base_checks
 from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
@@ -23,6 +24,7 @@ from rollerrig.rig.identify.decide import (
     evidence,
     fitting,
     gain,
+    goodness,
     null_simulations,
     thresholds,
 )
@@ -83,6 +85,7 @@ def explain_braking_runs(
     from threadpoolctl import threadpool_limits
 
     began_s = time.monotonic()
+    base_checks.check(data)
     # the processes of the pool use all cores: numerical libraries must not start threads besides
     with threadpool_limits(1), null_simulations.worker_pool() as pool:
         measured = data.group("tune")
@@ -93,6 +96,7 @@ def explain_braking_runs(
         base_fit = fitting.fit(design, candidates.untuned(design))
         progress("fit of the base", 1.0)
         base = base_fit.explanation
+        goodness.check_deviance(design, base_fit.deviance)
         _check_accuracy(design, base)
         search = _search_causes(workspace, base_fit, seed)
 
@@ -105,6 +109,9 @@ def explain_braking_runs(
             measured_gain = gain.measure(held_out, base, search.explanation, seed)
         verdict, more_notes = decide_verdict(search.causes, search.remainder, measured_gain)
         notes += more_notes
+        if verdict == Verdict.CONSISTENT:
+            goodness.check_fit(design, base)
+        base_checks.check_order(data, [found.cause.name for found in search.causes])
 
         final = search.explanation
         causes = search.causes
@@ -151,7 +158,8 @@ def _check_accuracy(design: Design, base: Explanation) -> None:
     ratio = float(np.median(innovation * innovation / variance) / _MEDIAN_OF_CHI_SQUARED)
     low = thresholds.LEAST_INNOVATION_VARIANCE
     high = thresholds.MOST_INNOVATION_VARIANCE
-    if ratio > high or ratio < low:
+    # negated, so that a ratio that is not a number is refused too
+    if not low <= ratio <= high:
         raise ConfigError(
             f"the innovations have {ratio:.2g} times the variance that the declared accuracy allows "
             f"(1 is right, {low} to {high} is accepted): correct [accuracy] in dataset.toml, or leave "

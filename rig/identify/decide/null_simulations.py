@@ -17,7 +17,7 @@ from rollerrig.configs.processes import children
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
-from rollerrig.rig.identify.decide import evidence, fitting, simulate, thresholds
+from rollerrig.rig.identify.decide import evidence, fitting, goodness, simulate, thresholds
 from rollerrig.rig.identify.decide.evidence import Scores, ScoreTest
 
 MOST_PROCESSES = 8
@@ -112,13 +112,14 @@ def score_against_nulls(
 
     `known` causes are in the explanation already and are not tested. Null simulations are added in
     rounds until more would not change what counts, at most `most`. Raises ConfigError if less than
-    half of them can be replayed.
+    half of them can be replayed, or if the scores of the measured runs are not finite.
     """
     # tolerances are drawn again for each null simulation: the fitted ones belong to the recording
     free = {label: value for label, value in explanation.base.items() if label.startswith("ln_")}
     without_tolerances = explanation._replace(base=free)
 
     normal, *_ = fitting.normal_equations(workspace.design, explanation)
+    goodness.check_finite(workspace.design, normal)
     nulls: list[Scores] = []
     for begin in range(0, most, thresholds.NULL_SIMULATIONS_PER_ROUND):
         end = min(begin + thresholds.NULL_SIMULATIONS_PER_ROUND, most)

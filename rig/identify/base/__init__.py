@@ -1,0 +1,1 @@
+"""Checks the data before any statistics: scales, channels, order of axles, sampling."""
