@@ -189,7 +189,8 @@ def test_an_independent_speed_equals_no_function_of_the_wheels() -> None:
     noise = np.random.default_rng(5)
     speed_m_s = np.linspace(40.0, 20.0, 4000)
     rims_m_s = speed_m_s[:, None] + noise.normal(0.0, 0.03, (4000, 4))
-    run = dataset.load("open_none").runs[0]._replace(
+    measured = dataset.load("open_none").runs[0]
+    run = measured._replace(
         speed_m_s=speed_m_s + noise.normal(0.0, 0.03, 4000),
         wheel_speed_rad_s=rims_m_s / 0.445,
     )
