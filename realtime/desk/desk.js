@@ -25,6 +25,7 @@ const SLOW_MOTION = 20;
 const LANES_LEFT = 56;
 const LANES_RIGHT = 14;
 const LANE_GAP = 4;
+const LANE_SHARES = [0.25, 0.6, 1];
 
 // the picture of the coach, in units of its view box
 const WHEEL_X = [90, 190, 510, 610];
@@ -43,6 +44,29 @@ function kilometresPerHour(speed_m_s) {
   return 3.6 * speed_m_s;
 }
 
+// Returns a number that is not less, of the form 1, 2, 2.5 or 5 times a power of ten.
+function roundUp(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  const step = [1, 2, 2.5, 5, 10].find((candidate) => candidate * power >= value * (1 - 1e-9));
+  return step * power;
+}
+
+// Returns the vertical range of a plot: all its points, zero, and at least `least`.
+function verticalRange(series, least) {
+  let low = 0;
+  let high = least;
+  for (const one of series) {
+    for (const [, value] of one.data) {
+      if (value === null) continue;
+      low = Math.min(low, value);
+      high = Math.max(high, value);
+    }
+  }
+  // noise below zero shows no negative half
+  const min = low > -least / 2 ? 0 : -roundUp(-low);
+  return { min, max: high > least ? roundUp(high) : least };
+}
+
 window.desk = {
   settings: null, // what `live.py` gives to `begin`: columns, plots, colours and limits
   columnIndex: {}, // the place of each column in a row
@@ -50,6 +74,7 @@ window.desk = {
   next: 0, // number of the first point that the page has not received yet
   rows: [], // the rows that are drawn
   newest: null, // the newest row
+  marks: [], // faults: [time in s, name, whether it begins]
   braked: null, // m since the first brake demand, or null without a demand
   heldSpeed: null, // m/s while the rig is held, otherwise null
   whole: false, // whether the whole run is drawn, or only its last seconds
@@ -116,6 +141,7 @@ window.desk = {
     }
     this.heldSpeed = reply.held_m_s;
     this.newest = reply.newest;
+    this.marks = reply.marks;
     this.braked = reply.braked_m;
     this.next = reply.points;
 
@@ -145,16 +171,36 @@ window.desk = {
     const last = this.lastTime();
     const begin = this.whole ? 0 : Math.max(0, last - this.settings.span_s);
     const end = Math.max(last, begin + 1);
-    for (const plot of this.settings.plots) this.drawPlot(plot, begin, end);
+    this.settings.plots.forEach((plot, index) => this.drawPlot(plot, begin, end, index === 0));
     this.drawValves(begin, end);
     this.drawFigures();
   },
 
-  drawPlot(plot, begin, end) {
+  // Draws one plot. Only the first plot has the names of the faults at their marks.
+  drawPlot(plot, begin, end, named) {
     const chart = getElement(plot.id)?.chart;
     if (!chart || chart.isDisposed()) return;
     const series = plot.lines.map((line) => ({ id: line.column, data: this.points(line, plot.scale) }));
-    chart.setOption({ xAxis: { min: begin, max: end }, series }, { lazyUpdate: true });
+    series[0].markLine = this.faultLines(begin, end, named);
+    const yAxis = verticalRange(series, plot.least);
+    chart.setOption({ xAxis: { min: begin, max: end }, yAxis, series }, { lazyUpdate: true });
+  },
+
+  // Returns the vertical lines where faults began (dashed) and were lifted (dotted).
+  faultLines(begin, end, named) {
+    const shown = this.marks.filter(([time]) => time >= begin && time <= end);
+    const data = shown.map(([time, name, begins]) => ({
+      xAxis: time,
+      lineStyle: { color: this.settings.mark, type: begins ? "dashed" : "dotted", width: 1.5 },
+      label: {
+        show: named,
+        formatter: begins ? name : `${name} lifted`,
+        position: "insideEndTop",
+        color: this.settings.mark,
+        fontSize: 10,
+      },
+    }));
+    return { symbol: "none", silent: true, animation: false, data };
   },
 
   // Returns the points [time, value] of a line; none if the line belongs to an axle that is not drawn.
@@ -180,11 +226,11 @@ window.desk = {
 
     let time = "no bench";
     let demand_bar = null;
-    let sliding_km_h = null;
+    let sliding_m_s = null;
     if (this.newest) {
       time = `${numberText(this.newestValue("time_s"), 1)} s`;
       demand_bar = this.newestValue("brake_demand_Pa") / 1e5;
-      sliding_km_h = kilometresPerHour(this.largestSliding());
+      sliding_m_s = this.largestSliding();
     } else if (this.heldSpeed !== null) {
       time = "held";
     }
@@ -196,9 +242,7 @@ window.desk = {
     put("distance", numberText(this.newestValue("position_m"), 0));
     put("braked", numberText(this.braked, 0));
     put("demand", numberText(demand_bar, 2));
-    put("sliding", numberText(sliding_km_h, 1));
-    put("missed", numberText(this.newestValue("ticks_missed"), 0));
-    put("late", numberText(this.newestValue("tick_lateness_us"), 0));
+    put("sliding", numberText(sliding_m_s, 2));
   },
 
   // Returns the largest newest sliding speed of all axles in m/s.
@@ -228,6 +272,10 @@ window.desk = {
       const drawn = !this.axle || this.axle === axle;
       if (drawn) this.drawLane(pen, axle, top, laneHeight, toX);
     }
+    pen.fillStyle = this.settings.mark;
+    for (const [time] of this.marks) {
+      if (time >= begin && time <= end) pen.fillRect(toX(time), 0, 1.5, canvas.height);
+    }
   },
 
   drawLane(pen, axle, top, height, toX) {
@@ -238,7 +286,10 @@ window.desk = {
       const right = toX(this.rows[k + 1][0]);
       pen.fillStyle = this.settings.valves[Math.min(2, state)];
       // half a pixel more closes the gap to the next rectangle
-      pen.fillRect(left, top + LANE_GAP / 2, Math.max(1, right - left + 0.5), height - LANE_GAP);
+      // the height shows the state, too: fill is low, hold is half, vent is whole
+      const share = LANE_SHARES[Math.min(2, state)];
+      const high = (height - LANE_GAP) * share;
+      pen.fillRect(left, top + height - LANE_GAP / 2 - high, Math.max(1, right - left + 0.5), high);
     }
   },
 

@@ -84,10 +84,10 @@ def _loop(bench: Bench, doors: Doors) -> Light:
     missed = float(np.ptp(last_minute[:, _MISSED_COLUMN]))
     latest_us = float(last_minute[-_RECENT_SAMPLES:, _LATENESS_COLUMN].max())
     if missed > 0.0:
-        why = f"{missed:.0f} ticks missed in the last minute, latest {latest_us:.0f} us"
+        why = f"{missed:.0f} deadlines missed in the last minute, latest cycle {latest_us:.0f} us"
         return Light("loop", YELLOW, why)
     colour = YELLOW if latest_us > _LATE_US else GREEN
-    return Light("loop", colour, f"no tick missed, latest {latest_us:.0f} us")
+    return Light("loop", colour, f"no deadline missed, latest cycle {latest_us:.0f} us")
 
 
 def _bus(bench: Bench, registers: dict[str, float]) -> Light:

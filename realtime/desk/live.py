@@ -16,20 +16,41 @@ from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
 
+# fault marks in the plots
+_MOST_MARKS = 40
+
 # a wheel is drawn as locked if it is slower than LOCKED_M_S while the vehicle is faster than
 # MOVING_M_S
 LOCKED_M_S = 0.1
 MOVING_M_S = 0.5
-_RADIUS_M = 0.445  # radius of the drawn wheels (the coach UIC-Z1: Table 1 of the paper)
+
+
+class _Line(NamedTuple):
+    """A signal of a plot: its columns, how the legend names it, and how it is drawn.
+
+    A line of an axle has the colour and the kind of line of its axle, unless `colour` or `dashes`
+    replaces it.
+    """
+
+    columns: tuple[str, ...]
+    name: str  # "" for the names of the axles
+    colour: Colour | None = None
+    dashes: tuple[float, ...] | None = None  # in points; () is a solid line
+    width: float = 1.3
 
 
 class _Plot(NamedTuple):
-    """One plot: title, unit, units of the plot for an SI unit, and the signals in it."""
+    """One plot.
+
+    scale: units of the plot for an SI unit.
+    least: the vertical axis is at least so long, so that noise of an idle rig is not magnified.
+    """
 
     title: str
     unit: str
     scale: float
-    signals: tuple[str, ...]
+    least: float
+    lines: tuple[_Line, ...]
 
 
 class _Figure(NamedTuple):
@@ -40,50 +61,56 @@ class _Figure(NamedTuple):
     label: str
 
 
+def _columns(name: str) -> tuple[str, ...]:
+    return tuple(signals.columns(signals.BY_NAME[name]))
+
+
+_DOTS = (1.0, 2.0)
+_DASHES = (6.0, 3.0)
 _PLOTS = (
     _Plot(
-        "Speeds: vehicle, wheels, WSP reference",
+        "Speeds",
         "km/h",
         3.6,
-        ("vehicle_speed", "wheel_circumferential_speed", "wsp_reference_speed"),
+        10.0,
+        (
+            _Line(_columns("vehicle_speed"), "vehicle", colours.VEHICLE, (), 2.5),
+            _Line(_columns("wheel_circumferential_speed"), ""),
+            _Line(reader.MEASURED, "measured by the sensors", dashes=_DOTS, width=1.0),
+            _Line(_columns("wsp_reference_speed"), "WSP reference", colours.REFERENCE, _DASHES),
+        ),
     ),
-    _Plot("Sliding", "km/h", 3.6, ("sliding",)),
+    _Plot("Sliding", "m/s", 1.0, 1.0, (_Line(_columns("sliding"), ""),)),
     _Plot(
-        "Adhesion f between f_d and f_r",
+        "Adhesion used",
         "",
         1.0,
-        ("adhesion_degraded", "adhesion_recovered", "adhesion"),
+        0.05,
+        (
+            _Line(_columns("adhesion_degraded"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
+            _Line(_columns("adhesion_recovered"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
+            _Line(_columns("adhesion"), "", width=2.0),
+        ),
     ),
     _Plot(
-        "Brake cylinder pressures, demand in yellow",
+        "Brake cylinder pressures",
         "bar",
         1e-5,
-        ("cylinder_pressure", "brake_demand"),
+        1.0,
+        (
+            _Line(_columns("cylinder_pressure"), ""),
+            _Line(_columns("brake_demand"), "demand", colours.REFERENCE, _DASHES),
+        ),
     ),
 )
-_COLOURS: dict[str, Colour] = {
-    "vehicle_speed": colours.VEHICLE,
-    "wsp_reference_speed": colours.REFERENCE,
-    "brake_demand": colours.REFERENCE,
-    "adhesion_degraded": colours.LIMIT,
-    "adhesion_recovered": colours.LIMIT,
-}
-_USUAL_WIDTH = 1.3
-_WIDTHS = {
-    "vehicle_speed": 2.5,
-    "adhesion": 2.0,
-    "adhesion_degraded": 0.8,
-    "adhesion_recovered": 0.8,
-}
+# deadline misses and the latest cycle are at the light of the loop
 _FIGURES = (
     _Figure("time", "", "simulated time"),
     _Figure("speed", "km/h", "vehicle"),
     _Figure("distance", "m", "distance from the start"),
     _Figure("braked", "m", "since the brake demand"),
     _Figure("demand", "bar", "brake demand"),
-    _Figure("sliding", "km/h", "largest sliding"),
-    _Figure("missed", "", "ticks missed"),
-    _Figure("late", "us", "latest tick"),
+    _Figure("sliding", "m/s", "largest sliding"),
 )
 
 
@@ -103,6 +130,7 @@ def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any
             "newest": None,
             "braked_m": None,
             "held_m_s": None,
+            "marks": [],
         }
     if whole:
         rows: Any = bench.whole
@@ -117,6 +145,7 @@ def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any
         "newest": _short(bench.newest) if moving else None,
         "braked_m": _finite(bench.braked_m) if moving else None,
         "held_m_s": held_m_s,
+        "marks": bench.fault_marks[-_MOST_MARKS:],
     }
 
 
@@ -131,7 +160,7 @@ def _short(values: np.ndarray) -> np.ndarray:
 
 def build() -> None:
     """Put figures, rig, plots and lanes of the valves into the page."""
-    with ui.row().classes("w-full items-end gap-6 no-wrap desk-figures"):
+    with ui.row().classes("w-full items-end desk-figures"):
         for figure in _FIGURES:
             ui.html(
                 f'<div class="desk-figure"><b id="desk-{figure.id}">–</b> '
@@ -148,7 +177,8 @@ def build() -> None:
         "plots": plots,
         "span_s": reader.SPAN_S,
         "axles": [colours.as_hex(colour) for colour in colours.AXLES],
-        "radius_m": _RADIUS_M,
+        "radius_m": reader.USUAL_RADIUS_M,
+        "mark": colours.as_hex(colours.VERMILION),
         "valves": [colours.as_hex(colour) for _, colour in colours.VALVE_STATES],
         "locked_m_s": LOCKED_M_S,
         "moving_m_s": MOVING_M_S,
@@ -176,9 +206,11 @@ def _choices() -> None:
 
 def _valves() -> None:
     """The lanes of the dump valves, which `desk.js` draws, under the names of their states."""
+    # the heights are those of desk.js
+    heights = ("low", "half", "whole lane")
     names = ", ".join(
-        f'<b style="color:{colours.as_hex(colour)}">{name}</b>'
-        for name, colour in colours.VALVE_STATES
+        f'<b style="color:{colours.as_hex(colour)}">{name}</b> ({height})'
+        for (name, colour), height in zip(colours.VALVE_STATES, heights, strict=True)
     )
     ui.html(
         f'<div class="desk-title">Dump valves: {names}</div>'
@@ -191,37 +223,58 @@ def _plot(plot: _Plot) -> dict[str, Any]:
     """Put an empty plot into the page; return what `desk.js` must know to fill it."""
     lines: list[dict[str, Any]] = []
     series: list[dict[str, Any]] = []
-    for name in plot.signals:
-        signal = signals.BY_NAME[name]
-        of_vehicle = signal.axles == 1
-        shades = (colours.VEHICLE,) if of_vehicle else colours.AXLES
-        for axle, column in enumerate(signals.columns(signal), start=1):
-            lines.append({"column": column, "axle": 0 if of_vehicle else axle})
-            colour = _COLOURS.get(name, shades[axle - 1])
+    for line in plot.lines:
+        of_axles = len(line.columns) > 1
+        for at, column in enumerate(line.columns):
+            axle = at + 1 if of_axles else 0
+            lines.append({"column": column, "axle": axle})
+            colour = line.colour or colours.AXLES[at]
+            dashes = colours.AXLE_DASHES[at] if line.dashes is None else line.dashes
             series.append(
                 {
                     "id": column,
-                    "name": column,
+                    # lines of one name are one entry of the legend
+                    "name": line.name or f"axle {axle}",
                     "type": "line",
                     "showSymbol": False,
                     "data": [],
                     "silent": True,
-                    "lineStyle": {"width": _WIDTHS.get(name, _USUAL_WIDTH)},
+                    "lineStyle": {
+                        "width": line.width,
+                        "type": list(dashes) if dashes else "solid",
+                    },
                     "color": colours.as_hex(colour),
                 }
             )
     chart = ui.echart(
         {
             "animation": False,
-            "grid": {"left": 56, "right": 14, "top": 28, "bottom": 24},
+            "grid": {"left": 56, "right": 14, "top": 46, "bottom": 24},
             "title": title_of(f"{plot.title} ({plot.unit})" if plot.unit else plot.title),
+            "legend": legend(),
             "xAxis": axis("{value} s", ends=False),
-            "yAxis": axis(),
+            "yAxis": axis() | {"min": 0, "max": plot.least},
             "series": series,
         }
     )
-    chart.classes("w-full").style("height: 170px")
-    return {"id": chart.id, "lines": lines, "scale": plot.scale}
+    chart.classes("w-full").style("height: 190px")
+    return {"id": chart.id, "lines": lines, "scale": plot.scale, "least": plot.least}
+
+
+def legend() -> dict[str, Any]:
+    """The legend of a plot below its title, as ECharts declares it."""
+    return {
+        "type": "scroll",
+        "left": 52,
+        "right": 10,
+        "top": 20,
+        "itemWidth": 26,
+        "itemHeight": 8,
+        "itemGap": 14,
+        "textStyle": {"color": "#c8ccd2", "fontSize": 11},
+        "pageTextStyle": {"color": "#c8ccd2"},
+        "pageIconColor": "#c8ccd2",
+    }
 
 
 def title_of(text: str) -> dict[str, Any]:

@@ -43,7 +43,15 @@ SHOWN = (
     "friction_degraded",
 )
 _COLUMNS = np.concatenate([np.arange(len(signals.COLUMNS))[signals.span(name)] for name in SHOWN])
-COLUMNS = tuple(signals.COLUMNS[at] for at in _COLUMNS)
+# behind the signals: the speed in m/s that the sensor of each axle shows, at the rim of its wheel
+MEASURED = tuple(f"measured_rim_speed_{axle}_m_s" for axle in range(1, signals.AXLES + 1))
+COLUMNS = (*(signals.COLUMNS[at] for at in _COLUMNS), *MEASURED)
+_RIM_SPEED = signals.span("wheel_circumferential_speed")
+_WHEEL_SPEED = signals.span("wheel_speed")
+_MEASURED_SPEED = signals.span("measured_speed")
+# a wheel that turns faster shows its radius, in rad/s; before that, the radius of the coach UIC-Z1
+_TURNS_rad_s = 1.0
+USUAL_RADIUS_M = 0.445
 _DEMAND = COLUMNS.index("brake_demand_Pa")
 _POSITION = COLUMNS.index("position_m")
 _RECENT_POINTS = round(2 * SPAN_S / PERIOD_S)  # two points a pair
@@ -75,14 +83,15 @@ class Bench:
         self.harness = False  # whether a harness has joined
         self.unit_lost = False
         # samples
-        self.newest = np.full(len(_COLUMNS), np.nan)
+        self.newest = np.full(len(COLUMNS), np.nan)
+        self._radius_m = np.full(signals.AXLES, USUAL_RADIUS_M)
         self._demanded = False  # a brake demand was seen
         self._braked_from_m = math.nan  # place of the first brake demand
         self.heard_s = time.monotonic()  # when the last sample arrived
         self.points = 0
         self._recent: deque[np.ndarray] = deque(maxlen=_RECENT_POINTS)
-        self._whole = np.empty((0, len(_COLUMNS)))
-        self._pending = np.empty((0, len(_COLUMNS)))  # rows of the pair that is not yet complete
+        self._whole = np.empty((0, len(COLUMNS)))
+        self._pending = np.empty((0, len(COLUMNS)))  # rows of the pair that is not yet complete
         written = int(rows.header[ring.WRITTEN])
         capacity = int(rows.header[ring.CAPACITY])
         self._cursor = max(0, written - capacity + 1)
@@ -121,7 +130,7 @@ class Bench:
         rows, self._cursor, _ = self.rows.read(self._cursor)
         if len(rows):
             self.heard_s = time.monotonic()
-            shown = rows[:, _COLUMNS]
+            shown = np.hstack([rows[:, _COLUMNS], self._measured_m_s(rows)])
             self._note_braking(np.vstack([self.newest, shown]))
             self._take(shown)
         event_rows, self._event_cursor, _ = self._event_ring.read(self._event_cursor)
@@ -130,6 +139,26 @@ class Bench:
             self._learn(event)
         self.events = (self.events + events)[-_KEPT_EVENTS:]
         return events
+
+    def _measured_m_s(self, rows: np.ndarray) -> np.ndarray:
+        """The speeds that the sensors show at the rims of the wheels, shape (n, axles)."""
+        turns_rad_s = rows[:, _WHEEL_SPEED]
+        for axle in range(signals.AXLES):
+            turning = np.flatnonzero(turns_rad_s[:, axle] > _TURNS_rad_s)
+            if turning.size:
+                at = turning[-1]
+                rim_m_s = rows[at, _RIM_SPEED][axle]
+                self._radius_m[axle] = rim_m_s / turns_rad_s[at, axle]
+        return rows[:, _MEASURED_SPEED] * self._radius_m
+
+    @property
+    def fault_marks(self) -> list[tuple[float, str, bool]]:
+        """When faults began and were lifted: time in s, the fault, and whether it began."""
+        return [
+            (event.time_s, event.fields["fault"], event.code == Code.FAULT_BEGINS)
+            for event in self.events
+            if event.code in (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
+        ]
 
     def since(self, point: int) -> list[np.ndarray]:
         """The points after the one with this number (0: all of the last minute)."""
@@ -167,7 +196,7 @@ class Bench:
         first = np.flatnonzero(np.diff(period, prepend=-1.0))
         least = np.minimum.reduceat(rows, first)
         largest = np.maximum.reduceat(rows, first)
-        pairs = np.stack([least, largest], axis=1).reshape(-1, len(_COLUMNS))
+        pairs = np.stack([least, largest], axis=1).reshape(-1, len(COLUMNS))
         self._recent.extend(pairs)
         self.points += len(pairs)
         self._whole = np.vstack([self._whole, pairs])
