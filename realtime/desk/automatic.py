@@ -9,7 +9,7 @@ from nicegui import ui
 
 from rollerrig.configs import store
 from rollerrig.realtime.desk.desk import Desk
-from rollerrig.realtime.desk.manual import carry_out
+from rollerrig.realtime.desk.manual import carry_out, confirmed
 from rollerrig.realtime.desk.programs import Program
 
 _LINES_SHOWN = 14
@@ -22,8 +22,8 @@ _RESULTS = {0: "passed", 1: "a verdict failed", 4: "interrupted, or a run is not
 
 def build(desk: Desk) -> None:
     """Put the controls, and the programs that have been started, into the page."""
-    with ui.row().classes("w-full no-wrap items-start gap-4"):
-        with ui.card().classes("desk-card").style("width: 26rem"):
+    with ui.row().classes("w-full no-wrap items-start gap-4 desk-rows"):
+        with ui.card().classes("desk-card").style("width: 26rem; max-width: 100%"):
             _sequences(desk)
             ui.separator()
             _campaigns(desk)
@@ -48,9 +48,9 @@ def _sequences(desk: Desk) -> None:
 
     async def play() -> None:
         chosen = list(names.value or [])
-        report = chosen[0] if len(chosen) == 1 else "sequences"
+        report = desk.free_report(chosen[0] if len(chosen) == 1 else "sequences")
         words = ["sequence", "--steps"]
-        words += ["--out", f"reports/{report}"]
+        words += ["--out", report]
         words += ["--pacing", str(pacing.value)]
         if unit.value:
             words.append(f"--wsp={unit.value}")
@@ -78,48 +78,89 @@ async def _start(desk: Desk, words: list[str]) -> None:
 
 
 def _programs(desk: Desk, place: ui.column) -> None:
-    """Keep the list of programs in `place` up to date; runs of the manual mode are not in it."""
-    shown: dict[int, str] = {}  # state of each program that the page shows, by its process
+    """Keep the list of programs in `place` up to date; runs of the manual mode are not in it.
+
+    A card stays as long as its program is shown, so that its button does not vanish under a press.
+    """
+    cards: dict[int, _ProgramCard] = {}  # by the process
+    with place:
+        nothing = ui.label("Nothing has been started here yet.").classes("desk-small")
 
     def follow() -> None:
         programs = [program for program in desk.programs if program.words[0] != "run"]
-        state = {program.pid: f"{program.status} {len(program.lines)}" for program in programs}
-        if state == shown:
-            return
-        shown.clear()
-        shown.update(state)
-        place.clear()
-        with place:
-            if not programs:
-                ui.label("Nothing has been started here yet.").classes("desk-small")
-            for program in reversed(programs[-_PROGRAMS_SHOWN:]):
-                _program(desk, program)
+        nothing.set_visibility(not programs)
+        shown = programs[-_PROGRAMS_SHOWN:]
+        for program in shown:
+            if program.pid not in cards:
+                with place:
+                    cards[program.pid] = _ProgramCard(desk, program)
+                # the newest is on top
+                cards[program.pid].card.move(place, 0)
+            cards[program.pid].follow()
+        for pid in set(cards) - {program.pid for program in shown}:
+            cards.pop(pid).card.delete()
 
     ui.timer(1.0, follow)
     follow()
 
 
-def _program(desk: Desk, program: Program) -> None:
+class _ProgramCard:
     """The card of one program: title and result, progress, last messages, report, error."""
-    status = program.status
-    with ui.card().classes("w-full desk-card"):
-        with ui.row().classes("w-full items-center"):
-            ui.label(program.title).classes("desk-title grow")
-            if status is None:
-                ui.button("Stop", on_click=program.stop).props("flat dense")
-            else:
-                colour = _COLOURS["pass" if status == 0 else "fail"]
-                ui.label(_RESULTS.get(status, f"status {status}")).style(f"color: {colour}")
+
+    def __init__(self, desk: Desk, program: Program) -> None:
+        self._desk = desk
+        self._program = program
+        self._shown = ""  # the state that the page shows
+        self._stopping = False
+        self.card = ui.card().classes("w-full desk-card")
+        with self.card:
+            with ui.row().classes("w-full items-center"):
+                ui.label(program.title).classes("desk-title grow")
+                self._stop = ui.button("Stop", on_click=self._ask).props("dense color=grey-8")
+                self._stop.mark("stop-program")
+                self._result = ui.label().mark("program-result")
+            self._bar = ui.linear_progress(0.0, show_value=False)
+            self._place = ui.column().classes("w-full gap-0")
+
+    async def _ask(self) -> None:
+        if await confirmed(
+            "Stop this program?",
+            "The run that is under way is lost. Those that are finished are kept, with a report.",
+            "Stop the program",
+        ):
+            self._stopping = True
+            self._program.stop()
+            self.follow()
+
+    def follow(self) -> None:
+        """Show the present state of the program."""
+        program = self._program
+        status = program.status
+        lines = program.lines
+        state = f"{status} {self._stopping} {len(lines)} {lines[-1:]}"
+        if state == self._shown:
+            return
+        self._shown = state
+        self._stop.set_visibility(status is None)
+        self._bar.set_visibility(status is None)
         if status is None:
+            self._result.text = "is being stopped ..." if self._stopping else ""
             share = program.share
-            bar = ui.linear_progress(share or 0.0, show_value=False)
-            bar.props("instant-feedback" if share else "indeterminate")
-        for line in program.lines[-_LINES_SHOWN:]:
-            colour = _COLOURS.get(line.split()[0], "inherit")
-            ui.label(line).classes("desk-line").style(f"color: {colour}")
-        _report_link(desk, program)
-        if program.error:
-            ui.label(program.error).style(f"color: {_COLOURS['error']}")
+            self._bar.value = share or 0.0
+            self._bar.props(remove="indeterminate" if share else "")
+            self._bar.props("instant-feedback" if share else "indeterminate")
+        else:
+            colour = _COLOURS["pass" if status == 0 else "fail"]
+            self._result.text = _RESULTS.get(status, f"status {status}")
+            self._result.style(f"color: {colour}")
+        self._place.clear()
+        with self._place:
+            for line in lines[-_LINES_SHOWN:]:
+                colour = _COLOURS.get(line.split()[0], "inherit")
+                ui.label(line).classes("desk-line").style(f"color: {colour}")
+            _report_link(self._desk, program)
+            if program.error:
+                ui.label(program.error).style(f"color: {_COLOURS['error']}")
 
 
 def _report_link(desk: Desk, program: Program) -> None:

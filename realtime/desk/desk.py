@@ -10,6 +10,7 @@ loops of benches have claimed.
 """
 
 import asyncio
+import itertools
 import math
 import os
 import shlex
@@ -42,7 +43,8 @@ _LONGEST_NOTE = 400  # characters
 class Alarm:
     """A warning or an error of a bench (at a simulated time) or of the desk (time NaN).
 
-    `bench` is the key of the bench. `acknowledged` is the time of day, empty before.
+    `bench` is the key of the bench and `run` its name; both are empty for an alarm of the desk.
+    `acknowledged` is the time of day, empty before.
     """
 
     time_s: float
@@ -51,6 +53,7 @@ class Alarm:
     bench: str = ""
     acknowledged: str = ""
     code: Code | None = None
+    run: str = ""
 
     @property
     def of_desk(self) -> bool:
@@ -88,6 +91,10 @@ class Desk:
         self.doors: Doors | None = None
         self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
         self.programs: list[Program] = []
+        # what the last bench was prepared with, for every page: values of fields by their names
+        self.prepared: dict[str, str] = {}
+        # the friction mu_cd that was commanded here, by axle; 0: as in the scenario
+        self.frictions: dict[int, float] = {}
         self._viewer: Any = None
         # the cores of loops that the desk keeps off, and the cores of its threads before
         self._left_cores: set[int] = set()
@@ -172,6 +179,7 @@ class Desk:
         self.bench = bench
         self.doors = Doors(bench)
         self.choices = []
+        self.frictions = {}
 
     def _running_benches(self) -> list[Program]:
         """The benches that the desk has started and that still run."""
@@ -196,7 +204,14 @@ class Desk:
     def _look_at(self, bench: reader.Bench) -> None:
         for event in self._new_events(bench):
             if event.level != "info":
-                alarm = Alarm(event.time_s, event.level, event.text, bench.key, code=event.code)
+                alarm = Alarm(
+                    event.time_s,
+                    event.level,
+                    event.text,
+                    bench.key,
+                    code=event.code,
+                    run=bench.name,
+                )
                 self.alarms.appendleft(alarm)
         if bench.ended == "killed" and not self._is_known_as_killed(bench):
             text = f"the bench was killed (process {bench.pid}): its recorder keeps the data so far"
@@ -220,7 +235,12 @@ class Desk:
 
     def alarm(self, level: str, text: str, bench: str = "", code: Code | None = None) -> None:
         """Add an alarm of the desk."""
-        self.alarms.appendleft(Alarm(math.nan, level, text, bench, code=code))
+        run = self.bench.name if self.bench and self.bench.key == bench else ""
+        self.alarms.appendleft(Alarm(math.nan, level, text, bench, code=code, run=run))
+
+    def is_present(self, alarm: Alarm) -> bool:
+        """Whether an alarm belongs to the bench that the desk follows, or to the desk."""
+        return not alarm.bench or (self.bench is not None and alarm.bench == self.bench.key)
 
     # -- commands of an operator
 
@@ -280,6 +300,7 @@ class Desk:
             if value:
                 words.append(f"--set={key}={value}")
         words += [f"--set={setting}" for setting in _settings_of(more)]
+        self.prepared = {"scenario": scenario, "unit": unit, "more": more, **settings}
         # behind `--` nothing is an option, so a typed name cannot become one
         self.start([*words, "--", scenario])
 
@@ -315,6 +336,29 @@ class Desk:
         program = Program(words, self.folder)
         self.programs.append(program)
         return program
+
+    async def set_friction(self, axle: int, mu: float) -> None:
+        """Command the friction mu_cd under an axle; 0 restores that of the scenario.
+
+        Raises BusError.
+        """
+        await self.free_door().send_as_harness(lambda harness: harness.friction(mu, (axle,)))
+        self.frictions[axle] = mu
+
+    def set_point(self, register: str) -> float | None:
+        """The value of a set-point over Modbus, in its unit; None if none is set or known."""
+        if not self.doors or not self.running():
+            return None
+        value = self.doors.values.get(register)
+        return None if value is None or value < 0.0 else value
+
+    def free_report(self, name: str) -> str:
+        """The folder of a new report, relative to `folder`: no earlier report is replaced."""
+        out = f"reports/{name}"
+        numbers = itertools.count(2)
+        while (self.folder / out).exists():
+            out = f"reports/{name}-{next(numbers)}"
+        return out
 
     def door(self) -> Doors:
         """The ways into the bench. Raises BusError if none runs."""

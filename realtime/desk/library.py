@@ -1,23 +1,26 @@
 """The library of runs: all run folders below a folder, with their figures, verdicts and notes."""
 
 import datetime
+import functools
 import subprocess
 import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from rollerrig.configs import user_files
+from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import write_text, writing
 from rollerrig.configs.processes import children
 from rollerrig.realtime.record import compare, figures, records, run_folder, validity
 from rollerrig.realtime.record import export as formats
+from rollerrig.wsp_interface.events import Code
 
 NOTE = "note.txt"
 FORMATS = {"csv": "CSV", "mdf4": "MDF4", "mat": "MAT", "svg": "Picture"}
 _DEEPEST = 3  # levels of folders: reports of sequences keep their runs in subfolders
 _MOST_RUNS = 500
+_KM_H_PER_M_S = 3.6
 
 
 class ComparedFigure(NamedTuple):
@@ -32,7 +35,8 @@ class ComparedFigure(NamedTuple):
 def rows(folder: Path) -> list[dict[str, Any]]:
     """A row for each run, the newest first.
 
-    A row has name, time, scenario, unit, verdict, note, and the figures by their names.
+    A row has name, time, scenario, unit, initial speed, adhesion, faults, verdict, note, and the
+    figures by their names.
     """
     runs = set()
     for depth in range(1, _DEEPEST + 1):
@@ -65,11 +69,39 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
 
     row["scenario"] = summary.get("scenario")
     row["unit"] = summary.get("wsp", {}).get("unit")
+    speed_m_s = summary.get("initial_speed_m_s")
+    if isinstance(speed_m_s, int | float):
+        row["initial_km_h"] = round(_KM_H_PER_M_S * speed_m_s, 1)
+    row["adhesion"] = _adhesion(run / run_folder.SCENARIO, _changed_s(run))
+    row["faults"] = ", ".join(_faults(summary.get("events") or []))
     row["verdict"] = "; ".join(validity.because(summary)) or "valid"
     for figure in figures.FIGURES:
         value = figure.shown(summary)
         row[figure.name] = None if value is None else float(f"{value:.4g}")
     return row
+
+
+@functools.lru_cache(maxsize=4 * _MOST_RUNS)
+def _adhesion(scenario: Path, changed_s: float) -> str:
+    """The adhesion of a resolved scenario, as its name and its friction mu_cd; empty if unknown.
+
+    `changed_s` is when the file was written: a file is read only once.
+    """
+    try:
+        content = store.parse(scenario, within=scenario.parent)
+        mu = float(content["adhesion"]["mu_cd"])
+    except (ConfigError, ValueError, KeyError, TypeError):
+        return ""
+    return f"{content.get('adhesion_set', '')} {mu:.3g}".strip()
+
+
+def _faults(events: list[Any]) -> list[str]:
+    """The faults that began in a run, each once, from the events of its summary."""
+    found: dict[str, None] = {}
+    for event in events:
+        if isinstance(event, dict) and event.get("code") == Code.FAULT_BEGINS:
+            found[str((event.get("fields") or {}).get("fault", ""))] = None
+    return list(found)
 
 
 def note(run: Path) -> str:

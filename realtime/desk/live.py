@@ -271,6 +271,8 @@ def legend() -> dict[str, Any]:
         "itemWidth": 26,
         "itemHeight": 8,
         "itemGap": 14,
+        # the plots have lines without symbols
+        "itemStyle": {"opacity": 0},
         "textStyle": {"color": "#c8ccd2", "fontSize": 11},
         "pageTextStyle": {"color": "#c8ccd2"},
         "pageIconColor": "#c8ccd2",

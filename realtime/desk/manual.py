@@ -5,7 +5,7 @@ command, the page shows the message of the bench.
 """
 
 import math
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from functools import partial
 from typing import Any
 
@@ -53,6 +53,22 @@ async def carry_out(command: Awaitable[Any], done: str = "") -> bool:
     return True
 
 
+async def confirmed(question: str, consequence: str, yes: str) -> bool:
+    """Ask whether something that would be lost shall be done; return the answer."""
+    with ui.dialog() as dialog, ui.card().classes("desk-card"):
+        ui.label(question).classes("desk-title")
+        ui.label(consequence)
+        with ui.row().classes("w-full justify-end gap-2"):
+            keep = ui.button("Go back", on_click=lambda: dialog.submit(False))
+            keep.props("autofocus").mark("confirm-no")
+            go_on = ui.button(yes, on_click=lambda: dialog.submit(True))
+            go_on.props("color=orange-10").mark("confirm-yes")
+    dialog.mark("question")
+    answer = await dialog
+    dialog.delete()
+    return bool(answer)
+
+
 def frictions() -> dict[float, str]:
     """Return the kinematic frictions mu_cd that can be set under an axle, with their labels.
 
@@ -89,24 +105,31 @@ def _card(title: str) -> ui.card:
 def _bench(desk: Desk) -> None:
     """Show the controls that prepare a bench."""
     with _card("1  Bench"):
+        # a page that is opened later shows what the bench was prepared with
+        before = desk.prepared
         scenario = _choice_or_text(
-            store.names("scenarios"), "velim_a1", "scenario, or a TOML file"
+            store.names("scenarios"),
+            before.get("scenario", "velim_a1"),
+            "scenario, or a TOML file",
         ).classes("w-full")
         settings: dict[str, ui.select] = {}
         with ui.grid(columns=2).classes("w-full gap-2"):
             for key, kind in (("rig", "rigs"), ("adhesion", "adhesion")):
                 labels = {_UNCHANGED: "as in the scenario"}
                 labels |= {name: name for name in store.names(kind)}
-                settings[key] = ui.select(labels, value=_UNCHANGED, label=key).mark(key)
-            unit = _choice_or_text(desk.units, "reference", "WSP unit")
+                chosen = before.get(key, _UNCHANGED)
+                settings[key] = ui.select(labels, value=chosen, label=key).mark(key)
+            unit = _choice_or_text(desk.units, before.get("unit", "reference"), "WSP unit")
             labels = {
                 _UNCHANGED: "as in the rig",
                 "rig": "rig control",
                 "bus": "a master on the bus",
             }
-            drives = ui.select(labels, value=_UNCHANGED, label="drives obey").mark("drives")
+            chosen = before.get("rig.drives", _UNCHANGED)
+            drives = ui.select(labels, value=chosen, label="drives obey").mark("drives")
             settings["rig.drives"] = drives
-        more = ui.input("further values, as in adhesion.mu_cd=0.05").classes("w-full").mark("more")
+        more = ui.input("further values, as in adhesion.mu_cd=0.05", value=before.get("more", ""))
+        more.classes("w-full").mark("more")
 
         async def prepare() -> None:
             values = {key: str(select.value or "") for key, select in settings.items()}
@@ -121,7 +144,10 @@ def _bench(desk: Desk) -> None:
 
 def _choice_or_text(names: list[str], value: str, label: str) -> ui.select:
     """Return a field that offers names and also accepts any other typed name."""
-    return ui.select(names, value=value, label=label, with_input=True, new_value_mode="add-unique")
+    offered = names if value in names else [*names, value]
+    return ui.select(
+        offered, value=value, label=label, with_input=True, new_value_mode="add-unique"
+    )
 
 
 def _run(desk: Desk) -> None:
@@ -129,9 +155,16 @@ def _run(desk: Desk) -> None:
     with _card("2  Run"), ui.row().classes("w-full no-wrap gap-2"):
         start = ui.button("Start", on_click=lambda: carry_out(_write(desk, "run", 1.0), "started"))
         start.props("color=positive").classes("grow").mark("start")
-        stop = ui.button(
-            "Stop", on_click=lambda: carry_out(_write(desk, "stop", 1.0), "the run ends")
-        )
+
+        async def end() -> None:
+            if await confirmed(
+                "End the run?",
+                "Its record is kept so far, but the run cannot be continued.",
+                "End the run",
+            ):
+                await carry_out(_write(desk, "stop", 1.0), "the run ends")
+
+        stop = ui.button("Stop", on_click=end)
         stop.props("color=grey-8").classes("grow").mark("stop")
 
         def follow() -> None:
@@ -149,32 +182,75 @@ async def _write(desk: Desk, register: str, value: float) -> None:
 
 
 def _set_points(desk: Desk) -> None:
-    """Show the controls of brake demand and roller speed."""
+    """Show the controls of brake demand and roller speed, each with the value in force."""
     with _card("Set-points"):
-        with ui.row().classes("w-full no-wrap items-center gap-2"):
-            _demand(desk)
-        with ui.row().classes("w-full no-wrap items-center gap-2"):
-            _speed(desk)
+        _demand(desk)
+        _speed(desk)
+
+
+class _Followed:
+    """A field for a set-point that shows a new value in force, also one of another page.
+
+    `value()` returns the value that is set, in the unit of the field, or None if none is.
+    """
+
+    def __init__(self, field: ui.number, value: Callable[[], float | None]) -> None:
+        self._field = field
+        self._value = value
+        self._seen: float | None = None
+
+    def follow(self) -> None:
+        """Take a value that is new since the last look; what a user is typing is left alone."""
+        value = self._value()
+        if value is not None and value != self._seen:
+            self._field.value = round(value, 3)
+        self._seen = value
 
 
 def _demand(desk: Desk) -> None:
-    """Show the controls of the brake demand."""
-    field = ui.number(
-        "brake demand, bar", value=3.8, min=0.0, max=_HIGHEST_BAR, step=0.1, format="%.2f"
-    )
-    field.classes("grow").mark("demand")
+    """Show the controls of the brake demand, and the demand in force."""
+    with ui.row().classes("w-full no-wrap items-center gap-2"):
+        field = ui.number(
+            "brake demand, bar", value=3.8, min=0.0, max=_HIGHEST_BAR, step=0.1, format="%.2f"
+        )
+        field.classes("grow").mark("demand")
 
-    async def set_demand() -> None:
-        bar = _number(field)
-        await carry_out(_brake(desk, bar * _PA_PER_BAR), f"demand {bar:.2f} bar")
+        async def set_demand() -> None:
+            bar = _number(field)
+            await carry_out(_brake(desk, bar * _PA_PER_BAR), f"demand {bar:.2f} bar")
 
-    async def release() -> None:
-        # NaN releases the demand
-        done = "the demand comes from node 17 or the scenario again"
-        await carry_out(_brake(desk, math.nan), done)
+        async def release() -> None:
+            # NaN releases the demand
+            done = "the demand comes from node 17 or the scenario again"
+            await carry_out(_brake(desk, math.nan), done)
 
-    ui.button("Set", on_click=set_demand).mark("set-demand")
-    ui.button("As programmed", on_click=release).props("flat dense")
+        ui.button("Set", on_click=set_demand).mark("set-demand")
+        ui.button("As programmed", on_click=release).props("flat dense").mark("release-demand")
+    in_force = ui.label().classes("desk-small").mark("demand-in-force")
+
+    def set_bar() -> float | None:
+        pressure_Pa = desk.set_point("brake_demand_set_point")
+        return None if pressure_Pa is None else pressure_Pa / _PA_PER_BAR
+
+    followed = _Followed(field, set_bar)
+
+    def follow() -> None:
+        followed.follow()
+        in_force.text = _demand_in_force(desk, set_bar())
+
+    ui.timer(_FOLLOW_S, follow)
+    follow()
+
+
+def _demand_in_force(desk: Desk, set_bar: float | None) -> str:
+    """Return which brake demand is in force, and where it comes from."""
+    if not desk.bench or not desk.running():
+        return "in force: no bench"
+    whence = "as programmed" if set_bar is None else f"set to {set_bar:.2f} bar over Modbus"
+    present_Pa = desk.bench.value("brake_demand")
+    if math.isnan(present_Pa):
+        return f"in force: {whence}"
+    return f"in force: {present_Pa / _PA_PER_BAR:.2f} bar, {whence}"
 
 
 async def _brake(desk: Desk, pressure_Pa: float) -> None:
@@ -182,17 +258,38 @@ async def _brake(desk: Desk, pressure_Pa: float) -> None:
 
 
 def _speed(desk: Desk) -> None:
-    """Show the controls of the roller speed of a held rig."""
-    field = ui.number("roller speed, km/h", value=120.0, min=0.0, max=_HIGHEST_KM_H, step=5.0)
-    field.classes("grow").mark("speed")
+    """Show the controls of the roller speed of a held rig, and the speed that is set."""
+    with ui.row().classes("w-full no-wrap items-center gap-2"):
+        field = ui.number("roller speed, km/h", value=120.0, min=0.0, max=_HIGHEST_KM_H, step=5.0)
+        field.classes("grow").mark("speed")
 
-    async def set_speed() -> None:
-        km_h = _number(field)
-        command = _write(desk, "speed_set_point", km_h / _KM_H_PER_M_S)
-        await carry_out(command, f"a held rig rolls at {km_h:.0f} km/h")
+        async def set_speed() -> None:
+            km_h = _number(field)
+            command = _write(desk, "speed_set_point", km_h / _KM_H_PER_M_S)
+            await carry_out(command, f"a held rig rolls at {km_h:.0f} km/h")
 
-    ui.button("Set", on_click=set_speed).mark("set-speed")
-    ui.label("while held").classes("desk-small")
+        ui.button("Set", on_click=set_speed).mark("set-speed")
+        ui.label("while held").classes("desk-small")
+    in_force = ui.label().classes("desk-small").mark("speed-in-force")
+
+    def set_km_h() -> float | None:
+        speed_m_s = desk.set_point("speed_set_point")
+        return None if speed_m_s is None else speed_m_s * _KM_H_PER_M_S
+
+    followed = _Followed(field, set_km_h)
+
+    def follow() -> None:
+        followed.follow()
+        km_h = set_km_h()
+        if km_h is None:
+            in_force.text = "in force: not known"
+        elif desk.held():
+            in_force.text = f"in force: {km_h:.1f} km/h"
+        else:
+            in_force.text = f"the run began at {km_h:.1f} km/h"
+
+    ui.timer(_FOLLOW_S, follow)
+    follow()
 
 
 def _number(field: ui.number) -> float:
@@ -207,18 +304,39 @@ def _adhesion(desk: Desk) -> None:
         ui.grid(columns=2).classes("w-full gap-2"),
     ):
         for axle in _AXLES:
-            choice = ui.select(frictions(), value=0.0, label=f"axle {axle}")
-            choice.mark(f"friction-{axle}")
-            choice.on_value_change(partial(_set_friction, desk, choice, axle))
+            with ui.column().classes("gap-0"):
+                _friction(desk, axle)
 
 
-async def _set_friction(desk: Desk, choice: ui.select, axle: int) -> None:
-    mu = float(choice.value or 0.0)
+def _friction(desk: Desk, axle: int) -> None:
+    """Show the choice of the friction under an axle, and the friction in force."""
+    labels = frictions()
+    choice = ui.select(labels, value=desk.frictions.get(axle, 0.0), label=f"axle {axle}")
+    choice.classes("w-full").mark(f"friction-{axle}")
+    in_force = ui.label().classes("desk-small").mark(f"friction-in-force-{axle}")
+    commands_under_way = 0
 
     async def command() -> None:
-        await desk.free_door().send_as_harness(lambda harness: harness.friction(mu, (axle,)))
+        nonlocal commands_under_way
+        mu = float(choice.value or 0.0)
+        # `follow` has shown what another page has commanded: it is in force already
+        if mu == desk.frictions.get(axle, 0.0):
+            return
+        commands_under_way += 1
+        await carry_out(desk.set_friction(axle, mu), f"axle {axle}: {labels[mu]}")
+        commands_under_way -= 1
 
-    await carry_out(command(), f"axle {axle}: {frictions()[mu]}")
+    def follow() -> None:
+        if not commands_under_way:
+            choice.value = desk.frictions.get(axle, 0.0)
+        mu = math.nan
+        if desk.bench and desk.running():
+            mu = desk.bench.value("friction_degraded", axle)
+        in_force.text = "in force: -" if math.isnan(mu) else f"in force: {mu:.3f}"
+
+    choice.on_value_change(command)
+    ui.timer(_FOLLOW_S, follow)
+    follow()
 
 
 # -- faults
@@ -285,6 +403,7 @@ def _active_faults(desk: Desk) -> None:
                     lift.props("flat dense").mark("lift")
 
     ui.timer(_FOLLOW_S, follow)
+    follow()
 
 
 def _plain(value: float) -> str:

@@ -21,6 +21,8 @@ _LIGHTS = {
     lights.RED: colours.VERMILION,
     lights.GREY: colours.GREY,
 }
+# what the lights show besides their colours
+_SIGNS = {lights.GREEN: "✓", lights.YELLOW: "!", lights.RED: "✕", lights.GREY: "?"}
 _ALARMS_SHOWN = 60
 
 
@@ -58,13 +60,13 @@ def build(desk: Desk) -> None:
 
 
 def _manual(desk: Desk) -> None:
-    """The three columns of the manual mode: controls, live view, alarms."""
-    with ui.row().classes("w-full no-wrap items-start gap-4"):
-        with ui.column().classes("gap-3").style("width: 23rem; flex: none"):
+    """The three parts of the manual mode: controls, live view, alarms; desk.css places them."""
+    with ui.element("div").classes("desk-columns"):
+        with ui.column().classes("gap-3 desk-controls"):
             manual.build(desk)
-        with ui.column().classes("grow gap-1").style("min-width: 0"):
+        with ui.column().classes("gap-1 desk-live"):
             live.build()
-        with ui.column().classes("gap-2").style("width: 21rem; flex: none"):
+        with ui.column().classes("gap-2 desk-alarms"):
             _alarms(desk)
 
 
@@ -72,13 +74,12 @@ def _manual(desk: Desk) -> None:
 
 
 def _head(desk: Desk) -> None:
-    """Name, bench, warning, and the buttons of the emergency stop."""
-    with ui.row().classes("w-full items-center no-wrap gap-6"):
-        ui.label("rollerrig desk").style("font-size: 22px; font-weight: 600; white-space: nowrap")
-        with ui.column().classes("grow gap-0"):
+    """Name, bench and the buttons of the emergency stop, which stay in view; and the warning."""
+    with ui.element("div").classes("desk-head"):
+        ui.label("rollerrig desk").classes("desk-name")
+        with ui.column().classes("gap-0 desk-bench"):
             bench = ui.label().mark("bench")
             _bench_choice(desk)
-        ui.label(NO_SAFETY).classes("desk-small").style("max-width: 26rem").mark("no-safety")
         _emergency_stop(desk)
 
         def follow() -> None:
@@ -86,6 +87,7 @@ def _head(desk: Desk) -> None:
 
         ui.timer(0.5, follow)
         follow()
+    ui.label(NO_SAFETY).classes("desk-small").mark("no-safety")
 
 
 def _bench_choice(desk: Desk) -> None:
@@ -141,7 +143,7 @@ def _emergency_stop(desk: Desk) -> None:
             confirm = ui.button("Confirm reset", on_click=reset)
             confirm.props("color=orange-10").mark("confirm-reset")
     dialog.mark("reset-question")
-    button = ui.button("Emergency stop", on_click=stop).props("color=negative size=lg")
+    button = ui.button("Emergency stop", on_click=stop).props("color=negative")
     button.mark("emergency")
     reset_button = ui.button("Reset emergency stop", on_click=ask).props("color=orange-10 outline")
     reset_button.mark("reset-emergency")
@@ -201,7 +203,8 @@ def _state_line(desk: Desk) -> None:
         for (head, reason), light in zip(places, state, strict=True):
             colour = colours.as_hex(_LIGHTS[light.colour])
             dot = (
-                f'<span class="desk-dot" style="background:{colour}" title="{light.colour}"></span>'
+                f'<span class="desk-dot" style="background:{colour}" title="{light.colour}">'
+                f"{_SIGNS[light.colour]}</span>"
             )
             head.content = f"{dot}{light.name}"
             reason.text = light.why
@@ -214,22 +217,40 @@ def _state_line(desk: Desk) -> None:
 
 
 def _alarms(desk: Desk) -> None:
-    """The list of alarms, the newest first."""
-    ui.label("Alarms").classes("desk-title")
-    place = ui.column().classes("w-full gap-1")
-    shown: list[tuple[int, str]] = []
+    """The alarms of the followed bench, the newest first; below, those of earlier runs.
+
+    An alarm belongs to the run in which it was raised.
+    """
+    ui.label("Alarms of this run").classes("desk-title")
+    place = ui.column().classes("w-full gap-1").mark("alarms")
+    earlier = ui.expansion("Earlier runs").classes("w-full desk-small").mark("earlier-alarms")
+    with earlier:
+        earlier_place = ui.column().classes("w-full gap-1")
+    shown: list[tuple[int, str, bool]] = []
 
     def follow() -> None:
         alarms = list(desk.alarms)[:_ALARMS_SHOWN]
-        state = [(id(alarm), alarm.acknowledged) for alarm in alarms]
+        state = [(id(alarm), alarm.acknowledged, desk.is_present(alarm)) for alarm in alarms]
         if state == shown and shown:
             return
         shown[:] = state
+        present = [alarm for alarm in alarms if desk.is_present(alarm)]
+        former = [alarm for alarm in alarms if not desk.is_present(alarm)]
         place.clear()
         with place:
-            if not alarms:
+            if not present:
                 ui.label("none").classes("desk-small")
-            for alarm in alarms:
+            for alarm in present:
+                _alarm(desk, alarm)
+        earlier.text = f"Earlier runs: {len(former)} alarms"
+        earlier.set_visibility(bool(former))
+        earlier_place.clear()
+        with earlier_place:
+            run = ""
+            for alarm in former:
+                if alarm.run != run:
+                    run = alarm.run
+                    ui.label(run).classes("desk-small")
                 _alarm(desk, alarm)
 
     ui.timer(0.5, follow)
@@ -243,7 +264,10 @@ def _alarm(desk: Desk, alarm: Alarm) -> None:
     row = ui.row().classes("w-full no-wrap items-start gap-1")
     row.style(f"border-left: 4px solid {border}; padding-left: 8px").mark("alarm")
     with row:
-        text = alarm.text if alarm.of_desk else f"{alarm.time_s:.2f} s  {alarm.text}"
+        # the word says what the colour says
+        text = f"{alarm.level}: {alarm.text}"
+        if not alarm.of_desk:
+            text = f"{alarm.time_s:.2f} s  {text}"
         label = ui.label(text).classes("grow")
         label.style("font-size: 12px; overflow-wrap: anywhere")
         if alarm.acknowledged:

@@ -29,6 +29,8 @@ _FIGURES = (
     "vents",
     "air_consumption_NL",
 )
+# titles of columns that say more than the titles of their figures
+_TITLES = {"vents": "interventions: vents of the WSP"}
 # a comparison lists the channels whose names begin so
 _COMPARED_CHANNELS = (
     "vehicle_speed",
@@ -54,11 +56,15 @@ def _columns() -> list[dict[str, Any]]:
         "when": "when",
         "scenario": "scenario",
         "unit": "unit",
+        "initial_km_h": "initial speed (km/h)",
+        "adhesion": "adhesion (mu_cd)",
+        "faults": "faults",
         "verdict": "verdict",
     }
     for figure in figures.FIGURES:
         if figure.name in _FIGURES:
-            labels[figure.name] = _with_unit(figure.title, figure.unit)
+            title = _TITLES.get(figure.name, figure.title)
+            labels[figure.name] = _with_unit(title, figure.unit)
     labels["note"] = "note"
     return [
         {
@@ -187,7 +193,7 @@ def _comparison(
     names: list[str], both: list[ComparedFigure], differences: list[Any], curves: list[Any]
 ) -> None:
     """Show figures, largest differences of channels, and vehicle speeds of two runs."""
-    with ui.row().classes("w-full no-wrap items-start gap-4"):
+    with ui.row().classes("w-full no-wrap items-start gap-4 desk-rows"):
         figure_rows = [
             {
                 "figure": _with_unit(figure.title, figure.unit),
@@ -218,7 +224,8 @@ def _comparison(
 def _speeds(names: list[str], curves: list[Any]) -> None:
     """Plot the vehicle speeds of two runs in km/h."""
     series = []
-    for name, curve, shade in zip(names, curves, (colours.SKY_BLUE, colours.ORANGE), strict=True):
+    looks = ((colours.SKY_BLUE, "solid"), (colours.ORANGE, "dashed"))
+    for name, curve, (shade, kind) in zip(names, curves, looks, strict=True):
         series.append(
             {
                 "type": "line",
@@ -226,13 +233,14 @@ def _speeds(names: list[str], curves: list[Any]) -> None:
                 "showSymbol": False,
                 "data": curve,
                 "color": colours.as_hex(shade),
+                "lineStyle": {"type": kind},
             }
         )
     chart = ui.echart(
         {
             "animation": False,
             "title": live.title_of("vehicle speed (km/h)"),
-            "legend": {"right": 10, "top": 2, "textStyle": {"color": "#c8ccd2"}},
+            "legend": live.legend(),
             "xAxis": live.axis("{value} s"),
             "yAxis": live.axis(),
             "series": series,

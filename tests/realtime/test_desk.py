@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import math
 import os
 import shutil
@@ -25,7 +26,8 @@ pytest.importorskip("nicegui", reason="the desk needs nicegui")
 from nicegui import ui
 from nicegui.testing.user_simulation import user_simulation
 
-from rollerrig.realtime.desk import desk, library, page, reader
+from rollerrig.realtime.desk import desk, library, live, page, reader
+from rollerrig.realtime.pictures import colours
 
 # keys of the WebDriver protocol: control and "a" (then all keys released), and tabulator
 SELECT_ALL = "\ue009a\ue000"
@@ -138,6 +140,92 @@ def test_the_reader_knows_where_a_bench_listens_which_faults_act_and_how_it_ende
     rows.close()
     assert bench.ended == "closed"
     assert reader.running(lambda pid: pid == os.getpid()) == []
+
+
+def test_the_reader_has_the_speed_that_a_sensor_shows_at_the_rim_of_its_wheel(rings):
+    rows, _ = rings
+    (bench,) = reader.running(lambda pid: pid == os.getpid())
+    radius_m = 0.42
+    for number in range(100):
+        stuck_rad_s = 30.0 if number > 50 else 60.0
+        rows.push(
+            row(
+                0.01 * number,
+                wheel_speed=60.0,
+                wheel_circumferential_speed=60.0 * radius_m,
+                measured_speed=stuck_rad_s,
+            )
+        )
+    bench.poll()
+    column = reader.COLUMNS.index("measured_rim_speed_1_m_s")
+    assert bench.newest[column] == pytest.approx(30.0 * radius_m)
+    assert bench.whole[0, column] == pytest.approx(60.0 * radius_m)
+
+
+def test_the_plots_receive_when_faults_began_and_were_lifted(rings, tmp_path):
+    rows, events = rings
+    stuck = {"fault": "speed_sensor_stuck axle=2", "kind": "speed_sensor_stuck"}
+    ring.push_event(events, make(1.5, Code.FAULT_BEGINS, reaches_unit=False, **stuck))
+    ring.push_event(
+        events, make(4.0, Code.FAULT_LIFTED, reaches_unit=False, frames_met=None, **stuck)
+    )
+    rows.push(row(5.0))
+    one = desk.Desk(tmp_path)
+    (bench,) = reader.running(lambda pid: pid == os.getpid())
+    one._follow(bench)
+    one.look()
+    assert live.answer(one, "", 0, False)["marks"] == [
+        (1.5, "speed_sensor_stuck axle=2", True),
+        (4.0, "speed_sensor_stuck axle=2", False),
+    ]
+
+
+def test_alarms_belong_to_their_run(rings, tmp_path):
+    rows, events = rings
+    rows.push(row(5.0))
+    ring.push_event(events, make(2.0, Code.SYNC_FOREIGN))
+    one = desk.Desk(tmp_path)
+    (first,) = reader.running(lambda pid: pid == os.getpid())
+    one._follow(first)
+    one.look()
+    (alarm,) = one.alarms
+    assert one.is_present(alarm)
+    assert alarm.run == first.name
+
+    rows.close()
+    later = ring.Ring(ring.place("rows"), np.float64, 64, len(signals.COLUMNS))
+    later_events = ring.Ring(ring.place("events"), np.int64, 64, ring.EVENT_WORDS)
+    try:
+        (second,) = reader.running(lambda pid: pid == os.getpid())
+        one._follow(second)
+        assert not one.is_present(alarm)
+        one.alarm("error", "of the desk")
+        assert one.is_present(one.alarms[0])
+    finally:
+        later.unlink()
+        later_events.unlink()
+
+
+def test_a_new_report_replaces_no_earlier_one(tmp_path):
+    one = desk.Desk(tmp_path, own=True)
+    assert one.free_report("emergency_120") == "reports/emergency_120"
+    (tmp_path / "reports/emergency_120").mkdir(parents=True)
+    assert one.free_report("emergency_120") == "reports/emergency_120-2"
+
+
+def test_each_axle_has_a_kind_of_line_besides_its_colour_and_each_plot_a_least_range():
+    kinds = {str(dashes) for dashes in colours.AXLE_DASHES}
+    assert len(kinds) == len(colours.AXLES)
+    for plot in live._PLOTS:
+        assert plot.least > 0.0
+        # lines of one plot that share a colour have different kinds
+        looks = set()
+        for line in plot.lines:
+            for at, _ in enumerate(line.columns):
+                colour = line.colour or colours.AXLES[at]
+                dashes = colours.AXLE_DASHES[at] if line.dashes is None else line.dashes
+                looks.add((line.name or f"axle {at + 1}", colour, dashes))
+        assert len({look[1:] for look in looks}) == len(looks)
 
 
 def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
@@ -384,8 +472,23 @@ def test_the_library_lists_runs_also_those_without_a_summary(runs):
     rows = {row["name"]: row for row in library.rows(runs)}
     assert rows["runs/with"]["verdict"] == "valid"
     assert rows["runs/with"]["longest_lock_s"] < rows["runs/without"]["longest_lock_s"]
+    assert rows["runs/with"]["initial_km_h"] > 0.0
+    assert rows["runs/with"]["adhesion"].startswith("leaf_film 0.0")
+    assert rows["runs/with"]["faults"] == ""
     assert "it has no summary" in rows["runs/cut"]["verdict"]
     assert "not valid JSON" in rows["runs/damaged"]["verdict"]
+
+
+def test_the_library_lists_the_faults_of_a_run_once_each(runs):
+    path = runs / "runs/with/summary.json"
+    summary = json.loads(path.read_text())
+    for fault in ("node_off node=1", "speed_sensor_stuck axle=2", "node_off node=1"):
+        fields = {"fault": fault, "kind": fault.split()[0], "reaches_unit": False}
+        event = {"time_s": 1.0, "level": "warning", "text": "", "fields": fields}
+        summary["events"].append(event | {"code": Code.FAULT_BEGINS})
+    path.write_text(json.dumps(summary))
+    rows = {row["name"]: row for row in library.rows(runs)}
+    assert rows["runs/with"]["faults"] == "node_off node=1, speed_sensor_stuck axle=2"
 
 
 def test_a_note_that_cannot_be_written_leaves_the_old_one(runs):
@@ -427,6 +530,37 @@ def simulated(one, play):
 def asked(user):
     """Whether the page asks to confirm the reset of the emergency stop."""
     return user.find(marker="reset-question").elements.pop().value
+
+
+def asks_to_confirm(user):
+    """Whether the page asks to confirm something that would be lost."""
+    try:
+        return any(dialog.value for dialog in user.find(marker="question").elements)
+    except AssertionError:
+        return False
+
+
+def test_a_library_of_sequences_is_stopped_from_the_page(tmp_path):
+    one = desk.Desk(tmp_path, own=True)
+
+    async def play(user):
+        one.start(["sequence", "--steps", "--jobs", "1", "--out", "reports/sequences"])
+        (program,) = one.programs
+        for _ in range(PATIENCE):
+            if any("brake" in line or "step" in line for line in program.lines):
+                break
+            assert program.status is None, program.error
+            await asyncio.sleep(0.1)
+        user.find(marker="tab-Automatic").click()
+        await user.should_see(marker="stop-program", retries=50)
+        user.find(marker="stop-program").click()
+        await user.should_see("Stop this program?", retries=50)
+        user.find(marker="confirm-yes").click()
+        await user.should_see("interrupted, or a run is not valid", retries=PATIENCE)
+
+    simulated(one, play)
+    assert one.programs[0].status == 4
+    assert (tmp_path / "reports/sequences/report.html").is_file()
 
 
 def test_without_a_bench_the_page_reports_it_and_refuses_with_a_message(tmp_path):
@@ -527,6 +661,28 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         await come(
             lambda: one.bench.value("friction_degraded", 3) == pytest.approx(0.03), "friction"
         )
+        with user:
+            user.find(kind=ui.number, marker="demand").elements.pop().value = 1.25
+        user.find(marker="set-demand").click()
+        await come(
+            lambda: one.set_point("brake_demand_set_point") == pytest.approx(1.25e5), "demand"
+        )
+
+        # a page that is loaded again, or another browser, shows what is in force
+        await user.open("/")
+
+        def chosen(kind, marker):
+            return user.find(kind=kind, marker=marker).elements.pop().value
+
+        assert chosen(ui.select, "friction-3") == 0.03
+        assert chosen(ui.select, "friction-2") == 0.0
+        assert chosen(ui.number, "demand") == pytest.approx(1.25)
+        assert "duration_max_s=600" in chosen(ui.input, "more")
+        await user.should_see("in force: 0.030", retries=50)
+        await user.should_see("set to 1.25 bar over Modbus", retries=50)
+        # a page that follows sends no command by itself
+        await asyncio.sleep(1.5)
+        assert user.notify.messages.count("axle 3: 0.03") == 1
 
         # an operator who presses the emergency stop again does not reset it
         user.find(marker="emergency").click()
@@ -547,8 +703,14 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         assert not reported(Code.EMERGENCY_STOP_RESET)()
         user.find(marker="confirm-reset").click()
         await come(reported(Code.EMERGENCY_STOP_RESET), "reset")
+        # a run that would be lost is ended only when the operator confirms it
+        await come(lambda: asks_to_confirm(user), "question", press("stop"))
+        user.find(marker="confirm-no").click()
+        await come(lambda: not asks_to_confirm(user), "no")
+        assert one.running()
+        await come(lambda: asks_to_confirm(user), "question", press("stop"))
         with contextlib.suppress(AssertionError):
-            await come(lambda: False, "ended", press("stop"))
+            await come(lambda: False, "ended", press("confirm-yes"))
 
     simulated(one, play)
     codes = [event["code"] for event in one.programs[-1].result["events"]]
@@ -558,7 +720,9 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
     assert emergency_stops == [Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET]
 
 
-def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
+@contextlib.contextmanager
+def browsing():
+    """A browser without a window; the test is skipped where there is none."""
     webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
     if not (shutil.which("chromium") and shutil.which("chromedriver")):
         pytest.skip("Debian's chromium and chromium-driver are not installed")
@@ -574,19 +738,117 @@ def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
         "--window-size=1700,1500",
     ):
         options.add_argument(word)
-    with served(tmp_path) as one:
-        browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
-        try:
-            browser.get(one.address)
-            play_in(browser)
-        finally:
-            browser.quit()
+    browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
+    try:
+        yield browser
+    finally:
+        browser.quit()
+
+
+def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
+    with served(tmp_path) as one, browsing() as browser:
+        browser.get(one.address)
+        play_in(browser)
     (run,) = (tmp_path / "runs").iterdir()
     events = (run / "events.jsonl").read_text()
     assert "fault speed_sensor_stuck axle=1 begins" in events
     # the newest alarm, which may be a message of the unit about the sensor
     assert "note: alarm acknowledged at the desk: " in events
     assert '"emergency_stop.set"' in events
+
+
+# whether a point in the middle of the button belongs to the button, and whether all of it is seen
+EMERGENCY_IN_VIEW = """
+const button = [...document.querySelectorAll("button")].find(
+  (one) => one.textContent.trim() === "Emergency stop");
+const box = button.getBoundingClientRect();
+const inside = box.top >= 0 && box.left >= 0 && box.bottom <= window.innerHeight
+  && box.right <= document.documentElement.clientWidth;
+const top = document.elementFromPoint(box.left + box.width / 2, box.top + box.height / 2);
+return inside && button.contains(top);
+"""
+# how far the page is wider than the screen, in pixels
+TOO_WIDE = "return document.documentElement.scrollWidth - document.documentElement.clientWidth;"
+
+
+def open_tab(browser, name):
+    """Open a tab of the page, as soon as the page is there."""
+    path = f"//div[@role='tab'][.='{name}']"
+    (tab,) = until(lambda: browser.find_elements("xpath", path), name)
+    browser.execute_script("arguments[0].click()", tab)
+
+
+def test_the_emergency_stop_stays_in_view_on_every_screen(tmp_path):
+    with served(tmp_path) as one, browsing() as browser:
+        browser.get(one.address)
+        for width, height in ((390, 844), (1366, 768), (1920, 1080)):
+            metrics = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+            for tab in ("Manual", "Automatic", "Runs"):
+                browser.execute_script("window.scrollTo(0, 0)")
+                open_tab(browser, tab)
+                until(lambda: browser.execute_script(EMERGENCY_IN_VIEW), (width, tab))
+                browser.execute_script("window.scrollTo(0, document.body.scrollHeight)")
+                until(lambda: browser.execute_script(EMERGENCY_IN_VIEW), (width, tab, "below"))
+            open_tab(browser, "Manual")
+            until(lambda: browser.execute_script(TOO_WIDE) <= 0, (width, "too wide"))
+
+
+def test_the_plots_have_legends_and_an_idle_rig_has_no_magnified_noise(tmp_path):
+    chart_options = """
+    return desk.settings.plots.map((plot) => {
+      const option = getElement(plot.id).chart.getOption();
+      return {
+        names: [...new Set(option.series.map((one) => one.name))],
+        legend: option.legend.length,
+        top: option.yAxis[0].max,
+        least: plot.least,
+      };
+    });
+    """
+    noise = """
+    const noise = [[0, 1e-4], [1, 2e-4], [2, null]];
+    return verticalRange([{ data: noise }], 1.0);
+    """
+    with served(tmp_path) as one, browsing() as browser:
+        browser.get(one.address)
+        until(lambda: browser.execute_script("return Boolean(window.desk?.settings)"), "settings")
+        plots = browser.execute_script(chart_options)
+        assert len(plots) == 4
+        for plot in plots:
+            assert plot["legend"] == 1
+            assert {f"axle {axle}" for axle in range(1, 5)} <= set(plot["names"])
+            assert plot["top"] == plot["least"] > 0.0
+        assert {"vehicle", "measured by the sensors", "WSP reference"} <= set(plots[0]["names"])
+        assert browser.execute_script(noise) == {"min": 0, "max": 1}
+        # the headline has what an operator needs; cycles and deadlines are at the light of the loop
+        labels = [one.text for one in browser.find_elements("css selector", ".desk-figure span")]
+        assert labels[0] == "simulated time"
+        assert not any("tick" in label or "missed" in label for label in labels)
+
+
+def test_who_works_with_the_keyboard_sees_where_it_is(tmp_path):
+    focused = """
+    const one = document.activeElement;
+    const shown = one.closest(".q-field__control") ?? one;
+    const style = getComputedStyle(shown);
+    const framed = style.outlineStyle === "solid" && parseFloat(style.outlineWidth) >= 2;
+    return [one.tagName, framed || style.boxShadow.includes("0px 0px 0px 3px")];
+    """
+    with served(tmp_path) as one, browsing() as browser:
+        browser.get(one.address)
+        until(lambda: browser.find_elements("xpath", "//button"), "buttons")
+        body = browser.find_element("css selector", "body")
+        seen = set()
+        for _ in range(14):
+            body.send_keys(TABULATOR) if not seen else browser.switch_to.active_element.send_keys(
+                TABULATOR
+            )
+            tag, is_framed = browser.execute_script(focused)
+            if tag != "BODY":
+                seen.add(tag)
+                assert is_framed, tag
+        assert {"BUTTON", "INPUT"} <= seen
 
 
 def play_in(browser):
@@ -631,6 +893,7 @@ def play_in(browser):
     click("Reset emergency stop")
     click("Confirm reset")
     click("Stop")
+    click("End the run")
     shows("its run is under Runs")
     browser.execute_script("arguments[0].click()", there("//div[@role='tab'][.='Runs']"))
     there("//td[.='runs/velim_a1']")
