@@ -35,6 +35,7 @@ from rollerrig.realtime.commands import (
     tuning,
     wsp,
 )
+from rollerrig.realtime.commands.evidence import etcs
 
 # exit statuses
 PASS = 0
@@ -114,6 +115,13 @@ VERBS = (
         campaign.call,
         "do the many runs of a plan, in processes or on a Dask cluster",
         "rollerrig campaign low_adhesion --out campaigns/soap",
+    ),
+    Verb(
+        "etcs",
+        etcs.arguments,
+        etcs.call,
+        "compute Kdry_rst and Kwet_rst from campaigns on dry and on wet rails",
+        "rollerrig etcs campaigns/etcs_dry campaigns/etcs_wet --out reports/etcs",
     ),
     Verb(
         "explain",

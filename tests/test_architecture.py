@@ -102,6 +102,7 @@ OUTSIDE = {
     "realtime/bench": "numpy pyarrow pymodbus tomli_w",
     "realtime/bench/rig_fmu": "numpy fmpy",
     "realtime/campaign": "numpy scipy pyarrow tomli_w distributed",
+    "realtime/campaign/statistics": "numpy scipy SALib",
     "realtime/datasets": "numpy scipy tomli_w",
     "realtime/discover": "numpy scipy tomli_w",
     "realtime/reports": "numpy pyarrow matplotlib rich fpdf",

@@ -7,21 +7,18 @@ chunks were spread: over the cores of this machine, or over a Dask cluster.
 """
 
 import hashlib
-import itertools
 import json
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from scipy.stats import qmc
 
 from rollerrig.configs import store, table, unpacking, user_files
 from rollerrig.configs.errors import ConfigError, RollerrigError
@@ -29,25 +26,18 @@ from rollerrig.configs.output_files import make_folder, replaced, write_text, wr
 from rollerrig.configs.processes import children
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import four_stops
+from rollerrig.realtime.campaign import design, four_stops, speed_steps
 from rollerrig.realtime.record import figures, summary
 
-DESIGNS = ("matrix", "sobol", "halton", "latin_hypercube", "random")
 # keys at the top of a plan
 ROWS = (
     choice("title", "", (), "a sentence"),
     choice("scenario", "velim_a1", (), "configs/scenarios"),
     choice("unit", "reference", (), "reference, none, or package.module:function"),
-    choice("design", "matrix", DESIGNS, "how values are combined"),
+    choice("design", design.MATRIX, design.DESIGNS, "how values are combined"),
     integer("runs", 64, 1, 10_000_000, "of a random design"),
     integer("seed", 0, 0, 2**31 - 1, "of a random design"),
     integer("chunk", 20, 1, 10_000, "runs in one file of the result"),
-)
-# keys of a range in [vary]
-RANGE = (
-    table.number("low", None, -1e300, 1e300, "-"),
-    table.number("high", None, -1e300, 1e300, "-"),
-    table.flag("log", False, "spread evenly in the logarithm"),
 )
 # units that a campaign knows without importing a module
 _NAMED_UNITS = ("reference", "none")
@@ -72,8 +62,12 @@ class Plan(NamedTuple):
     axes: tuple[str, ...]
     points: tuple[tuple[Any, ...], ...]
     first: int = 0  # number of the first run in `points`
-    # of a random design, for each axis: the checked range, by the names of RANGE
+    # of a random design, for each axis: the range, see `design.Points`
     ranges: tuple[dict[str, Any], ...] = ()
+    # (input, law, source) of each input that is drawn from a law
+    sources: tuple[tuple[str, str, str], ...] = ()
+    # the rows have the deceleration of each of these steps; None: they have none
+    steps: speed_steps.Steps | None = None
 
     @property
     def chunks(self) -> range:
@@ -90,93 +84,52 @@ def load(name: str, allow_code: bool = False, **heads: Any) -> Plan:
     """Return a plan by name or path; `heads` replace values at its top. Raises ConfigError.
 
     A unit that is a Python function is refused without `allow_code`, because a plan is data, and
-    data runs no code. The first and the last run are resolved, to find bad values early.
+    data runs no code. The first and the last run, and those with extreme values, are resolved, to
+    find bad values early.
     """
     content, path = store.load("campaigns", name)
     content = content | heads
     vary = content.pop("vary", {})
+    inputs = content.pop("inputs", {})
+    correlations = content.pop("correlation", [])
+    steps_table = content.pop("etcs", None)
     head = table.read(ROWS, content, str(path))
-    if not isinstance(vary, dict) or not vary:
-        raise ConfigError(
-            f"{path}: [vary] is empty, so no value is varied; write, for example, "
-            '"adhesion.mu_cd" = [0.03, 0.06] or { low = 0.03, high = 0.1 }'
-        )
     # the path of a scenario is relative to the plan, but workers may run elsewhere
     if head["scenario"].endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
 
-    ranges: tuple[dict[str, Any], ...] = ()
-    if head["design"] == "matrix":
-        points = _matrix(vary, path)
-    else:
-        ranges = tuple(_span(key, span, head["design"], path) for key, span in vary.items())
-        points = _random(ranges, head)
-    plan = Plan(head, tuple(vary), tuple(points), ranges=ranges)
+    drawn = design.points(vary, inputs, correlations, head, path)
+    steps = None
+    if steps_table is not None:
+        steps = speed_steps.read(steps_table, f"{path} [etcs]")
+    plan = Plan(
+        head,
+        drawn.axes,
+        drawn.rows,
+        ranges=drawn.ranges,
+        sources=drawn.sources,
+        steps=steps,
+    )
     _check_unit(head["unit"], path, allow_code)
     _unit(head["unit"])
-    resolve(plan, 0)
-    resolve(plan, len(plan.points) - 1)
+    _check_values(plan, path)
     return plan
 
 
-def _matrix(vary: Mapping[str, Any], path: Path) -> list[tuple[Any, ...]]:
-    """Return all combinations of the listed values."""
-    for key, values in vary.items():
-        if not isinstance(values, list) or not values:
-            raise ConfigError(
-                f"{path} [vary] {key} = {values!r}: a matrix needs a list of values; "
-                'for a range set design = "sobol"'
-            )
-    return list(itertools.product(*vary.values()))
-
-
-def _random(spans: Sequence[Mapping[str, Any]], head: dict[str, Any]) -> list[tuple[Any, ...]]:
-    """Return the points of a random design over some ranges, one per run."""
-    points = []
-    for shares in _unit_cube(head, len(spans)).tolist():
-        values = [_at(span, share) for share, span in zip(shares, spans, strict=True)]
-        points.append(tuple(values))
-    return points
-
-
-def _span(key: str, span: Any, design: str, path: Path) -> dict[str, Any]:
-    """Return the checked range of one varied value, by the names of RANGE."""
-    where = f"{path} [vary] {key}"
-    if not isinstance(span, dict):
-        raise ConfigError(
-            f"{where} = {span!r}: a {design} design needs a range "
-            '{ low = ..., high = ... }; for a list set design = "matrix"'
-        )
-    checked = table.read(RANGE, span, where)
-    low, high = checked["low"], checked["high"]
-    if not low < high or (checked["log"] and low <= 0.0):
-        raise ConfigError(
-            f"{where}: low = {low:g} and high = {high:g} must rise, and be above 0 if log = true"
-        )
-    return checked
-
-
-def _unit_cube(head: dict[str, Any], dimensions: int) -> np.ndarray:
-    """Return the sample of a design between 0 and 1, shape (runs, dimensions)."""
-    design = head["design"]
-    runs = head["runs"]
-    seed = head["seed"]
-    if design == "random":
-        return np.random.default_rng(seed).random((runs, dimensions))
-    if design == "sobol":
-        # a Sobol sequence is balanced only in powers of two; take the first points of enough
-        exponent = max(runs - 1, 1).bit_length()
-        return np.asarray(qmc.Sobol(dimensions, rng=seed).random_base2(exponent)[:runs])
-    kind = qmc.Halton if design == "halton" else qmc.LatinHypercube
-    return np.asarray(kind(dimensions, rng=seed).random(runs))
-
-
-def _at(span: Mapping[str, Any], share: float) -> float:
-    """Return the value at a share of a range, from 0 (low) to 1 (high)."""
-    low, high = span["low"], span["high"]
-    if span["log"]:
-        return float(low * (high / low) ** share)
-    return float(low + (high - low) * share)
+def _check_values(plan: Plan, path: Path) -> None:
+    """Raise ConfigError unless the first and the last run, and extreme values, can be resolved."""
+    drawn = [source[0] for source in plan.sources]
+    for axis, runs in design.extremes(plan.points, drawn).items():
+        for run in runs:
+            try:
+                resolve(plan, run)
+            except ConfigError as error:
+                raise ConfigError(
+                    f"{path}: {axis}: run {run} draws a value that the scenario does not allow: "
+                    f"{error}; limit it with low and high"
+                ) from None
+    resolve(plan, 0)
+    resolve(plan, len(plan.points) - 1)
 
 
 def _check_unit(name: str, path: Path, allow_code: bool) -> None:
@@ -274,6 +227,8 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
             row[key] = found[key]
         for key in ("invalid_because", "warnings"):
             row[key] = "; ".join(found[key]) or None
+        if plan.steps is not None:
+            row |= speed_steps.decelerations(finished.channels, plan.steps)
     return list(rows.values())
 
 
@@ -283,6 +238,7 @@ def _empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
         *("stopped", "ended", "valid", "invalid_because", "warnings"),
         *figures.BY_NAME,
         *("config_hash", "error"),
+        *(plan.steps.columns if plan.steps else ()),
     )
     inputs = dict(zip(plan.axes, point, strict=True))
     return {"run": number, **inputs, **dict.fromkeys(results)}
@@ -316,7 +272,10 @@ def open_result(plan: Plan, out: Path) -> list[int]:
     """
     # the names of the columns belong to it: an older version may have written others
     columns = list(_empty_row(plan, plan.first, plan.points[0]))
-    identity = json.dumps([plan.head, plan.axes, plan.points, columns], sort_keys=True)
+    of_plan: list[Any] = [plan.head, plan.axes, plan.points, columns]
+    if plan.steps is not None:
+        of_plan.append(plan.steps)
+    identity = json.dumps(of_plan, sort_keys=True)
     fingerprint = hashlib.sha256(identity.encode()).hexdigest()[:16]
     mark = out / "plan.json"
     if mark.exists() and _fingerprint(mark, out) != fingerprint:
@@ -329,6 +288,8 @@ def open_result(plan: Plan, out: Path) -> list[int]:
         "head": plan.head,
         "axes": plan.axes,
         "runs": len(plan.points),
+        "sources": plan.sources,
+        "etcs": plan.steps._asdict() if plan.steps else None,
     }
     with writing(out):
         make_folder(out, "results")

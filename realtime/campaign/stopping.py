@@ -2,29 +2,33 @@
 
 The stopping distance is that of `wsp_interface.braking`: from the first brake demand to standstill.
 
-[S1] The k-th smallest of n independent draws lies above the q-quantile with a confidence of
-     P(B(n, q) < k), whatever the distribution. The bound is the smallest such k that reaches
-     CONFIDENCE; 95 % of the stops with 95 % confidence need at least 59 runs.
+[S1] Quantiles have the bounds of `statistics.quantiles`: 95 % of the stops with 95 % confidence
+     need at least 59 runs.
 [S2] Rank correlation of each input with the distance (Spearman). For the longest tenth against the
      rest: twice the difference of their mean ranks over n (rank-biserial). It is 1 if the longest
      stops have all the largest values.
+[S3] Beyond the quantiles that the runs bound, `statistics.tail` extrapolates the law of the longest
+     tenth. Only independent draws have such a law.
 
-Source: Wilks 1941 [S1], Spearman 1904, Cureton 1956 [S2]. A coach that did not stop within its time
+Source: Wilks 1941 [S1]; Spearman 1904, Cureton 1956 [S2]. A coach that did not stop within its time
 counts as longer than any other. A run that failed does not count, and the page reports how many.
 """
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 from scipy import stats
 
-from rollerrig.realtime.campaign import campaign
+from rollerrig.realtime.campaign import campaign, design
+from rollerrig.realtime.campaign.statistics import drivers as drivers_of
+from rollerrig.realtime.campaign.statistics import quantiles, tail
 
-CONFIDENCE = 0.95  # of the upper bounds
+CONFIDENCE = quantiles.CONFIDENCE  # of the upper bounds
 QUANTILES = (0.5, 0.9, 0.95, 0.99)
 TAIL = 0.1  # share of the runs that are the longest stops
+EXCEEDED = (1e-3, 1e-4, 1e-5)  # shares of the runs, for extrapolation
 FEWEST = 8  # runs: the page shows no statistics of fewer
 
 
@@ -50,16 +54,6 @@ def _did_not_stop(table: pa.Table) -> np.ndarray:
     return np.array([row == (False, False, "finished") for row in rows], dtype=bool)
 
 
-def rank(count: int, quantile: float) -> int:
-    """Return the rank, from 1, of the draw that bounds a quantile from above [S1].
-
-    0 if there are too few draws.
-    """
-    ranks = np.arange(1, count + 1)
-    enough = ranks[stats.binom.cdf(ranks - 1, count, quantile) >= CONFIDENCE]
-    return int(enough[0]) if enough.size else 0
-
-
 def bounds(table: pa.Table) -> list[dict[str, Any]]:
     """Return estimate and upper bound for each of QUANTILES.
 
@@ -69,19 +63,17 @@ def bounds(table: pa.Table) -> list[dict[str, Any]]:
     _, distance_m = counted(table)
     if not distance_m.size:
         return []
-    sorted_m = np.sort(distance_m)
     found = []
     for quantile in QUANTILES:
-        bound_rank = rank(sorted_m.size, quantile)
-        estimate_m = sorted_m[math.ceil(quantile * sorted_m.size) - 1]
-        bound_m = sorted_m[bound_rank - 1] if bound_rank else math.inf
+        bound = quantiles.upper_bound(distance_m, quantile, CONFIDENCE)
         found.append(
             {
                 "quantile": quantile,
-                "rank": bound_rank,
-                "needs": math.ceil(math.log(1.0 - CONFIDENCE) / math.log(quantile)),
-                "estimate_m": _finite(estimate_m),
-                "bound_m": _finite(bound_m),
+                "rank": bound.rank,
+                "needs": bound.needs,
+                "confidence": bound.confidence,
+                "estimate_m": _finite(bound.estimate),
+                "bound_m": _finite(bound.bound),
             }
         )
     return found
@@ -113,3 +105,71 @@ def drivers(plan: campaign.Plan, table: pa.Table) -> list[tuple[str, float, floa
         lead = ranks[in_tail].mean() - ranks[~in_tail].mean()
         found.append((key, correlation, float(2.0 * lead / ranks.size)))
     return sorted(found, key=lambda driver: -abs(driver[1]))
+
+
+class Extrapolation(NamedTuple):
+    """The law of the longest runs [S3], or why there is none.
+
+    law: None if there is none; then `reason` states why.
+    values: one per share of EXCEEDED.
+    stability: the value at the least share, above several thresholds.
+    """
+
+    law: tail.Tail | None
+    reason: str
+    values: list[tail.Extrapolated]
+    stability: list[tail.Stability]
+
+
+def extrapolation(plan: campaign.Plan, table: pa.Table) -> Extrapolation:
+    """Return the stopping distances that few runs exceed [S3]."""
+    name = plan.head["design"]
+    if name != design.INDEPENDENT:
+        reason = (
+            f"a {name} design is no sample of independent draws; "
+            f'set design = "{design.INDEPENDENT}"'
+        )
+        return Extrapolation(None, reason, [], [])
+    _, distance_m = counted(table)
+    try:
+        law = tail.fit(distance_m)
+    except tail.NoTailError as error:
+        return Extrapolation(None, str(error), [], [])
+    values = [tail.exceeded(law, share, CONFIDENCE) for share in EXCEEDED]
+    return Extrapolation(law, "", values, tail.stability(distance_m, EXCEEDED[-1]))
+
+
+def extrapolated(plan: campaign.Plan, table: pa.Table) -> dict[str, Any]:
+    """Return the extrapolation [S3] as numbers for programs; None instead of a missing number."""
+    found = extrapolation(plan, table)
+    if found.law is None:
+        return {"reason": found.reason, "values": []}
+    return {
+        "reason": None,
+        "threshold_m": found.law.threshold,
+        "shape": found.law.shape,
+        "scale_m": found.law.scale,
+        "excesses": int(found.law.excesses.size),
+        "values": [
+            {
+                "exceeded": value.exceeded,
+                "estimate_m": value.estimate,
+                "low_m": value.low,
+                "high_m": _finite(value.high),
+                "bound_m": _finite(value.bound),
+            }
+            for value in found.values
+        ],
+    }
+
+
+def sobol_indices(plan: campaign.Plan, table: pa.Table) -> dict[str, drivers_of.Indices]:
+    """Return the Sobol indices of the distance for each input of a saltelli design.
+
+    Empty for another design, and if too few blocks have a distance in all their runs.
+    """
+    if plan.head["design"] != design.SALTELLI:
+        return {}
+    distance_m = table.sort_by("run")["braking_distance_m"].to_numpy().astype(float)
+    found = drivers_of.sobol_indices(distance_m, len(plan.axes), plan.head["seed"])
+    return dict(zip(plan.axes, found, strict=True)) if found else {}

@@ -105,6 +105,7 @@ def call(options: argparse.Namespace) -> int:
             "report": str(report),
             "worst": worst,
             "stopping_distance": stopping.bounds(table),
+            "tail": stopping.extrapolated(plan, table),
             "not_valid_runs": not_valid,
             "warnings": campaign_report.warnings(table),
         },

@@ -25,6 +25,7 @@ from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.record import figures
 from rollerrig.realtime.reports import page, pdf
+from rollerrig.realtime.reports.statistics import tail
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER
 
 QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
@@ -201,7 +202,7 @@ def _range_rows(plan: campaign.Plan) -> list[tuple[str, ...]]:
     for at, key in enumerate(plan.axes):
         if plan.ranges:
             span = plan.ranges[at]
-            spread = "evenly in the logarithm" if span["log"] else "evenly"
+            spread = span["law"]
             low, high = _input(span["low"]), _input(span["high"])
         else:
             values = list(dict.fromkeys(point[at] for point in plan.points))
@@ -248,6 +249,7 @@ def _page(
     if pair is not None:
         draw = partial(_draw_map, plan=plan, table=table, pair=pair, figure=figure)
         parts.append(page.picture(draw, (8.0, 4.6)))
+    parts += tail.parts(plan, table)
 
     parts += [page.element("h2", "All figures"), page.table(HEAD, cells(table))]
     if constant:

@@ -1,0 +1,234 @@
+"""Kdry_rst and Kwet_rst of a vehicle from its campaigns on dry and on wet rails.
+
+The formulas are in `statistics.corrections`. The decelerations are those of `speed_steps`.
+"""
+
+import hashlib
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.configs import user_files
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.bench import free, scenario
+from rollerrig.realtime.campaign import campaign, design, four_stops, speed_steps, stopping
+from rollerrig.realtime.campaign.statistics import corrections
+
+NOT_A_CERTIFICATE = (
+    "Not a certificate: these numbers show what this model did over the laws of its inputs. They "
+    "are no proof of the brakes of a train, and no authority has checked them."
+)
+ASSUMPTIONS = (
+    "The formulas and the levels of M_NVEBCL are from memory, to be checked against UNISIG "
+    "SUBSET-026.",
+    "Kdry_rst is a quantile of the ratio of the mean deceleration of a step to the nominal one. All "
+    "variation of the brake is in the laws of the inputs of the campaign on dry rails, failures "
+    "of equipment only if the plan has them.",
+    "Kwet_rst is the ratio of the mean decelerations on wet and on dry rails, and at most 1. It has no "
+    "confidence level.",
+    "Levels that the runs do not reach are extrapolated by a generalised Pareto law. Its interval "
+    "holds if the tail follows this law, which no sample can prove.",
+    "The build-up of the brake force is left out of the decelerations; the brake model has a time for "
+    "it.",
+    "Every run that does not leave a step of speed before its end counts as a deceleration of 0.",
+)
+
+
+class Sample(NamedTuple):
+    """The decelerations of a campaign.
+
+    folder: of its results.
+    steps: of its plan.
+    by_step: decelerations in m/s2 of each step (runs,); runs that began below the step are left
+    out.
+    runs, left_out: all runs, and those that failed or are not valid and do not count.
+    head: the top of the plan. sources: the laws of its inputs.
+    digest: of all files of the results.
+    """
+
+    folder: Path
+    steps: speed_steps.Steps
+    by_step: list[np.ndarray]
+    runs: int
+    left_out: int
+    head: dict[str, Any]
+    sources: list[list[str]]
+    digest: str
+
+
+def sample(folder: Path) -> Sample:
+    """Return the decelerations of a result folder. Raises ConfigError."""
+    content = user_files.read_json(folder / "plan.json", within=folder)
+    given = content.get("etcs") if isinstance(content, dict) else None
+    if given is None:
+        raise ConfigError(
+            f"{folder}: its plan has no table [etcs], so its runs have no decelerations by speed; add, "
+            "for example, [etcs] speeds_km_h = [0, 40, 80, 120] to the plan and run it again"
+        )
+    steps = speed_steps.read(given, f"{folder / 'plan.json'} etcs")
+    head = content.get("head", {})
+    if head.get("design") != design.INDEPENDENT:
+        raise ConfigError(
+            f"{folder}: a {head.get('design')} design is no sample of independent draws, and the "
+            f'levels need one; set design = "{design.INDEPENDENT}" in the plan and run it again'
+        )
+    table = campaign.result(folder)
+    if table.num_rows != content.get("runs"):
+        raise ConfigError(
+            f"{folder}: has {table.num_rows} of {content.get('runs')} runs; repeat its 'rollerrig "
+            "campaign' to finish it"
+        )
+    counts, _ = stopping.counted(table)
+    by_step = []
+    for column in steps.columns:
+        values_m_s2 = table[column].to_numpy().astype(float)[counts]
+        by_step.append(values_m_s2[np.isfinite(values_m_s2)])
+    return Sample(
+        folder,
+        steps,
+        by_step,
+        runs=table.num_rows,
+        left_out=int((~counts).sum()),
+        head=head,
+        sources=content.get("sources", []),
+        digest=_digest(folder),
+    )
+
+
+def _digest(folder: Path) -> str:
+    """Return the SHA-256 of the files of a result, in their order."""
+    found = hashlib.sha256()
+    for path in sorted((folder / "results").glob("part-*.parquet")):
+        found.update(user_files.read_bytes(path, user_files.PARQUET, within=folder))
+    return found.hexdigest()
+
+
+def nominal_m_s2(dry: Sample) -> tuple[float, ...]:
+    """Return the nominal deceleration of each step: of the plan, or of one run without variation.
+
+    Raises ConfigError if that run does not have a step.
+    """
+    if dry.steps.nominal_m_s2:
+        return dry.steps.nominal_m_s2
+    unit = str(dry.head["unit"])
+    if unit not in ("reference", "none"):
+        raise ConfigError(
+            f"{dry.folder}: unit = '{unit}' is code; give nominal_m_s2 in [etcs], one number per step"
+        )
+    resolved = scenario.load(str(dry.head["scenario"]), "", ())
+    free.check(resolved)
+    (finished,) = four_stops.together([("nominal", resolved)], unit)
+    found = speed_steps.decelerations(finished.channels, dry.steps)
+    values = []
+    for column, (low_km_h, high_km_h) in zip(dry.steps.columns, dry.steps.pairs_km_h, strict=True):
+        value = found[column]
+        if not value:
+            raise ConfigError(
+                f"{dry.head['scenario']}: its stop without variation has no deceleration from "
+                f"{high_km_h:g} to {low_km_h:g} km/h; begin faster, or give nominal_m_s2 in [etcs]"
+            )
+        values.append(value)
+    return tuple(values)
+
+
+def table(
+    dry: Sample, wet: Sample | None, available_adhesion: float, confidence: float = 0.95
+) -> dict[str, Any]:
+    """Return the correction factors as a table for programs and reports.
+
+    `available_adhesion` is M_NVAVADH. None instead of a missing number. Raises ConfigError if the
+    two campaigns have different steps, or a step has no run.
+    """
+    if wet is not None and wet.steps.speeds_km_h != dry.steps.speeds_km_h:
+        raise ConfigError(
+            f"{wet.folder}: has the steps {list(wet.steps.speeds_km_h)} km/h and {dry.folder} has "
+            f"{list(dry.steps.speeds_km_h)}; give both plans the same speeds_km_h"
+        )
+    nominal = nominal_m_s2(dry)
+    rows = []
+    for place, (low_km_h, high_km_h) in enumerate(dry.steps.pairs_km_h):
+        values_m_s2 = dry.by_step[place]
+        if not values_m_s2.size:
+            raise ConfigError(
+                f"{dry.folder}: no run has a deceleration from {high_km_h:g} to {low_km_h:g} km/h; "
+                "begin faster, or remove this step from speeds_km_h"
+            )
+        found = corrections.corrections(values_m_s2 / nominal[place], confidence)
+        wet_ratio = None
+        if wet is not None:
+            wet_ratio = corrections.wet_ratio(wet.by_step[place], values_m_s2, confidence)
+        rows.append(
+            {
+                "from_km_h": low_km_h,
+                "to_km_h": high_km_h,
+                "runs_dry": int(values_m_s2.size),
+                "runs_wet": int(wet.by_step[place].size) if wet is not None else 0,
+                "nominal_m_s2": nominal[place],
+                "kdry_rst": [
+                    _level(correction, nominal[place], wet_ratio, available_adhesion)
+                    for correction in found
+                ],
+                "kwet_rst": _wet(wet_ratio),
+            }
+        )
+    return {
+        "notice": NOT_A_CERTIFICATE,
+        "assumptions": list(ASSUMPTIONS),
+        "confidence": confidence,
+        "m_nvavadh": available_adhesion,
+        "dry": _origin(dry),
+        "wet": _origin(wet) if wet is not None else None,
+        "steps": rows,
+    }
+
+
+def _level(
+    found: corrections.Correction,
+    nominal: float,
+    wet_ratio: corrections.Ratio | None,
+    available_adhesion: float,
+) -> dict[str, Any]:
+    """Return the numbers of one level; the safe deceleration uses the lower bound."""
+    safe_m_s2 = None
+    if wet_ratio is None or math.isfinite(wet_ratio.estimate):
+        wet = min(wet_ratio.estimate, 1.0) if wet_ratio is not None else 1.0
+        safe_m_s2 = _number(
+            corrections.safe_deceleration(nominal, found.bound, wet, available_adhesion)
+        )
+    return {
+        "m_nvebcl": found.level,
+        "probability": 1.0 - corrections.failing_share(found.level),
+        "estimate": _number(found.estimate),
+        "low": _number(found.low),
+        "high": _number(found.high),
+        "bound": _number(found.bound),
+        "method": found.method,
+        "reason": found.reason or None,
+        "a_safe_m_s2": safe_m_s2,
+    }
+
+
+def _wet(ratio: corrections.Ratio | None) -> dict[str, Any] | None:
+    """Return Kwet_rst, at most 1, and its interval."""
+    if ratio is None:
+        return None
+    numbers = {key: _number(value) for key, value in ratio._asdict().items()}
+    return {key: None if value is None else min(value, 1.0) for key, value in numbers.items()}
+
+
+def _origin(found: Sample) -> dict[str, Any]:
+    return {
+        "folder": str(found.folder),
+        "scenario": found.head.get("scenario"),
+        "unit": found.head.get("unit"),
+        "runs": found.runs,
+        "left_out": found.left_out,
+        "inputs": found.sources,
+        "sha256_of_results": found.digest,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,1 @@
+"""Statistics of many runs, as pure functions: quantiles, tails, laws of inputs, drivers."""

@@ -1,0 +1,1 @@
+"""Verbs that turn runs into evidence: correction factors, test programmes."""

@@ -1,0 +1,1 @@
+"""The parts of reports about statistics of many runs."""
