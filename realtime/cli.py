@@ -35,7 +35,7 @@ from rollerrig.realtime.commands import (
     tuning,
     wsp,
 )
-from rollerrig.realtime.commands.evidence import etcs
+from rollerrig.realtime.commands.evidence import etcs, programme
 
 # exit statuses
 PASS = 0
@@ -87,6 +87,13 @@ VERBS = (
         sequence.call,
         "play scripted tests over the buses, and write their verdicts and a report",
         "rollerrig sequence emergency_120 --out report",
+    ),
+    Verb(
+        "programme",
+        programme.arguments,
+        programme.call,
+        "play a test programme with one unit, and write one evidence file",
+        "rollerrig programme en15595_style --out programmes/coach",
     ),
     Verb(
         "compare",

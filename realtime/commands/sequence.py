@@ -122,7 +122,7 @@ def call(options: argparse.Namespace) -> int:
         return output.show(options, {"checked": names}, f"{len(names)} sequences are valid")
 
     # all options are checked before the first bench starts
-    _check_options(options, sequences)
+    check_options(options, sequences)
     about = output.about(options)
     if options.pdf:
         pdf.check()
@@ -206,7 +206,7 @@ def load(names: list[str]) -> "list[Sequence]":
 
     for sequence in sequences:
         try:
-            _scenario_of(sequence)
+            scenario_of(sequence)
         except ConfigError as error:
             errors.append(f"{sequence.path} [start]: {error}")
 
@@ -231,7 +231,7 @@ def _find(names: list[str]) -> list[Path]:
     return paths
 
 
-def _scenario_of(sequence: "Sequence") -> "Scenario":
+def scenario_of(sequence: "Sequence") -> "Scenario":
     """Return the scenario of the bench that a sequence needs. Raises ConfigError."""
     from rollerrig.realtime.bench import scenario
     from rollerrig.wsp_interface import own_bench
@@ -245,7 +245,7 @@ def _scenario_of(sequence: "Sequence") -> "Scenario":
     return scenario.read(data, Path(sequence.path.name))
 
 
-def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> None:
+def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> None:
     """Check the options against one another, check the FMUs and maps, and make the report's folder.
 
     Raises ConfigError.
@@ -284,7 +284,7 @@ def _check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> 
         started = set()
         for sequence in sequences:
             unit = options.wsp or sequence.allowed_unit(allowed)
-            started.add((unit, _scenario_of(sequence)["bus"]["sync_period_s"]))
+            started.add((unit, scenario_of(sequence)["bus"]["sync_period_s"]))
         for unit, period_s in sorted(started):
             fmu_file.check_all(unit_choice.fmus_of(unit), options.unit_map, period_s)
 
@@ -319,7 +319,7 @@ def _play_all(
 
     def finish(outcome: Outcome) -> None:
         played[outcome.sequence.name] = outcome
-        _print_outcome(outcome)
+        print_outcome(outcome)
 
     def describe() -> str:
         return f"{len(played)} of {len(sequences)} sequences played"
@@ -358,11 +358,8 @@ def _play_one_by_one(
 ) -> None:
     """Play sequences in this process. Raises KeyboardInterrupt, and BusError with --bus."""
     for sequence in sequences:
-        if options.bus:
-            outcome = play(sequence, options)
-        else:
-            get_outcome = partial(play, sequence, options)
-            outcome = _outcome_or_error(get_outcome, sequence, options.out / sequence.name)
+        play_one = play if options.bus else play_or_error
+        outcome = play_one(sequence, options)
         finish(outcome)
         if outcome.interrupted:
             raise KeyboardInterrupt
@@ -390,6 +387,12 @@ def _play_in_processes(
                 if not future.cancelled() and future.exception() is None:
                     finish(future.result())
             raise
+
+
+def play_or_error(sequence: "Sequence", options: argparse.Namespace) -> "Outcome":
+    """Return the outcome of a sequence on a new bench; any failure of playing it is an error."""
+    get_outcome = partial(play, sequence, options)
+    return _outcome_or_error(get_outcome, sequence, options.out / sequence.name)
 
 
 def _outcome_or_error(
@@ -432,7 +435,7 @@ def _play_on_running_bench(
     from rollerrig.wsp_interface import harness_client
     from rollerrig.wsp_interface.sequences import play as player
 
-    scenario = _scenario_of(sequence).resolved
+    scenario = scenario_of(sequence).resolved
     harness = harness_client.connect(options.bus)
     return player.on_running_bench(sequence, harness, folder, scenario, dry_stop.distance_m)
 
@@ -481,7 +484,7 @@ def _print_step(name: str, enabled: bool, event: "Event") -> None:
         output.print_message(f"  step  {name}: {event.fields['title']} ({event.time_s:.2f} s)")
 
 
-def _print_outcome(outcome: "Outcome") -> None:
+def print_outcome(outcome: "Outcome") -> None:
     """Print the result of a sequence, and each verdict that is a failure or an error."""
     error = f": {outcome.error}" if outcome.error else ""
     output.print_message(

@@ -286,6 +286,8 @@ def test_a_full_disk_stops_a_campaign_with_status_2_and_finished_chunks_are_kept
         capture_output=True,
         text=True,
         preexec_fn=limit_file_size,
+        # the limit would cut off the bytecode that Python caches for all later starts
+        env=os.environ | {"PYTHONDONTWRITEBYTECODE": "1"},
     )
     assert process.returncode == 2
     assert "make room" in process.stderr

@@ -104,7 +104,7 @@ def test_a_stop_with_a_constant_deceleration_has_it_in_every_step():
 
 
 def test_a_step_above_the_start_has_no_deceleration_and_a_train_that_rolls_on_has_zero():
-    found = speed_steps.decelerations(stop(20.0, 4.0, 1.2), STEPS)
+    found = speed_steps.decelerations(stop(15.0, 4.0, 1.2), STEPS)
     assert list(found.values()) == [pytest.approx(1.2, rel=1e-3), None, None]
     found = speed_steps.decelerations(stop(40.0, 4.0, 1.2, lasts_s=20.0), STEPS)
     assert list(found.values()) == [0.0, 0.0, pytest.approx(1.2, rel=1e-3)]
@@ -140,7 +140,7 @@ build_up_s = 0.5
 def plan(tmp_path):
     def plan(name="dry", design="random", speeds="[0, 5, 10]", runs=24):
         scenario = tmp_path / f"{name}_stop.toml"
-        scenario.write_text(SCENARIO.format(adhesion="soap" if name == "wet" else "dry"))
+        scenario.write_text(SCENARIO.format(adhesion="very_low" if name == "wet" else "dry"))
         path = tmp_path / f"{name}.toml"
         path.write_text(PLAN.format(scenario=scenario, design=design, speeds=speeds, runs=runs))
         return str(path)

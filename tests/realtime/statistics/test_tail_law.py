@@ -6,7 +6,7 @@ from scipy import stats
 
 from rollerrig.realtime.campaign.statistics import tail
 
-CAMPAIGNS = 200
+CAMPAIGNS = 600  # with 200, chance alone misses the range of 93 to 97 % in one test of three
 RUNS = 5000  # of one campaign
 EXCEEDED = 1e-4
 
@@ -18,7 +18,7 @@ def pareto(rng, shape, size):
 
 
 @pytest.mark.parametrize("shape", [-0.2, 0.0, 0.2])
-def test_intervals_of_200_campaigns_hold_the_true_value_in_93_to_97_of_100(shape):
+def test_intervals_of_600_campaigns_hold_the_true_value_in_93_to_97_of_100(shape):
     rng = np.random.default_rng(SEEDS[shape])
     true_value = EXCEEDED**-shape / shape - 1.0 / shape if shape else -np.log(EXCEEDED)
     in_interval = 0

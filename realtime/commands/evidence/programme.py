@@ -1,0 +1,248 @@
+"""`rollerrig programme`: plays a test programme with one unit, and writes one evidence file.
+
+Each sequence has a folder with its run and its report. When a sequence is done, its part of the
+evidence is written there, with a fingerprint of what was tested. A programme that was stopped or
+killed continues with the same command: it plays only sequences without such a part.
+"""
+
+import argparse
+import contextlib
+import copy
+import hashlib
+import json
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rollerrig.configs.output_files import make_folder, write_text, writing
+from rollerrig.configs.processes import interruption
+from rollerrig.realtime.commands import output, sequence, wsp
+
+if TYPE_CHECKING:
+    from rollerrig.wsp_interface.sequences.sequence import Sequence
+
+# the part of the evidence in the folder of a sequence
+PART = "evidence.json"
+
+
+def arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of `rollerrig programme`."""
+    parser.add_argument("programme", help="name of a packaged programme, or a TOML file")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        metavar="DIR",
+        help="folder of the evidence; an unfinished programme in it is continued "
+        "(default: programmes/PROGRAMME)",
+    )
+    parser.add_argument(
+        "--wsp",
+        type=wsp.parse_unit,
+        action=wsp.AppendUnit,
+        default="",
+        metavar="{reference,external,none,fmu:FILE}",
+        help="WSP unit under test, the same in all sequences (default: reference)",
+    )
+    parser.add_argument(
+        "--unit",
+        default="",
+        metavar="COMMAND",
+        help="with --wsp external: command that starts your unit for each run; {address}, {host} "
+        "and {port} are replaced by those of the bus",
+    )
+    parser.add_argument(
+        "--unit-map",
+        type=Path,
+        metavar="FILE",
+        help="mapping between the CAN messages or variables of the unit and of the rig",
+    )
+    parser.add_argument(
+        "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
+    )
+    parser.add_argument(
+        "--check", action="store_true", help="only read and check the programme, and run nothing"
+    )
+    output.report_arguments(parser)
+
+
+def call(options: argparse.Namespace) -> int:
+    """Play what is left of a programme, and write its evidence.
+
+    Returns INVALID if a signal has interrupted it, FAILED if it has not passed, otherwise PASS.
+    Raises ConfigError.
+    """
+    from rollerrig.realtime.reports import pdf
+    from rollerrig.realtime.reports.evidence import programme as report
+    from rollerrig.wsp_interface.sequences import programme as programme_file
+
+    programme = programme_file.load(options.programme)
+    sequences = sequence.load(list(programme.sequences))
+    if options.check:
+        names = [one.name for one in sequences]
+        return output.show(
+            options,
+            {"programme": programme.name, "checked": names},
+            f"{programme.name}: {len(names)} sequences are valid",
+        )
+
+    about = output.about(options)
+    if options.pdf:
+        pdf.check()
+    out = options.out or Path("programmes") / programme.name
+    playing = _sequence_options(options, out)
+    # all options are checked before the first bench starts
+    sequence.check_options(playing, sequences)
+
+    marks = {one.name: _fingerprint(one, options) for one in sequences}
+    parts = _parts_done(out, marks)
+    done_before = len(parts)
+    with interruption.Interruption() as interrupted:
+        with (
+            contextlib.suppress(KeyboardInterrupt),
+            output.report_progress(lambda: f"{len(parts)} of {len(sequences)} sequences done"),
+        ):
+            for name, part in _play(sequences, playing, out, marks, parts):
+                parts[name] = part
+        interrupted.ignore()
+        evidence = report.evidence(programme, parts, _tested(options), datetime.now(UTC), about)
+        files = report.write(evidence, out, options.pdf)
+
+    left = len(sequences) - len(parts)
+    output.show(
+        options,
+        {
+            "result": evidence["result"],
+            "programme": programme.name,
+            "sequences": {name: parts[name]["result"] for name in parts},
+            "done_before": done_before,
+            "left": left,
+            "interrupted": interrupted.by or None,
+            "files": [str(file) for file in files],
+        },
+        f"{evidence['result']}: {len(parts)} of {len(sequences)} sequences done "
+        f"({done_before} before); evidence in {files[0]} (not a certification)",
+        *([f"interrupted: {left} are left; repeat the command to continue"] if left else []),
+    )
+    if interrupted.by:
+        return output.INVALID
+    return output.PASS if evidence["result"] == "pass" else output.FAILED
+
+
+def _sequence_options(options: argparse.Namespace, out: Path) -> argparse.Namespace:
+    """Return the options of `rollerrig sequence` that play the sequences of a programme."""
+    playing = copy.copy(options)
+    playing.out = out
+    playing.wsp = options.wsp or "reference"
+    playing.bus = ""
+    playing.pacing = "lockstep"
+    playing.jobs = 1
+    playing.steps = False
+    # the unit of the programme is the unit of all sequences
+    playing.allow_unit = []
+    return playing
+
+
+def _tested(options: argparse.Namespace) -> dict[str, Any]:
+    """Return what was tested, and with which files."""
+    from rollerrig.wsp_interface import unit_choice
+
+    unit = options.wsp or "reference"
+    files = [Path(file) for file in unit_choice.fmus_of(unit)]
+    if options.unit_map:
+        files.append(options.unit_map)
+    return {
+        "unit": unit,
+        "command": options.unit or None,
+        "seed": options.seed,
+        "files": {str(file): _sha256(file) for file in files},
+    }
+
+
+def _fingerprint(one: "Sequence", options: argparse.Namespace) -> str:
+    """Return a hash of all that decides the outcome of a sequence, as far as rollerrig knows it.
+
+    It does not see a change of the program behind --unit.
+    """
+    from rollerrig.realtime.bench import scenario
+
+    of_scenario = scenario.digest(sequence.scenario_of(one))
+    content = [
+        _tested(options),
+        _sha256(one.path),
+        repr(one.criteria),
+        of_scenario,
+        metadata.version("rollerrig"),
+    ]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _sha256(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    from rollerrig.configs import user_files
+
+    found = hashlib.sha256()
+    with user_files.open_binary(path, user_files.RRD) as file:
+        while block := file.read(1 << 20):
+            found.update(block)
+    return found.hexdigest()
+
+
+def _parts_done(out: Path, marks: dict[str, str]) -> dict[str, dict[str, Any]]:
+    """Return the parts of the evidence that are in the folder and belong to this programme."""
+    from rollerrig.configs import user_files
+
+    parts = {}
+    for name, mark in marks.items():
+        path = out / name / PART
+        if not path.is_file():
+            continue
+        part = user_files.read_json(path, within=out)
+        if isinstance(part, dict) and part.get("fingerprint") == mark:
+            parts[name] = part
+    return parts
+
+
+def _play(
+    sequences: "list[Sequence]",
+    playing: argparse.Namespace,
+    out: Path,
+    marks: dict[str, str],
+    done: dict[str, dict[str, Any]],
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Play the sequences that are not done; yield each with its part of the evidence.
+
+    Raises KeyboardInterrupt if a signal has ended a sequence.
+    """
+    for one in sequences:
+        if one.name in done:
+            continue
+        in_folder = copy.copy(playing)
+        in_folder.out = out / one.name
+        with writing(in_folder.out):
+            make_folder(out, one.name)
+        yield one.name, _play_one(one, in_folder, marks[one.name])
+
+
+def _play_one(one: "Sequence", options: argparse.Namespace, mark: str) -> dict[str, Any]:
+    """Play a sequence, write its report, and write and return its part of the evidence."""
+    from rollerrig.realtime.reports import sequences as report
+    from rollerrig.realtime.reports.evidence import programme as evidence
+
+    outcome = sequence.play_or_error(one, options)
+    if outcome.interrupted:
+        raise KeyboardInterrupt
+    sequence.print_outcome(outcome)
+    report.write([outcome], options.out, None, output.about(options))
+    (data,) = report.as_data([outcome], datetime.now(UTC))["sequences"]
+    part: dict[str, Any] = {"fingerprint": mark} | data
+    part["signals"] = evidence.recorded(outcome.folder)
+    part["files"] = {
+        str(path.relative_to(options.out)): _sha256(path)
+        for path in sorted(options.out.rglob("*"))
+        if path.is_file() and path.name != PART
+    }
+    # last, so that a part that exists belongs to a sequence that is done
+    write_text(options.out / PART, json.dumps(part, indent=1))
+    return part

@@ -1,0 +1,1 @@
+"""The evidence of a test programme and of the rig itself."""

@@ -1,0 +1,183 @@
+"""Test programmes: what they contain, what counts for their result, and how they continue."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+
+from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import cli
+from rollerrig.realtime.commands import sequence
+from rollerrig.realtime.reports.evidence import programme as report
+from rollerrig.wsp_interface.sequences import programme
+
+SEQUENCE = """title = "A stop from walking pace, number {number}"
+criteria = "none"
+[start]
+speed = "4 km/h"
+adhesion = "dry"
+[[step]]
+title = "brake"
+set = {{ brake_demand = "3.8 bar" }}
+until = "vehicle_speed < 0.01 m/s"
+timeout = "20 s"
+[[measure]]
+measure = "stop_distance"
+unit = "m"
+max = {limit}
+source = "recollection, to be checked against EN 15595: a number of this test"
+"""
+PROGRAMME = """title = "Three short stops"
+source = "assumption"
+log = ["vehicle_speed", "cylinder_pressure", "valve"]
+[[group]]
+title = "Stops"
+kind = "mandatory"
+source = "assumption"
+sequences = ["a.toml", "b.toml"]
+[[group]]
+title = "More"
+kind = "additional"
+source = "assumption"
+sequences = ["c.toml"]
+[[group]]
+title = "Elsewhere"
+kind = "apart"
+source = "assumption"
+reason = "on another rig"
+"""
+
+
+@pytest.fixture
+def files(tmp_path):
+    """The file of a programme; its additional sequence fails."""
+    for number, (name, limit) in enumerate((("a", 50.0), ("b", 50.0), ("c", 0.01))):
+        (tmp_path / f"{name}.toml").write_text(SEQUENCE.format(number=number, limit=limit))
+    path = tmp_path / "short.toml"
+    path.write_text(PROGRAMME)
+    return path
+
+
+@pytest.mark.parametrize("name", store.names("programmes"))
+def test_every_packaged_programme_and_its_sequences_are_valid(name):
+    loaded = programme.load(name)
+    kinds = [group.kind for group in loaded.groups]
+    assert {programme.MANDATORY, programme.BY_AGREEMENT, programme.APART} <= set(kinds)
+    assert len(sequence.load(list(loaded.sequences))) == len(loaded.sequences)
+    # what a programme contains is not read from a standard
+    for group in loaded.groups:
+        assert group.source.startswith(("recollection, to be checked against", "assumption"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('source = "assumption"\nlog', "log", "source is missing"),
+        ('"mandatory"', '"must"', "kind = 'must'"),
+        ('["a.toml", "b.toml"]', "[]", "has sequences and no reason"),
+        ('["a.toml", "b.toml"]', '["a.toml", "c.toml"]', "twice"),
+        ('["a.toml", "b.toml"]', '["no_such"]', "no sequence is called"),
+        ('reason = "on another rig"', "", "has a reason and no sequences"),
+        ('"valve"', '"valves"', "did you mean 'valve'"),
+        ("[[group]]", "[[groups]]", "unknown key 'groups'"),
+    ],
+)
+def test_a_wrong_programme_is_refused_with_its_place(files, old, new, message):
+    files.write_text(PROGRAMME.replace(old, new))
+    with pytest.raises(ConfigError, match=message) as raised:
+        programme.load(str(files))
+    assert "short.toml" in str(raised.value) or "no_such" in str(raised.value)
+
+
+def play(files, out, *more):
+    return cli.main(["programme", str(files), "--out", str(out), "--json", *more])
+
+
+def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_count(
+    files, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    assert play(files, out, "--about", "tested by=A. Meier") == cli.PASS
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["sequences"] == {"a": "pass", "b": "pass", "c": "fail"}
+
+    found = json.loads((out / "evidence.json").read_text())
+    assert found["result"] == "pass"
+    assert found["tested"]["unit"] == "reference"
+    (stop, *_), (failed,), nothing = [group["sequences"] for group in found["groups"]]
+    assert nothing == []
+    (distance,) = [one for one in failed["verdicts"] if one["what"] == "stop_distance"]
+    assert (distance["result"], distance["limit"]) == ("fail", "at most 0.01")
+    assert stop["missing_signals"] == []
+    assert "a/channels.parquet" in stop["files"]
+    assert found["versions"]["rollerrig"]
+
+    page = (out / "evidence.html").read_text()
+    assert "from memory, not verified against EN 15595" in page
+    assert "Not a certification" in page
+    assert "on another rig" in page
+    assert "A. Meier" in page
+    assert stop["files"]["a/channels.parquet"] in page
+
+
+def test_a_programme_that_is_killed_continues_with_what_is_left(files, tmp_path, capsys):
+    out = tmp_path / "out"
+    words = [sys.executable, "-m", "rollerrig.realtime.cli", "programme", str(files)]
+    process = subprocess.Popen(
+        [*words, "--out", str(out)], stderr=subprocess.DEVNULL, start_new_session=True
+    )
+    until_s = time.monotonic() + 300.0
+    while not (out / "a" / "evidence.json").exists() and time.monotonic() < until_s:
+        time.sleep(0.02)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    kept = (out / "a" / "evidence.json").read_bytes()
+    kept_at_ns = (out / "a" / "evidence.json").stat().st_mtime_ns
+
+    assert play(files, out) == cli.PASS
+    assert json.loads(capsys.readouterr().out)["done_before"] >= 1
+    assert (out / "a" / "evidence.json").read_bytes() == kept
+    assert (out / "a" / "evidence.json").stat().st_mtime_ns == kept_at_ns
+
+    # another seed, or another limit, is another test
+    assert play(files, out) == cli.PASS
+    assert json.loads(capsys.readouterr().out)["done_before"] == 3
+    (tmp_path / "a.toml").write_text(SEQUENCE.format(number=0, limit=0.01))
+    assert play(files, out) == cli.FAILED
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["done_before"] == 2
+    assert printed["sequences"]["a"] == "fail"
+
+
+def part(name, result="pass", signals=("vehicle_speed", "cylinder_pressure", "valve")):
+    """Return the evidence of a sequence that has no verdicts."""
+    return {"name": name, "result": result, "signals": list(signals), "verdicts": [], "files": {}}
+
+
+@pytest.mark.parametrize(
+    ("parts", "result"),
+    [
+        ((part("a"), part("b"), part("c")), "pass"),
+        ((part("a"), part("b")), "pass"),
+        ((part("a"), part("c")), "error"),
+        ((part("a", "fail"), part("b")), "fail"),
+        ((part("a"), part("b", signals=["vehicle_speed", "valve"])), "error"),
+        ((), "error"),
+    ],
+)
+def test_a_sequence_that_was_not_run_or_lacks_a_signal_never_counts_as_a_pass(files, parts, result):
+    loaded = programme.load(str(files))
+    named = {one["name"]: one for one in parts}
+    found = report.evidence(loaded, named, {"unit": "none"}, datetime(2026, 1, 1, tzinfo=UTC), {})
+    assert found["result"] == result
+
+
+def test_a_run_without_a_record_has_no_signals(tmp_path):
+    assert report.recorded(Path(tmp_path)) == []
