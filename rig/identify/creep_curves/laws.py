@@ -148,13 +148,11 @@ def fit(
     model = modelled(x, beta, columns, curve, patch)
     residual = model - prepared.adhesion
 
-    # replicates: residuals of the smooth curve with random signs by blocks
+    # replicates: the law with errors as those about the smooth curve
     rng = np.random.default_rng(seed)
     replicates = np.empty((REPLICATES, len(polach_fit.NAMES)))
-    blocks = int(smooth.block.max()) + 1
     for i in range(REPLICATES):
-        signs = rng.choice((-1.0, 1.0), size=blocks)[smooth.block]
-        again = problem.solve(model + signs * residual, [best])
+        again = problem.solve(model + smooth.errors(rng), [best])
         replicates[i], _ = problem.split(again)
 
     rms = float(np.sqrt(np.mean(residual**2)))

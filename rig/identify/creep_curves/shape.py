@@ -7,9 +7,13 @@ repeated. Whether adhesion falls is judged without it, by the means m_b of n_b n
     [H1] T = sum_b n_b (m_b - i_b)^2, i_b: the best sequence that never falls (isotonic regression)
 
 If adhesion never falls then the expected means never fall either, however sharply the curve bends.
-T is compared with that of means i_b with the measured errors: residuals of the smooth curve in
-blocks with random signs (wild bootstrap), so errors may differ in size, and neighbours may share
-them.
+T is compared with that of means i_b with errors as measured. Where neighbours share no errors these
+are residuals with random signs (wild bootstrap), so errors may differ in size. Where neighbours
+share errors these are an autoregressive series of the measured size:
+
+    [H2] e_i = size_i z_i, z_i = r z_(i-1) + sqrt(1 - r^2) w_i, w_i normal
+
+The smooth curve follows shared errors. So errors at large creepage are those about a parabola.
 Source: Barlow, Bartholomew, Bremner and Brunk, Statistical Inference under Order Restrictions
 (1972); Wu, Annals of Statistics 14 (1986) 1261-1295 (wild bootstrap).
 """
@@ -20,6 +24,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.interpolate import BSpline
 from scipy.optimize import isotonic_regression
+from scipy.signal import lfilter
 
 # Groups with fewer points or fewer creepages share one curve.
 LEAST_GROUP_POINTS = 16
@@ -42,15 +47,21 @@ MOST_MEANS = 20
 # the maximum is the largest mean over so many successive means
 PEAK_MEANS = 3
 
+# Large creepage, where a parabola shows the errors, begins at this share of the largest creepage.
+PARABOLA_FROM = 1.0 / 3.0
+LEAST_PARABOLA_POINTS = 12
+_PARABOLA_COEFFICIENTS = 3
+
 # Replicates of the test; fewer if so many of them were by chance as large (Besag and Clifford,
 # Biometrika 78 (1991) 301-304). Replicates of intervals.
 REPLICATES = 999
 ENOUGH_BY_CHANCE = 10
 INTERVAL_REPLICATES = 200
-# An autocorrelation above this, in standard deviations, makes blocks longer than one point.
+# An autocorrelation above this, in standard deviations, counts. It is taken one deviation larger.
 SHARED_ERRORS = 2.0
-FEWEST_BLOCKS = 10
-BLOCK = 3.0  # length of a block over the inflation of variances by shared errors
+LARGEST_SHARED = 0.95
+# points over which the size of shared errors is averaged
+SIZE_POINTS = 15
 
 # the end of a curve: this share of its points, at least two
 END_SHARE = 0.1
@@ -99,11 +110,28 @@ class Shape(NamedTuple):
     groups: list[Group]
     fitted: np.ndarray
     residual: np.ndarray
-    leverage: np.ndarray
+    error: np.ndarray  # residuals that no curve has followed
     coefficients: int
     scatter: float  # standard deviation of the points about their curve
-    block: np.ndarray  # number of the block of points with shared errors
-    inflation: float  # of variances of means by shared errors
+    order: np.ndarray  # places of the points in the order in which neighbours share errors
+    shared: float  # autocorrelation r of errors in this order [H2]; 0: they share none
+    size: np.ndarray  # of the errors [H2], in the order of the points
+
+    @property
+    def inflation(self) -> float:
+        """Inflation of the variance of means by shared errors."""
+        return (1.0 + self.shared) / (1.0 - self.shared)
+
+    def errors(self, rng: np.random.Generator) -> np.ndarray:
+        """Return errors as the measured ones, but drawn anew, (n,)."""
+        if self.shared == 0.0:
+            return rng.choice((-1.0, 1.0), size=self.error.size) * self.error
+        white = rng.standard_normal(self.error.size)
+        white[1:] *= math.sqrt(1.0 - self.shared**2)
+        series = lfilter([1.0], [1.0, -self.shared], white)
+        drawn = np.empty_like(series)
+        drawn[self.order] = series
+        return drawn * self.size
 
     @property
     def freedom(self) -> int:
@@ -242,76 +270,108 @@ def _smooth(
     groups: list[Group], adhesion: np.ndarray, file_order: np.ndarray, are_clusters: bool
 ) -> Shape:
     fitted = np.empty_like(adhesion)
-    leverage = np.empty_like(adhesion)
+    error = np.empty_like(adhesion)
+    late = np.zeros(adhesion.size, dtype=bool)
     coefficients = 0
     for part in groups:
-        fitted[part.points] = part.hat @ adhesion[part.points]
-        leverage[part.points] = np.diag(part.hat)
+        here = adhesion[part.points]
+        fitted[part.points] = part.hat @ here
+        leverage = np.diag(part.hat)
+        error[part.points] = (here - part.hat @ here) / np.sqrt(np.maximum(1.0 - leverage, 0.1))
         coefficients += round(float(np.trace(part.hat)))
+        if are_clusters:
+            continue
+        is_late = part.creepage >= PARABOLA_FROM * part.creepage[-1]
+        if is_late.sum() >= LEAST_PARABOLA_POINTS:
+            places = part.points[is_late]
+            error[places] = _about_a_parabola(part, is_late, here)
+            late[places] = True
+
     residual = adhesion - fitted
     freedom = max(adhesion.size - coefficients, 1)
     scatter = math.sqrt(float(np.sum(residual**2)) / freedom)
-    # repeated creepages have no neighbours along the creepage whose errors a curve could follow
-    followed = 0 if are_clusters else coefficients
-    block, inflation = _blocks(groups, residual, file_order, followed)
+    counted = late if late.any() else ~late
+    followed_by = _PARABOLA_COEFFICIENTS if late.any() else 0
+    order, shared = _shared(groups, error, counted, file_order, followed_by)
+    size = np.empty_like(error)
+    size[order] = _running_size(error[order])
+    if shared > 0.0:
+        # a parabola has followed some of the shared errors
+        followed = followed_by * (1.0 + shared) / (1.0 - shared) / int(counted.sum())
+        size /= math.sqrt(max(1.0 - followed, 0.25))
     return Shape(
         groups=groups,
         fitted=fitted,
         residual=residual,
-        leverage=leverage,
+        error=error,
         coefficients=coefficients,
         scatter=max(scatter, LEAST_SCATTER * float(np.max(np.abs(adhesion)))),
-        block=block,
-        inflation=inflation,
+        order=order,
+        shared=shared,
+        size=size,
     )
 
 
-def _blocks(
-    groups: list[Group], residual: np.ndarray, file_order: np.ndarray, followed: int
-) -> tuple[np.ndarray, float]:
-    """Return the block of each point, and the inflation of variances by shared errors.
+def _about_a_parabola(part: Group, chosen: np.ndarray, adhesion: np.ndarray) -> np.ndarray:
+    """Return the residuals of the chosen points of a group about a parabola of creepage."""
+    creepage = part.creepage[chosen] / part.creepage[-1]
+    columns = np.column_stack([creepage, creepage**2, part.nuisance[chosen]])
+    hat = columns @ np.linalg.pinv(columns)
+    left = adhesion[chosen] - hat @ adhesion[chosen]
+    return left / np.sqrt(np.maximum(1.0 - np.diag(hat), 0.1))
 
-    Neighbours along the creepage of a group and along the file are tried; blocks follow the order
-    in which neighbours share more. A fit with c coefficients follows shared errors and lowers an
-    autocorrelation r by about (1 + 3 r) c / n, which is added again (Marriott and Pope,
-    Biometrika 41 (1954) 390-402).
+
+def _running_size(error: np.ndarray) -> np.ndarray:
+    """Return the root of the running mean of squares (n,)."""
+    kernel = np.ones(min(SIZE_POINTS, error.size))
+    count = np.convolve(np.ones(error.size), kernel, "same")
+    return np.sqrt(np.convolve(error**2, kernel, "same") / count)
+
+
+def _shared(
+    groups: list[Group],
+    error: np.ndarray,
+    chosen: np.ndarray,
+    file_order: np.ndarray,
+    followed_by: int,
+) -> tuple[np.ndarray, float]:
+    """Return the order in which neighbours share errors, and their autocorrelation.
+
+    Neighbours along the creepage of a group and along the file are tried. Only the chosen points
+    (mask) count. A parabola, which has followed errors by 3 coefficients, lowers an autocorrelation
+    r by about 3 (1 + 3 r) / n, which is added again (Marriott and Pope, Biometrika 41 (1954)
+    390-402).
     """
     along_creepage = np.concatenate([part.points for part in groups])
     along_file = np.argsort(file_order)
     best_order = along_creepage
     best = 0.0
+    deviation = 1.0 / math.sqrt(int(chosen.sum()))
     for order in (along_creepage, along_file):
-        e = residual[order]
+        e = error[order[chosen[order]]]
         power = float(np.sum(e * e))
         shared = float(np.sum(e[1:] * e[:-1])) / power if power > 0.0 else 0.0
-        shared += (1.0 + 3.0 * max(shared, 0.0)) * followed / e.size
+        if shared > 0.0:
+            shared += followed_by * (1.0 + 3.0 * shared) / e.size
         if shared > best:
             best = shared
             best_order = order
-    size = residual.size
-    if best < SHARED_ERRORS / math.sqrt(size):
-        return np.arange(size), 1.0
-    best = min(best, 0.95)
-    inflation = (1.0 + best) / (1.0 - best)
-    length = min(math.ceil(BLOCK * inflation), max(size // FEWEST_BLOCKS, 1))
-    block = np.empty(size, dtype=int)
-    block[best_order] = np.arange(size) // length
-    return block, inflation
+    if best < SHARED_ERRORS * deviation:
+        return best_order, 0.0
+    return best_order, min(best + deviation, LARGEST_SHARED)
 
 
 def fall(shape: Shape, adhesion: np.ndarray, seed: int) -> Fall:
     """Return whether the curves fall, how far, and what these data would have shown."""
     rng = np.random.default_rng(seed)
-    error = shape.residual / np.sqrt(np.maximum(1.0 - shape.leverage, 0.1))
-    blocks = int(shape.block.max()) + 1
     level = adhesion - _factors_within(shape)
     means = [part.averaging @ level[part.points] for part in shape.groups]
     never = [_never_falling(part, m) for part, m in zip(shape.groups, means, strict=True)]
     statistic = _statistic(shape.groups, means)
 
     def varied_errors() -> list[np.ndarray]:
-        signs = rng.choice((-1.0, 1.0), size=blocks)[shape.block]
-        return [part.averaging @ (signs * error)[part.points] for part in shape.groups]
+        error = shape.errors(rng)
+        return [part.averaging @ error[part.points] for part in shape.groups]
 
     by_chance = 0
     replicates = 0

@@ -26,7 +26,8 @@ class Answers(NamedTuple):
     truth: generators.Truth
     curves: int
     false_reports: list[int]  # something was reported that is not in the truth
-    missed: list[int]  # the truth was not reported
+    missed: list[int]  # the truth was not reported, though its size was said to be visible
+    too_small: list[int]  # the truth was not reported, and its size was said to be too small
     outside: list[int]  # the interval of the size does not contain the truth
 
 
@@ -49,6 +50,7 @@ def answers(truth, seeds):
 
     false_reports = []
     missed = []
+    too_small = []
     outside = []
     for seed in seeds:
         shown = judge(truth, seed)
@@ -58,14 +60,15 @@ def answers(truth, seeds):
         if found - wanted:
             false_reports.append(seed)
         if wanted - found:
-            missed.append(seed)
+            is_too_small = truth.fall and shown.fall.size < shown.fall.smallest
+            (too_small if is_too_small else missed).append(seed)
         for effect in shown.reported:
             size = truth.series_change
             if effect.name == "load":
                 size = 3.0**truth.load_exponent - 1.0
             if not effect.low <= size <= effect.high:
                 outside.append(seed)
-    return Answers(truth, len(seeds), false_reports, missed, outside)
+    return Answers(truth, len(seeds), false_reports, missed, too_small, outside)
 
 
 def main():
@@ -76,14 +79,14 @@ def main():
     seeds = range(given.first, given.first + given.curves)
     total = 0
     false_total = 0
-    print("| truth | false reports | missed | outside the interval |")
-    print("|---|---|---|---|")
+    print("| truth | false reports | missed | said to be too small | outside the interval |")
+    print("|---|---|---|---|---|")
     for truth in ALL:
         found = answers(truth, seeds)
         total += found.curves
         false_total += len(found.false_reports)
-        cells = [_cell(part, found.curves) for part in (found.false_reports, found.missed)]
-        reported = found.curves - len(found.missed)
+        cells = [_cell(part, found.curves) for part in found[2:5]]
+        reported = found.curves - len(found.missed) - len(found.too_small)
         has_size = truth.load_exponent or truth.series_change
         cells.append(_cell(found.outside, reported) if has_size else "")
         print(f"| {truth.name} | {' | '.join(cells)} |", flush=True)
