@@ -10,18 +10,22 @@ from typing import Any
 import numpy as np
 
 from rollerrig.realtime.reports import page as html
-from rollerrig.realtime.reports import recorder_pictures as pictures
+from rollerrig.realtime.reports.recorders import checks, pictures
 from rollerrig.realtime.reports.study import StudyReport, verdict_and_sentences
 from rollerrig.rig.identify.train_recorder import findings
 from rollerrig.rig.identify.train_recorder.findings import (
     NAMES,
+    ClockRate,
     ClockStep,
     CopySource,
+    Cycle,
     Delay,
     DropOut,
     Finding,
     SharedPlace,
     Sliding,
+    Slipping,
+    SpeedLine,
     SpeedOffset,
     SpeedScatter,
     StuckValue,
@@ -35,6 +39,7 @@ from rollerrig.rig.identify.train_recorder.verdict import Account
 TITLES = {
     "wrong_unit": "wrong unit",
     "clock_step": "clock step",
+    "clock_rate": "clock rate",
     "old_messages": "old messages at the start",
     "copy": "copy",
     "interpolated": "gap filled by a straight line",
@@ -43,12 +48,16 @@ TITLES = {
     "speed_sensor_delay": "delay",
     "wheel_radius": "different wheel radius",
     "wheel_radius_step": "step of a wheel radius",
+    "speed_scale": "scale of a speed",
+    "speed_offset": "offset of a speed",
     "slide": "slide",
+    "driving_slip": "driving slip",
     "slippery_place": "slippery place",
     "unknown": "unknown",
 }
 VERDICTS = {
-    "consistent": "Nothing in the recording is statistically significant.",
+    "consistent": "Nothing in the recording is statistically significant, from the sizes below on.",
+    "not_judged": "The recording could not be judged.",
     "explained": "Everything that is statistically significant has a cause.",
     "partly": "Some of the findings have a cause. Others have none in this list.",
     "unexplained": "Something is statistically significant, and no cause in this list explains it.",
@@ -65,6 +74,19 @@ _UNIT_EVIDENCE = {
 
 # findings of one kind in the sentences; the page has all of them
 _MOST_SENTENCES = 4
+
+# findings that are episodes of the motion and no causes
+_EPISODES = ("slide", "driving_slip")
+
+# findings that hold for whole runs; the picture of the wheels shows them
+_WITHOUT_PICTURE = (
+    "wheel_radius",
+    "wheel_radius_step",
+    "wrong_unit",
+    "speed_scale",
+    "speed_offset",
+    "clock_rate",
+)
 
 # rows of the table of findings before the fold
 _MOST_ROWS = 30
@@ -93,14 +115,18 @@ def as_json(account: Account) -> dict[str, Any]:
         for channel in run.channels.values()
         if channel.axle
     }
-    causes = [finding for finding in account.findings if finding.name != "slide"]
+    causes = [finding for finding in account.findings if finding.name not in _EPISODES]
+    slips = [finding for finding in account.findings if finding.name == "driving_slip"]
+    episodes = [_episode_json(slide, axles) for slide in account.slides]
+    episodes += [_slip_json(finding, axles) for finding in slips]
     return {
         "verdict": account.verdict,
         "kind": "recorder",
         "dataset": account.recording.name,
         "runs": len(account.recording.runs),
         "causes": [_finding_json(finding, axles) for finding in causes],
-        "episodes": [_episode_json(slide, axles) for slide in account.slides],
+        "episodes": episodes,
+        "checks": [checks.as_json(check, TITLES[check.name]) for check in account.checks],
         "unknown": [_finding_json(finding, axles) for finding in account.unknown],
         "notes": account.recording.warnings,
         "elapsed_s": round(account.elapsed_s, 1),
@@ -124,21 +150,50 @@ def _finding_json(finding: Finding, axles: dict[str, int]) -> dict[str, Any]:
         result["place_m"] = list(finding.place_m)
     result["text"] = sentence(finding)
     result["parameters"] = {
-        "size": {
-            "value": finding.size,
-            "ci95": [finding.low, finding.high],
-            "unit": finding.unit,
-        }
+        "size": _parameter(finding.size, finding.low, finding.high, finding.unit)
     }
+    if isinstance(finding.details, SpeedLine):
+        result["parameters"]["scale"] = _parameter(*finding.details.scale_percent, "%")
+        result["parameters"]["offset"] = _parameter(*finding.details.offset_m_s, "m/s")
     return result
+
+
+def _parameter(value: float, low: float, high: float, unit: str) -> dict[str, Any]:
+    """Return a value with its 95 % interval and its unit as JSON."""
+    return {"value": value, "ci95": [low, high], "unit": unit}
 
 
 def _episode_json(slide: Slide, axles: dict[str, int]) -> dict[str, Any]:
     """Return an episode of sliding: its finding, with the adhesion used."""
+    details = slide.finding.details
+    assert isinstance(details, Sliding)
     return _finding_json(slide.finding, axles) | {
         "adhesion_used": _not_negative(slide.adhesion.mean),
         "adhesion_used_at_least": _not_negative(slide.adhesion.low),
+        "cycles": _cycles_json(details.cycles),
     }
+
+
+def _slip_json(finding: Finding, axles: dict[str, int]) -> dict[str, Any]:
+    """Return an episode of driving slip."""
+    assert isinstance(finding.details, Slipping)
+    return _finding_json(finding, axles) | {
+        "slip_share": finding.details.most_share,
+        "cycles": _cycles_json(finding.details.cycles),
+    }
+
+
+def _cycles_json(cycles: Sequence[Cycle]) -> list[dict[str, Any]]:
+    """Return the cycles of an episode: each time that a wheel slides or slips and recovers."""
+    return [
+        {
+            "channel": cycle.channel,
+            "start_s": round(cycle.start_s, 3),
+            "end_s": round(cycle.end_s, 3),
+            "depth_m_s": cycle.depth_m_s,
+        }
+        for cycle in cycles
+    ]
 
 
 def _not_negative(adhesion: float) -> float | None:
@@ -156,6 +211,11 @@ def sentence(finding: Finding) -> str:
             return _unit_sentence(finding.channels[0], unit)
         case ClockStep() as step:
             return _clock_sentence(finding.size, step)
+        case ClockRate() as rate:
+            return (
+                f"the stamps of {rate.channel} run at {finding.size:g} times the rate of the wheels; "
+                "they are corrected below"
+            )
         case DropOut() as drop_out:
             return ", then ".join(_DROP_OUT_REASONS[reason] for reason in drop_out.reasons)
         case StuckValue() as stuck:
@@ -166,8 +226,15 @@ def sentence(finding: Finding) -> str:
             return _delay_sentence(finding.size, delay)
         case WheelRadius() as radius:
             return _radius_sentence(finding, radius)
+        case SpeedLine() as line:
+            return _line_sentence(finding, line)
         case Sliding() as sliding:
             return _slide_sentence(finding.size, sliding)
+        case Slipping() as slipping:
+            return (
+                f"slips in driving for {slipping.duration_s:.1f} s, up to "
+                f"{100.0 * slipping.most_share:.0f} % faster than the vehicle"
+            )
         case SharedPlace() as place:
             return _place_sentence(finding, place)
         case SpeedOffset() as offset:
@@ -184,13 +251,9 @@ def sentence(finding: Finding) -> str:
 
 
 def _unit_sentence(channel: str, unit: WrongUnit) -> str:
-    evidence = _UNIT_EVIDENCE.get(
-        unit.evidence,
-        f"shown by changes of {unit.deceleration_m_s2:.2g} m/s², harder than a vehicle brakes",
-    )
     return (
-        f"{channel} is in {unit.true_unit} and declared as {unit.declared_unit}, {evidence}; it is "
-        "converted below"
+        f"{channel} is in {unit.true_unit} and declared as {unit.declared_unit}, "
+        f"{_UNIT_EVIDENCE[unit.evidence]}; it is converted below"
     )
 
 
@@ -227,14 +290,36 @@ def _radius_sentence(finding: Finding, radius: WheelRadius) -> str:
     return text
 
 
+def _line_sentence(finding: Finding, line: SpeedLine) -> str:
+    scale, scale_low, scale_high = line.scale_percent
+    offset, offset_low, offset_high = line.offset_m_s
+    against = "all wheels" if line.of_reference else "the vehicle"
+    text = (
+        f"reads {1.0 + scale / 100.0:.4g} v {offset:+.2g} m/s against {against}: scale "
+        f"{scale:+.2f} % ({scale_low:.2f} to {scale_high:.2f}), offset {offset:+.2f} m/s "
+        f"({offset_low:.2f} to {offset_high:.2f})"
+    )
+    if line.of_reference:
+        text += (
+            "; the reference reads so, or the radius setting of all wheels is wrong, or all wheels "
+            "slip steadily"
+        )
+    elif finding.name == "speed_scale":
+        text += "; no wheel radius differs so much: a setting, a unit, or steady slip"
+    return text
+
+
 def _slide_sentence(size_m_s: float, sliding: Sliding) -> str:
     if np.isfinite(sliding.adhesion_at_least):
         adhesion = f"adhesion used at least {max(sliding.adhesion_at_least, 0.0):.3f}"
     else:
         adhesion = "the adhesion used is unknown without a reference"
+    cycles = ""
+    if len(sliding.cycles) > 1:
+        cycles = f" in {len(sliding.cycles)} cycles"
     return (
-        f"slides for {sliding.duration_s:.1f} s from {sliding.initial_speed_m_s:.1f} m/s, up to "
-        f"{size_m_s:.1f} m/s below the vehicle; {adhesion}"
+        f"slides for {sliding.duration_s:.2g} s{cycles} from {sliding.initial_speed_m_s:.1f} m/s, up "
+        f"to {size_m_s:.1f} m/s below the vehicle; {adhesion}"
     )
 
 
@@ -279,6 +364,7 @@ def story(account: Account) -> list[str]:
                 lines.append(f"  also {place}: {size(finding)}.")
         if len(of_kind) > _MOST_SENTENCES:
             lines.append(f"  and {len(of_kind) - _MOST_SENTENCES} more of this kind.")
+    lines += checks.story(account.checks, TITLES)
     return lines + [f"Note: {note}." for note in account.recording.warnings]
 
 
@@ -304,21 +390,12 @@ def page(account: Account) -> str:
 
     parts += [
         html.element("h2", "How far each wheel is from the vehicle"),
-        html.paragraph("Medians of 5 s in which nobody brakes hard; bars are 95 % intervals."),
+        html.paragraph("Medians of blocks in which nobody brakes hard; bars are 95 % intervals."),
         html.picture(partial(pictures.wheels, account=account), (8.0, 2.8)),
     ]
     parts += _table_of_findings(account, found)
 
-    found_names = {finding.name for finding in found}
-    not_found = [
-        title for name, title in TITLES.items() if name not in found_names and name != "unknown"
-    ]
-    if not_found:
-        parts.append(
-            html.paragraph(
-                f"Searched for and not statistically significant: {', '.join(not_found)}."
-            )
-        )
+    parts += checks.table(account.checks, TITLES)
     parts.append(
         html.paragraph(
             "Adhesion is the mean over all wheels, from the deceleration of the vehicle. It assumes "
@@ -336,7 +413,7 @@ def _picture(account: Account, of_kind: Sequence[Finding]) -> list[html.Markup]:
     if not of_kind:
         return []
     largest = max(of_kind, key=lambda finding: abs(finding.size))
-    if largest.name in ("wheel_radius", "wheel_radius_step", "wrong_unit"):
+    if largest.name in _WITHOUT_PICTURE:
         return []
 
     if largest.name == "slide":

@@ -1,9 +1,9 @@
 """Finds what a recorder or a sensor did wrong, and takes it out before all other steps.
 
-The checks run in this order: units, clock steps and gaps of the stamps, missing values, old
-messages at the start, straight lines, zeros, held values; then copies between runs. Each check
-returns the run without what it found, and its findings. Values that are no data become NaN. Wrong
-stamps are corrected.
+The checks run in this order: units, logging on change, clock steps and gaps of the stamps, missing
+values, old messages at the start, straight lines, zeros, held values; then copies between runs.
+Each check returns the run without what it found, and its findings. Values that are no data become
+NaN. Wrong stamps are corrected.
 """
 
 from collections.abc import Callable, Iterator
@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import findings
+from rollerrig.rig.identify.train_recorder import findings, on_change
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.findings import (
     ClockStep,
@@ -43,11 +43,28 @@ _RATIOS = (
 )
 _SPEEDS = ("speed", "reference")
 
+# s. Change of speed is measured over these windows, and this percentile of it counts.
+_HARDEST_WINDOW_S = 1.0
+_HARDEST_WITHOUT_REFERENCE_S = 6.0
+_HARDEST_PERCENTILE = 99.5
+
 # m/s. A channel whose upper quartile is below it shows no unit.
 _MOVING_M_S = 0.5
 
+# samples in motion with a position. Fewer do not show a unit.
+_POSITION_SAMPLES = 20
+
 # share by which speeds of one unit may differ
 _SAME_UNIT_SHARE = 0.1
+
+# share of the samples. A channel with more on straight lines was resampled along them.
+_MOSTLY_STRAIGHT = 0.3
+
+# A value that is held for more than this many times the usual time is stuck. The usual time is
+# known from so many stretches, which are a share of all samples. Chosen.
+_HELD_FACTOR = 3.0
+_HELD_STRETCHES = 10
+_HELD_SAMPLES_SHARE = 0.2
 
 # m/s. A value closer to zero is a zero.
 _ZERO_M_S = 1e-9
@@ -72,10 +89,51 @@ class Hit(NamedTuple):
 def find(run: Run) -> tuple[Run, list[Finding]]:
     """Return a run without its faults, and the faults. `copies` finds copies between runs."""
     found: list[Finding] = []
-    for check in (_units, _stamps, _missing, _old_messages, _lines, _zeros, _held):
+    run, more = _units(run)
+    found += more
+
+    logged = on_change.resampled(run)
+    if logged is not None:
+        # samples between changes are missing by design: no gap, line or held value is a fault
+        return logged._replace(hardest_m_s2=hardest_m_s2(logged)), found
+
+    run, more = _stamps(run)
+    found += more
+    run = run._replace(hardest_m_s2=hardest_m_s2(run))
+    for check in (_missing, _old_messages, _lines, _zeros, _held):
         run, more = check(run)
         found += more
     return run, _join_drop_outs(found)
+
+
+def hardest_m_s2(run: Run) -> float:
+    """Return the hardest braking of the vehicle, m/s^2: that of dataset.toml, else from the data.
+
+    It is at least HARDEST_M_S2. From the data it is the change on which all speeds agree, so that
+    the lock of one wheel does not count. Without a reference the window is longer than most slides.
+    """
+    if run.hardest_is_given:
+        return run.hardest_m_s2
+    speeds = run.of(*_SPEEDS)
+    if len(speeds) < 2:
+        return limit.HARDEST_M_S2
+
+    window_s = _HARDEST_WINDOW_S if run.of("reference") else _HARDEST_WITHOUT_REFERENCE_S
+    time_s = speeds[0].time_s
+    half_steps = max(round(0.5 * window_s / speeds[0].step_s), 1)
+    if time_s.size <= 2 * half_steps:
+        return limit.HARDEST_M_S2
+    passed_s = time_s[2 * half_steps :] - time_s[: -2 * half_steps]
+    changes = []
+    for channel in speeds:
+        values = at(channel, time_s)
+        changes.append(np.abs(values[2 * half_steps :] - values[: -2 * half_steps]))
+    agreed = np.min(np.nan_to_num(np.array(changes)), axis=0)
+    good = (passed_s > 0.5 * window_s) & (passed_s < 3.0 * max(window_s, speeds[0].step_s))
+    if not good.any():
+        return limit.HARDEST_M_S2
+    seen_m_s2 = float(np.percentile(agreed[good] / passed_s[good], _HARDEST_PERCENTILE))
+    return max(limit.HARDEST_M_S2, limit.HARDEST_FACTOR * seen_m_s2)
 
 
 def _join_drop_outs(found: list[Finding]) -> list[Finding]:
@@ -204,35 +262,26 @@ def _clocks(run: Run) -> list[list[Channel]]:
 
 
 def _units(run: Run) -> tuple[Run, list[Finding]]:
-    """Check declared units.
+    """Check declared units by the position, else by the majority of the channels.
 
-    The evidence is the position, else the majority of the channels, else the deceleration that a
-    vehicle can reach.
+    Without a position, channels that agree with one another have no wrong unit. One speed alone
+    shows nothing about its unit. The ratio must hold for nearly all samples: that of a wheel that
+    slips varies.
     """
     speeds = run.of(*_SPEEDS)
-    upper_quartile = {
-        channel.name: float(np.nanpercentile(channel.values, 75)) for channel in speeds
-    }
-    moving = {name: speed for name, speed in upper_quartile.items() if speed > _MOVING_M_S}
+    moving = {}
+    for channel in speeds:
+        upper_quartile = float(np.nanpercentile(channel.values, 75))
+        if upper_quartile > _MOVING_M_S:
+            moving[channel.name] = upper_quartile
     if not moving:
         return run, []
 
-    deceleration_m_s2 = float("nan")
     scale = _scale_by_position(run, speeds)
     evidence = findings.POSITION
     if scale is None:
-        scale = _scale_by_majority(moving)
+        scale = _scale_by_majority(run, moving)
         evidence = findings.OTHER_CHANNELS
-        hardest_m_s2 = min(
-            _hardest_change(channel)
-            for channel in speeds
-            if channel.name in moving and abs(scale[channel.name] - 1.0) < _SAME_UNIT_SHARE
-        )
-        if hardest_m_s2 > limit.HARDEST_M_S2 + 0.3:
-            # the majority itself has the wrong unit: no vehicle brakes this hard
-            scale = {name: 3.6 * ratio for name, ratio in scale.items()}
-            evidence = findings.DECELERATION
-            deceleration_m_s2 = hardest_m_s2
 
     found = []
     for channel in speeds:
@@ -255,7 +304,6 @@ def _units(run: Run) -> tuple[Run, list[Finding]]:
                     true_unit=match.true_unit,
                     declared_unit=match.declared_unit,
                     evidence=evidence,
-                    deceleration_m_s2=deceleration_m_s2,
                 ),
             )
         )
@@ -274,14 +322,31 @@ def _matching_ratio(measured_ratio: float) -> UnitRatio | None:
     return None
 
 
-def _scale_by_majority(moving: dict[str, float]) -> dict[str, float]:
-    """Return each speed over the speed that most channels agree with."""
+def _scale_by_majority(run: Run, moving: dict[str, float]) -> dict[str, float]:
+    """Return each speed over the speed that most channels agree with.
+
+    Channels whose ratio varies from sample to sample are left out.
+    """
 
     def agreeing(speed: float) -> int:
         return sum(abs(other / speed - 1.0) < _SAME_UNIT_SHARE for other in moving.values())
 
-    base = max(sorted(moving.values()), key=agreeing)
-    return {name: speed / base for name, speed in moving.items()}
+    base_speed = max(sorted(moving.values()), key=agreeing)
+    base_name = next(name for name, speed in moving.items() if speed == base_speed)
+    base = run.channels[base_name]
+    scale = {}
+    for name in moving:
+        channel = run.channels[name]
+        base_values = at(base, channel.time_s)
+        is_moving = (base_values > _MOVING_M_S) & np.isfinite(channel.values)
+        if not is_moving.any():
+            continue
+        ratios = channel.values[is_moving] / base_values[is_moving]
+        ratio = float(np.median(ratios))
+        near = np.abs(ratios / ratio - 1.0) < limit.UNIT_SHARE
+        if ratio > 0.0 and np.mean(near) > limit.UNIT_STEADY:
+            scale[name] = ratio
+    return scale
 
 
 def _scale_by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | None:
@@ -306,24 +371,10 @@ def _scale_by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | No
             & (passed_s > 0.0)
             & (moved_m > 0.5)
         )
-        if good.sum() < 20:
+        if good.sum() < _POSITION_SAMPLES:
             return None
         scale[channel.name] = float(np.median(mean_speed[good] * passed_s[good] / moved_m[good]))
     return scale
-
-
-def _hardest_change(channel: Channel) -> float:
-    """Return the change of speed over 6 s that is exceeded in 2 % of the time, m/s^2.
-
-    6 s is longer than most slides.
-    """
-    steps = max(round(6.0 / channel.step_s), 1)
-    change = np.abs(channel.values[steps:] - channel.values[:-steps])
-    passed_s = channel.time_s[steps:] - channel.time_s[:-steps]
-    good = np.isfinite(change) & (np.abs(passed_s - 6.0) < 0.5)
-    if not good.any():
-        return 0.0
-    return float(np.percentile(change[good] / passed_s[good], 98))
 
 
 # --- stamps ---
@@ -432,36 +483,78 @@ def _clock_details(size_s: float, half_s: float, returns: bool) -> ClockStep:
 def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
     """Whether speeds or position continue across a jump of the stamps as if no time had passed.
 
-    The jump is between samples k and k + 1. A curve with one slope and one curvature on both sides,
-    and a jump between them, is fitted to 15 samples on each side with the jump of the stamps taken
-    out. In a gap the value would have moved on by slope x size.
+    The jump is between samples k and k + 1. Every channel must continue: a vehicle that runs on
+    through a gap returns to the same speed and the same slope by chance only. One channel at least
+    must contradict a gap.
     """
     before = slice(max(k - 14, 0), k + 1)
     after = slice(k + 1, k + 16)
+    any_contradicts = False
     for channel in group:
-        known_before = np.isfinite(channel.values[before]).sum()
-        known_after = np.isfinite(channel.values[after]).sum()
-        if channel.quantity == "demand" or known_before < 8 or known_after < 8:
+        if channel.quantity not in (*_SPEEDS, "position"):
             continue
+        sides = [_side(channel, part, shift) for part, shift in ((before, 0.0), (after, size_s))]
+        if min(time_s.size for time_s, _ in sides) < 8:
+            continue
+        continuity = _continuity(sides, channel, size_s)
+        if not continuity.goes_on:
+            return False
+        any_contradicts |= continuity.contradicts_gap
+    return any_contradicts
 
-        t = np.concatenate([channel.time_s[before], channel.time_s[after] - size_s])
-        v = np.concatenate([channel.values[before], channel.values[after]])
-        is_after = np.arange(t.size) >= channel.time_s[before].size
-        good = np.isfinite(v)
-        columns = [np.ones(t.size), t - t.mean(), is_after, (t - t.mean()) ** 2]
-        base = np.column_stack(columns)[good]
-        fit, *_ = np.linalg.lstsq(base, v[good], rcond=None)
-        _, slope, jump, _ = fit
 
-        residual = v[good] - base @ fit
-        spread = np.sqrt(np.sum(residual**2) / max(good.sum() - 4, 1)) + channel.quantum / 3.0
-        covariance = np.linalg.pinv(base.T @ base)
-        jump_error = spread * np.sqrt(covariance[2, 2]) + 1e-9
-        expected_jump = slope * size_s
-        contradicts_gap = abs(expected_jump) > limit.CLOCK_RATIO * jump_error
-        if contradicts_gap and abs(jump) < abs(jump - expected_jump) / 2.0:
-            return True
-    return False
+class _Continuity(NamedTuple):
+    """Whether a channel continues across a jump of the stamps, and whether a gap would show."""
+
+    goes_on: bool
+    contradicts_gap: bool
+
+
+def _side(channel: Channel, part: slice, shift_s: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return stamps, s, and values of the samples of one side of a jump that have a value."""
+    values = channel.values[part]
+    good = np.isfinite(values)
+    return channel.time_s[part][good] - shift_s, values[good]
+
+
+def _continuity(
+    sides: list[tuple[np.ndarray, np.ndarray]], channel: Channel, size_s: float
+) -> _Continuity:
+    """Return how a channel continues across a jump that is taken out of the stamps.
+
+    A curve with one slope and one curvature on both sides, and a jump between them, is fitted. In a
+    gap the value would have moved on by slope x size, and the slopes of both sides would differ.
+    """
+    t = np.concatenate([time_s for time_s, _ in sides])
+    v = np.concatenate([values for _, values in sides])
+    is_after = np.arange(t.size) >= sides[0][0].size
+    from_middle = t - t.mean()
+    base = np.column_stack([np.ones(t.size), from_middle, is_after, from_middle**2])
+    fit, *_ = np.linalg.lstsq(base, v, rcond=None)
+    _, slope, jump, _ = fit
+
+    residual = v - base @ fit
+    spread = np.sqrt(np.sum(residual**2) / max(t.size - 4, 1)) + channel.quantum / 3.0
+    covariance = np.linalg.pinv(base.T @ base)
+    jump_error = spread * np.sqrt(covariance[2, 2]) + 1e-9
+
+    slopes = [float(np.polyfit(time_s - time_s.mean(), values, 1)[0]) for time_s, values in sides]
+    slope_errors = [
+        float((spread + 1e-9) / np.sqrt(np.sum((time_s - time_s.mean()) ** 2)))
+        for time_s, _ in sides
+    ]
+    allowed_slope = limit.CLOCK_SLOPE_SHARE * abs(slope) + limit.CLOCK_RATIO * max(slope_errors)
+    same_slope = abs(slopes[1] - slopes[0]) < allowed_slope
+
+    expected_jump = slope * size_s
+    return _Continuity(
+        goes_on=bool(abs(jump) < limit.CLOCK_RATIO * jump_error and same_slope),
+        contradicts_gap=bool(
+            abs(expected_jump) > limit.CLOCK_RATIO * jump_error
+            and abs(slope) > limit.CLOCK_RATIO * max(slope_errors)
+            and abs(jump) < abs(jump - expected_jump) / 2.0
+        ),
+    )
 
 
 def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
@@ -473,7 +566,7 @@ def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
             continue
         first = speeds[0]
         step_s = float(np.median(np.diff(first.time_s)))
-        last_jump = _last_jump_at_start(speeds)
+        last_jump = _last_jump_at_start(speeds, run.hardest_m_s2)
         if last_jump is None or last_jump * step_s <= 0.5:
             continue
 
@@ -484,7 +577,7 @@ def _old_messages(run: Run) -> tuple[Run, list[Finding]]:
     return run, found
 
 
-def _last_jump_at_start(speeds: list[Channel]) -> int | None:
+def _last_jump_at_start(speeds: list[Channel], hardest_vehicle_m_s2: float) -> int | None:
     """Return the sample before the last jump that all speeds make at the start; None without."""
     time_s = speeds[0].time_s
     count = int(np.searchsorted(time_s, time_s[0] + limit.START_S))
@@ -494,7 +587,9 @@ def _last_jump_at_start(speeds: list[Channel]) -> int | None:
     between_speeds = np.isfinite(jump) & (np.minimum(v[:, :-1], v[:, 1:]) > 0.0)
     jump[~between_speeds] = 0.0
 
-    possible = limit.HARDEST_M_S2 * np.diff(time_s[: count + 1])
+    # a single wheel may lock or recover between two samples
+    hardest_m_s2 = hardest_vehicle_m_s2 * (limit.WHEEL_FACTOR if len(speeds) == 1 else 1.0)
+    possible = hardest_m_s2 * np.diff(time_s[: count + 1])
     excess = jump.min(axis=0) - possible - limit.JUMP_M_S
     jumps = np.flatnonzero(excess > 0.0)
     return int(jumps[-1]) if jumps.size else None
@@ -545,6 +640,9 @@ def _lines(_: Run, channel: Channel) -> Iterator[Hit]:
     roughness = max(usual_bend, 0.5 * channel.quantum)
     is_straight = (bend < limit.LINE_SHARE * roughness) & (np.abs(slope[1:]) > 1e-3)
 
+    if np.mean(is_straight) > _MOSTLY_STRAIGHT:
+        # the whole channel was resampled along straight lines
+        return
     for stretch in stretches(np.concatenate([[False], is_straight, [False]])):
         # the neighbours on both sides are on the line, too
         first = stretch.first - 1
@@ -563,7 +661,7 @@ def _is_off_rounding(values: np.ndarray, quantum: float) -> bool:
 
 
 @_each_speed
-def _zeros(_: Run, channel: Channel) -> Iterator[Hit]:
+def _zeros(run: Run, channel: Channel) -> Iterator[Hit]:
     """Find zeros that come and go faster than a wheel can lock or take up speed."""
     for stretch in stretches(np.abs(channel.values) < _ZERO_M_S):
         edges_m_s = []
@@ -574,7 +672,8 @@ def _zeros(_: Run, channel: Channel) -> Iterator[Hit]:
             speed_m_s = _speed_next_to(channel, outside, inside)
             if speed_m_s is not None:
                 edges_m_s.append(speed_m_s)
-        if edges_m_s and min(edges_m_s) > limit.ZERO_JUMP_M_S:
+        fastest_m_s = limit.zero_jump_m_s(run.hardest_m_s2, channel.step_s)
+        if edges_m_s and min(edges_m_s) > fastest_m_s:
             yield Hit("sensor_dropout", stretch.first, stretch.last, DropOut((findings.ZEROS,)))
 
 
@@ -592,7 +691,7 @@ def _speed_next_to(channel: Channel, outside: int, inside: int) -> float | None:
 def _missing(_: Run, channel: Channel) -> Iterator[Hit]:
     """Find cells without a value, of one channel while the others go on."""
     good = np.flatnonzero(np.isfinite(channel.values))
-    longest_s = max(limit.GAP_S, 3.0 * channel.step_s)
+    longest_s = limit.gap_s(channel.step_s)
     for k in np.flatnonzero(np.diff(channel.time_s[good]) > longest_s):
         first = int(good[k]) + 1
         last = int(good[k + 1]) - 1
@@ -607,21 +706,59 @@ def _held(run: Run, channel: Channel) -> Iterator[Hit]:
     t = channel.time_s
     others = _others(run, channel)
     is_same = np.concatenate([np.diff(v) == 0.0, [False]]) & (np.abs(v) > _ZERO_M_S)
-    for stretch in stretches(is_same):
+    held = stretches(is_same)
+    shortest_s = max(limit.STUCK_S, _HELD_FACTOR * _usually_held_s(channel, others, held))
+    step_m_s = max(channel.quantum, _step_after_hold(v, held))
+    for stretch in held:
         first = stretch.first
         last = stretch.last + 1  # equal to the sample before it
-        if t[last] - t[first] < limit.STUCK_S:
+        if t[last] - t[first] < shortest_s:
             continue
 
         held_others = others[first : last + 1]
         known_others = held_others[np.isfinite(held_others)]
         others_move_m_s = float(np.ptp(known_others)) if known_others.size > 1 else 0.0
         jump_m_s = abs(v[last + 1] - v[last]) if last + 1 < v.size else 0.0
-        possible_m_s = limit.JUMP_M_S + limit.HARDEST_M_S2 * channel.step_s
+        possible_m_s = limit.jump_m_s(run.hardest_m_s2, t[min(last + 1, t.size - 1)] - t[last])
 
         all_freeze = others_move_m_s == 0.0 and jump_m_s > possible_m_s
-        if all_freeze or others_move_m_s > limit.MOVED_M_S:
+        moved_m_s = max(limit.MOVED_M_S, _HELD_FACTOR * step_m_s)
+        if all_freeze or others_move_m_s > moved_m_s:
             yield Hit("sensor_stuck", first, last, StuckValue(float(v[first])))
+
+
+def _step_after_hold(values: np.ndarray, held: list[Stretch]) -> float:
+    """Return by how much a channel usually changes after it held a value, m/s.
+
+    It is the resolution of a sensor whose values were interpolated or have several steps. The
+    result is 0 where few values are held.
+    """
+    changes = []
+    for stretch in held:
+        after = stretch.last + 2
+        if after < values.size and np.isfinite(values[after]):
+            changes.append(abs(float(values[after] - values[after - 1])))
+    return float(np.median(changes)) if len(changes) >= _HELD_STRETCHES else 0.0
+
+
+def _usually_held_s(channel: Channel, others: np.ndarray, held: list[Stretch]) -> float:
+    """Return how long a channel usually holds a value while the others move, s.
+
+    A slow sensor in a fast file repeats each value. The result is 0 where few values are held.
+    """
+    t = channel.time_s
+    held_s = []
+    samples = 0
+    for stretch in held:
+        part = others[stretch.first : stretch.last + 2]
+        known = part[np.isfinite(part)]
+        if known.size > 1 and np.ptp(known) > channel.quantum:
+            held_s.append(float(t[min(stretch.last + 1, t.size - 1)] - t[stretch.first]))
+            samples += stretch.last - stretch.first + 1
+    if len(held_s) < _HELD_STRETCHES or samples < _HELD_SAMPLES_SHARE * t.size:
+        return 0.0
+    # a single long one counts as one
+    return float(np.median(held_s))
 
 
 # --- copies ---
@@ -634,6 +771,7 @@ class _Group(NamedTuple):
     names: tuple[str, ...]
     first: Channel
     rows: np.ndarray
+    bits: float  # of information in one row: noise over the rounding step
 
 
 class _Place(NamedTuple):
@@ -673,7 +811,7 @@ def copies(runs: list[Run]) -> tuple[list[Run], list[Finding]]:
                 source.rows[original.first : original.first + samples],
                 equal_nan=True,
             )
-            if not is_copy:
+            if not is_copy or samples * group.bits < limit.COPY_BITS:
                 continue
 
             part = Stretch(k, k + samples - 1)
@@ -696,7 +834,8 @@ def _speed_groups(runs: list[Run]) -> list[_Group]:
             if speeds:
                 names = tuple(channel.name for channel in speeds)
                 rows = np.column_stack([channel.values for channel in speeds])
-                groups.append(_Group(number_of_run, names, speeds[0], rows))
+                bits = sum(channel.bits for channel in speeds)
+                groups.append(_Group(number_of_run, names, speeds[0], rows, bits))
     return groups
 
 

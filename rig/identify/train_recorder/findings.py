@@ -9,6 +9,7 @@ from typing import NamedTuple
 NAMES = (
     "wrong_unit",
     "clock_step",
+    "clock_rate",
     "old_messages",
     "copy",
     "interpolated",
@@ -17,7 +18,10 @@ NAMES = (
     "speed_sensor_delay",
     "wheel_radius",
     "wheel_radius_step",
+    "speed_scale",
+    "speed_offset",
     "slide",
+    "driving_slip",
     "slippery_place",
     "unknown",
 )
@@ -28,7 +32,6 @@ NAMES = (
 # evidence of a wrong unit
 POSITION = "position"
 OTHER_CHANNELS = "other_channels"
-DECELERATION = "deceleration"
 
 # reasons of a drop-out
 NO_SAMPLES = "no_samples"
@@ -41,8 +44,7 @@ class WrongUnit(NamedTuple):
 
     true_unit: str
     declared_unit: str
-    evidence: str  # POSITION, OTHER_CHANNELS or DECELERATION
-    deceleration_m_s2: float  # implausible one that is the evidence; NaN for other evidence
+    evidence: str  # POSITION or OTHER_CHANNELS
 
 
 class ClockStep(NamedTuple):
@@ -50,6 +52,12 @@ class ClockStep(NamedTuple):
 
     whole_seconds: int  # size where it is a whole number within its error, else 0
     returns: bool  # the stamps jump back at the end
+
+
+class ClockRate(NamedTuple):
+    """`clock_rate`: the stamps of one channel run at another rate than those of the others."""
+
+    channel: str
 
 
 class DropOut(NamedTuple):
@@ -86,12 +94,41 @@ class WheelRadius(NamedTuple):
     ambiguous: bool  # two speeds without a reference: either of them may be wrong
 
 
+class SpeedLine(NamedTuple):
+    """`speed_scale` and `speed_offset`: a speed reads (1 + scale) times the true speed + offset.
+
+    Scale and offset come from one fit, each with its 95 % interval.
+    """
+
+    scale_percent: tuple[float, float, float]  # value, low, high
+    offset_m_s: tuple[float, float, float]
+    of_reference: bool  # the reference differs from all wheels
+
+
 class Sliding(NamedTuple):
-    """`slide`: one episode."""
+    """`slide`: one episode, with its cycles: each time that a wheel slides and recovers."""
 
     duration_s: float
     initial_speed_m_s: float
     adhesion_at_least: float  # lower bound of the mean adhesion used; NaN if unknown
+    cycles: tuple["Cycle", ...] = ()
+
+
+class Cycle(NamedTuple):
+    """One cycle of a slide or of a driving slip."""
+
+    channel: str
+    start_s: float
+    end_s: float
+    depth_m_s: float  # largest difference to the vehicle
+
+
+class Slipping(NamedTuple):
+    """`driving_slip`: one episode of wheels that are faster than the vehicle."""
+
+    duration_s: float
+    most_share: float  # of the vehicle speed
+    cycles: tuple[Cycle, ...]
 
 
 class SharedPlace(NamedTuple):
@@ -117,12 +154,15 @@ class SpeedScatter(NamedTuple):
 Details = (
     WrongUnit
     | ClockStep
+    | ClockRate
     | DropOut
     | StuckValue
     | CopySource
     | Delay
     | WheelRadius
+    | SpeedLine
     | Sliding
+    | Slipping
     | SharedPlace
     | SpeedOffset
     | SpeedScatter

@@ -18,6 +18,7 @@ from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.files import channels as file_channels
 from rollerrig.rig.identify.files import tables, units
 from rollerrig.rig.identify.train_recorder import files
+from rollerrig.rig.identify.train_recorder import thresholds as limit
 
 HEAD = (
     choice("kind", "recorder", ("recorder",), "what the data is"),
@@ -26,7 +27,14 @@ HEAD = (
     choice("note", "", (), "what a reader of the report must know; the report repeats it"),
     choice("separator", "auto", tables.SEPARATORS, "of a CSV; auto: found in the file"),
     choice("decimal", "auto", tables.DECIMALS, "of a CSV; auto: found in the file"),
-    number("wheel_radius_m", 0.445, 0.2, 0.7, "that the recorder assumes, for speeds in rad/s"),
+    number("wheel_radius_m", 0.445, 0.02, 2.0, "that the recorder assumes, for speeds in rad/s"),
+    number(
+        "hardest_m_s2",
+        0.0,
+        0.0,
+        50.0,
+        "hardest braking of the vehicle; 0: from the data, and at least 3",
+    ),
 )
 CHANNEL = (
     choice(
@@ -69,12 +77,13 @@ KEYS = (
     KeyPattern(r"reference_speed_(m_s)", "reference", "reference"),
     KeyPattern(r"position_(m)", "position", "position"),
     KeyPattern(r"brake_demand", "demand", "demand"),
+    KeyPattern(r"yaw_rate_(rad_s)", "yaw", "yaw rate"),
 )
 # unit in a key -> unit
 _KEY_UNITS = {"m_s": "m/s", "rad_s": "rad/s"}
 
 # quantity -> unit to which its values are converted
-_SI_UNITS = {"speed": "m/s", "reference": "m/s", "position": "m", "demand": ""}
+_SI_UNITS = {"speed": "m/s", "reference": "m/s", "position": "m", "demand": "", "yaw": "rad/s"}
 
 # quantity -> allowed units
 _ALLOWED_UNITS = {
@@ -82,6 +91,7 @@ _ALLOWED_UNITS = {
     "reference": units.of_quantity(units.SPEED),
     "position": units.of_quantity(units.LENGTH),
     "demand": ("",),
+    "yaw": units.of_quantity(units.ROTATION),
 }
 
 # s. Delay that is normal for a reference (receiver of GNSS, radar) where dataset.toml gives none.
@@ -94,17 +104,59 @@ LEAST_SAMPLES = 100
 _ROUNDED_SHARE = 0.6
 _MOST_DIGITS = 3
 
+# rounding of a unit that the file does not have, as 0.1 km/h written in m/s: values of a channel
+# that are compared, samples for each distinct value, and the share of a step by which values may
+# be off
+_MOST_LEVELS = 2000
+_SAMPLES_PER_LEVEL = 1.5
+_OFF_STEP = 0.1
+
+
+# bits of a sample that is not rounded. Chosen.
+_BITS_WITHOUT_ROUNDING = 4.0
+
 
 class Channel(NamedTuple):
     """Stamps and values (n,) in SI units, NaN where there is no value."""
 
     name: str
-    quantity: str  # speed, reference, position or demand
+    quantity: str  # speed, reference, position, demand or yaw
     delay_s: float  # that is normal for this channel
     time_s: np.ndarray
     values: np.ndarray
     quantum: float  # step of rounding; 0 if none is visible
     axle: int = 0  # 0: not of a single axle
+    deadband_m_s: float = 0.0  # of a recorder that logs on change; 0: it logs every sample
+
+    @property
+    def noise(self) -> float:
+        """Standard deviation of the noise from sample to sample, by second differences.
+
+        Values that are held count as rounding and not as noise.
+        """
+        known = self.values[np.isfinite(self.values)]
+        bends = np.diff(known, 2)
+        bends = bends[bends != 0.0]
+        if bends.size < 3:
+            return 0.0
+        deviation = 1.4826 * float(np.median(np.abs(bends))) / np.sqrt(6.0)
+        return max(deviation - 0.5 * self.quantum, 0.0)
+
+    @property
+    def bits(self) -> float:
+        """Information in one sample, given the samples before it.
+
+        Rounded values that repeat or change by one step carry little: they are equal by chance.
+        """
+        if not self.quantum:
+            return _BITS_WITHOUT_ROUNDING
+        bends = np.diff(self.values[np.isfinite(self.values)], 2) / self.quantum
+        return 0.5 * float(np.log2(1.0 + np.mean(bends**2))) if bends.size else 0.0
+
+    @property
+    def error(self) -> float:
+        """Standard error of a sample by noise, rounding and the deadband of the recorder."""
+        return limit.error_m_s(self.noise, max(self.quantum, self.deadband_m_s))
 
     @property
     def step_s(self) -> float:
@@ -122,6 +174,9 @@ class Run(NamedTuple):
     date: str
     vehicle_id: str
     channels: dict[str, Channel]
+    hardest_m_s2: float = 0.0  # hardest braking; 0: not known
+    hardest_is_given: bool = False  # by dataset.toml
+    logs_on_change: bool = False
 
     def of(self, *quantities: str) -> list[Channel]:
         """The channels of some quantities."""
@@ -195,7 +250,16 @@ def load(folder: Path | str) -> Recording:
             name = f"{name}_{len(runs) + 1}"
         channels, notes_of_file = _load_channels(place / row["file"], file_head, sources, place)
         notes.extend(notes_of_file)
-        runs.append(Run(name, row["date"], row["vehicle_id"], channels))
+        runs.append(
+            Run(
+                name=name,
+                date=row["date"],
+                vehicle_id=row["vehicle_id"],
+                channels=channels,
+                hardest_m_s2=head["hardest_m_s2"],
+                hardest_is_given=head["hardest_m_s2"] > 0.0,
+            )
+        )
     return Recording(place.name, runs, notes)
 
 
@@ -282,7 +346,7 @@ def _channel_source(
         raise ConfigError(
             f"{where}: {key} is no channel; allowed: time_s, wheel_speed_1_rad_s .., "
             "wheel_speed_1_m_s .., bogie_speed_1_m_s .., reference_speed_m_s, brake_demand, "
-            "position_m"
+            "position_m, yaw_rate_rad_s"
         )
 
     known = units.find(row["unit"] or kind.unit)
@@ -372,14 +436,51 @@ def _scale(path: Path, source: _ChannelSource, column: files.Column) -> float:
     )
 
 
+# --- rounding ---
+
+
 def quantum(values: np.ndarray) -> float:
-    """Return the decimal step to which most values are rounded; 0 where there is none."""
+    """Return the step to which most values are rounded; 0 where there is none.
+
+    It is a decimal step, or the step of another unit: 0.1 km/h written in m/s with four digits.
+    """
     known = values[np.isfinite(values)]
     if not known.size:
         return 0.0
+    # a value that is held for long counts once
+    changes = np.concatenate([[True], np.diff(known) != 0.0])
+    decimal = _decimal_step(known[changes])
+    levels = np.unique(known)
+    if levels.size * _SAMPLES_PER_LEVEL > known.size or not 3 < levels.size < _MOST_LEVELS:
+        return decimal
+    return max(decimal, _even_step(levels))
+
+
+def _decimal_step(known: np.ndarray) -> float:
+    """Return the largest decimal step, at most 1, of which most values are multiples; else 0."""
     for digits in range(_MOST_DIGITS + 1):
         scaled = known * 10.0**digits
         on_step = np.abs(scaled - np.rint(scaled)) < 1e-6
         if np.mean(on_step) > _ROUNDED_SHARE:
             return float(10.0**-digits)
     return 0.0
+
+
+def _even_step(levels: np.ndarray) -> float:
+    """Return the step of distinct sorted values (n,) that are evenly spaced; 0 if they are not."""
+    distances = np.diff(levels)
+    step = float(np.median(distances[distances <= 1.5 * np.quantile(distances, 0.1)]))
+    first = levels[0]
+    # the step is improved over a range of values that doubles
+    reach = 8
+    while True:
+        part = levels[:reach] - first
+        counts = np.rint(part / step)
+        if counts @ counts == 0.0:
+            return 0.0
+        step = float(counts @ part / (counts @ counts))
+        if reach >= levels.size:
+            break
+        reach *= 2
+    off = np.abs((levels - first) / step - np.rint((levels - first) / step))
+    return step if np.mean(off < _OFF_STEP) > 0.9 else 0.0

@@ -17,11 +17,11 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2
-from rollerrig.rig.identify.train_recorder import rolling
+from rollerrig.rig.identify.train_recorder import faults
 from rollerrig.rig.identify.train_recorder import thresholds as limit
+from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
 from rollerrig.rig.identify.train_recorder.faults import stretches
-from rollerrig.rig.identify.train_recorder.findings import Finding, SharedPlace, Sliding
-from rollerrig.rig.identify.train_recorder.rolling import Aligned
+from rollerrig.rig.identify.train_recorder.findings import Cycle, Finding, SharedPlace, Sliding
 
 # standard deviation of a normal distribution over its median absolute deviation
 _DEVIATION_OF_MEDIAN = 1.4826
@@ -75,13 +75,13 @@ class _Deceleration(NamedTuple):
 
 def vehicle(a: Aligned) -> np.ndarray:
     """Return the speed of the vehicle also while wheels slide, m/s [S1]."""
-    known = np.isfinite(a.speed)
+    known = np.isfinite(a.speed) & ~_spins(a)
     some = known.any(axis=1)
     fastest = np.max(np.where(known, a.speed, -np.inf), axis=1)
     fastest = np.where(some, fastest, -np.inf)
 
     since_start_s = a.time_s - a.time_s[0]
-    brakes = limit.HARDEST_M_S2 * since_start_s
+    brakes = a.run.hardest_m_s2 * since_start_s
     drives = limit.DRIVES_M_S2 * since_start_s
     from_before = np.maximum.accumulate(fastest + brakes) - brakes
     from_behind = np.maximum.accumulate((fastest - drives)[::-1])[::-1] + drives
@@ -89,9 +89,35 @@ def vehicle(a: Aligned) -> np.ndarray:
     return np.where(np.isfinite(a.reference), a.reference, least)
 
 
+def _spins(a: Aligned) -> np.ndarray:
+    """Return where a wheel is much faster than the others, which are not braked, flags (n, m).
+
+    Three speeds at least are needed to see it.
+    """
+    if len(a.names) < 3:
+        return np.zeros(a.speed.shape, bool)
+    middle = faults.median(a.speed.T)
+    is_braked = np.nan_to_num(slope(a.time_s, middle)) < _BRAKED_M_S2
+    least = np.maximum(limit.SLIDE_M_S, limit.SLIP_SHARE * np.nan_to_num(middle))
+    excess = np.nan_to_num(a.speed - middle[:, None])
+    return (excess > least[:, None]) & ~is_braked[:, None]
+
+
+def can_be_seen(a: Aligned) -> bool:
+    """Whether slides show: against a reference, other speeds, or the hardest braking.
+
+    A single speed that falls faster than HARDEST_M_S2 may slide, or the vehicle brakes hard: only
+    the hardest braking in dataset.toml decides it.
+    """
+    if a.has_reference or len(a.names) > 1 or a.run.hardest_is_given:
+        return True
+    v = vehicle(a)
+    return not _flags_of(a, v, v[:, None] - a.speed, scatter(a)).any()
+
+
 def scatter(a: Aligned) -> np.ndarray:
     """Return how each speed scatters about the vehicle's without hard braking, m/s, (m,)."""
-    is_quiet = rolling.quiet(a)
+    is_quiet = quiet(a)
     v = a.vehicle
     deviations = []
     for speed in a.speed.T:
@@ -114,7 +140,7 @@ def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
         sliding = v[:, None] - a.speed
         slides_at = _sliding_flags(a, v, sliding, noise)
         flags.append(slides_at)
-        for first, last in _episodes(a, np.any(slides_at, axis=1)):
+        for first, last in episodes(a, np.any(slides_at, axis=1)):
             slides.append(
                 _slide(
                     number_of_run=number_of_run,
@@ -130,36 +156,88 @@ def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
     return slides, flags
 
 
+def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the smallest sliding that counts at each sample, m/s, (n, m).
+
+    It grows with the speed and the deceleration, because a tyre creeps at its peak of adhesion, and
+    with what the stamps of wheel and vehicle may differ.
+    """
+    half_s = max(0.5, 2.5 * a.step_s)
+    change_m_s2 = np.abs(np.nan_to_num(slope(a.time_s, v, half_s)))
+    share = np.maximum(limit.SLIDE_SHARE, limit.SLIDE_SHARE_M_S2 * change_m_s2)
+    by_speed = share * v
+    by_timing = change_m_s2 * a.timing_s
+    quantum = max(
+        max(channel.quantum, channel.deadband_m_s) for channel in a.run.of("speed", "reference")
+    )
+    columns = []
+    for deviation in noise:
+        by_noise = max(
+            limit.slide_m_s(float(deviation), quantum), limit.SLIDE_DEVIATIONS * deviation
+        )
+        columns.append(np.maximum(by_noise, by_speed) + by_timing)
+    return np.column_stack(columns)
+
+
 def _sliding_flags(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return where each speed slides for long enough in braking, flags (n, m)."""
-    by_speed = np.maximum(limit.SLIDE_M_S, limit.SLIDE_SHARE * v)[:, None]
-    threshold = np.maximum(by_speed, limit.SLIDE_DEVIATIONS * noise)
+    """Return where each speed slides for long enough in braking, flags (n, m).
+
+    With a reference a wheel that is nearly locked slides also if the vehicle is not braked. A wheel
+    that another one mirrors runs in a curve.
+    """
+    if not can_be_seen(a):
+        return np.zeros(a.speed.shape, bool)
+    return _flags_of(a, v, sliding, noise)
+
+
+def _flags_of(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray) -> np.ndarray:
+    """Return the flags of `_sliding_flags` whether or not slides can be seen, flags (n, m)."""
+    threshold = smallest(a, v, noise)
     flag = np.where(np.isfinite(sliding), sliding > threshold, False)
 
-    shortest = max(round(limit.SLIDE_S / a.step_s), 2)
-    change_m_s2 = rolling.slope(a.time_s, v, 1.5)
+    shortest = max(round(limit.slide_s(a.step_s) / a.step_s), 2)
+    change_m_s2 = slope(a.time_s, v, max(1.5, 2.5 * a.step_s))
     for j in range(flag.shape[1]):
         for stretch in stretches(flag[:, j]):
             part = slice(stretch.first, stretch.last + 1)
             has_change = np.isfinite(change_m_s2[part]).any()
             mean_change = np.nanmean(change_m_s2[part]) if has_change else 0.0
             is_short = stretch.last - stretch.first + 1 < shortest
-            if is_short or mean_change > _BRAKED_M_S2:
+            is_locked = a.has_reference and bool(
+                np.mean(sliding[part, j]) > limit.LOCKED_SHARE * np.nanmean(v[part])
+            )
+            is_braked = mean_change <= _BRAKED_M_S2 or is_locked
+            if is_short or not is_braked or is_mirrored(sliding[part], j):
                 flag[part, j] = False
     return flag
 
 
-def _episodes(a: Aligned, any_slides: np.ndarray) -> list[tuple[int, int]]:
+def is_mirrored(difference: np.ndarray, j: int) -> bool:
+    """Whether another wheel differs from the vehicle as much with the opposite sign, as in a curve.
+
+    `difference` (n, m) is that of all wheels.
+    """
+    means = [
+        float(np.nanmean(column)) if np.isfinite(column).any() else 0.0 for column in difference.T
+    ]
+    of_wheel = means[j]
+    return any(
+        other * of_wheel < 0.0 and abs(other) > limit.MIRROR_SHARE * abs(of_wheel)
+        for other in means
+    )
+
+
+def episodes(a: Aligned, any_slides: np.ndarray) -> list[tuple[int, int]]:
     """Return first and last sample of each episode; slides less than 2 s apart are one episode."""
-    episodes: list[tuple[int, int]] = []
+    found: list[tuple[int, int]] = []
     for first, last in stretches(any_slides):
-        if episodes:
-            begin, end = episodes[-1]
+        if found:
+            begin, end = found[-1]
             if a.time_s[first] - a.time_s[end] < _SAME_EPISODE_S:
-                episodes[-1] = (begin, last)
+                found[-1] = (begin, last)
                 continue
-        episodes.append((first, last))
-    return episodes
+        found.append((first, last))
+    return found
 
 
 def _slide(
@@ -198,10 +276,30 @@ def _slide(
             duration_s=end_s - start_s + a.step_s,
             initial_speed_m_s=float(v[first]),
             adhesion_at_least=float(adhesion.low),
+            cycles=cycles(a, sliding, slides_at, first, last),
         ),
         date=a.run.date,
     )
     return Slide(number_of_run, first, last, finding, adhesion)
+
+
+def cycles(
+    a: Aligned, difference: np.ndarray, flags: np.ndarray, first: int, last: int
+) -> tuple[Cycle, ...]:
+    """Return each time that a wheel leaves the vehicle's speed and recovers in one episode."""
+    found = []
+    for j, name in enumerate(a.names):
+        for stretch in stretches(flags[first : last + 1, j]):
+            part = slice(first + stretch.first, first + stretch.last + 1)
+            found.append(
+                Cycle(
+                    channel=name,
+                    start_s=float(a.time_s[part][0]),
+                    end_s=float(a.time_s[part][-1]),
+                    depth_m_s=float(np.nanmax(difference[part, j])),
+                )
+            )
+    return tuple(sorted(found, key=lambda cycle: cycle.start_s))
 
 
 def _adhesion(a: Aligned, v: np.ndarray, first: int, last: int) -> AdhesionUsed:
@@ -338,7 +436,7 @@ def places(aligned: list[Aligned], slides: list[Slide]) -> list[Finding]:
 
 def _braked_track(a: Aligned, spans: list[_Span]) -> _Span:
     """Return the positions between which a run brakes or slides."""
-    change_m_s2 = np.nan_to_num(rolling.slope(a.time_s, a.vehicle))
+    change_m_s2 = np.nan_to_num(slope(a.time_s, a.vehicle))
     is_braked = np.isfinite(a.position) & (change_m_s2 < _BRAKED_TRACK_M_S2)
     positions = [*a.position[is_braked]]
     for span in spans:

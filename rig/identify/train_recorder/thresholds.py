@@ -2,7 +2,12 @@
 
 The table in docs/recorders.md repeats values and reasons; a test compares the two. Values are set
 by hand from what the channels can do. "Twins" are simulated recordings of runs of the bench.
+
+Limits that depend on the sample rate, the rounding or the noise of a channel are functions at the
+end of this file. Their arguments are in SI units.
 """
+
+import math
 
 # --- stamps and sensors ---
 
@@ -16,12 +21,29 @@ LEAST_STEP_S = 0.3
 # Chosen.
 CLOCK_RATIO = 4.0
 
+# share of its slope by which the motion before and after a clock step may differ. Chosen.
+CLOCK_SLOPE_SHARE = 0.5
+
+# share of the error at equal rates. At another rate of the clock less must be left. Chosen.
+RATE_SHARE = 0.25
+
+# long intervals without a change. Fewer do not show that a recorder logs on change.
+CHANGE_INTERVALS = 10
+
 # s. Old messages are searched for in this time after the start. In recordings of trams they lasted
 # 2 to 6 s.
 START_S = 15.0
 
-# m/s^2. No vehicle brakes or starts harder. Emergency brakes of trams with track brakes reach 2.7.
+# m/s^2. Least value of the hardest braking, where dataset.toml gives none. Emergency brakes of
+# trams with track brakes reach 2.7.
 HARDEST_M_S2 = 3.0
+
+# factor between the hardest change that the channels agree on and the hardest possible one. Chosen.
+HARDEST_FACTOR = 1.25
+
+# multiples of the hardest braking. A braked wheel changes its speed less. Wheels of cars lock with
+# about 100 m/s^2, railway wheelsets with about 30.
+WHEEL_FACTOR = 10.0
 
 # m/s^2. What a vehicle may gain while its wheels slide in braking: 30 per mille downhill. Set on
 # twins.
@@ -57,16 +79,35 @@ COPY_CHANGES = 20
 # by 0.28.
 UNIT_SHARE = 0.06
 
+# share of the samples in motion that must have the ratio of two units. A wheel that slips has
+# different ratios. Chosen.
+UNIT_STEADY = 0.8
+
+# bits. Equal samples that carry less information are equal by chance. Chosen.
+COPY_BITS = 60.0
+
 # --- comparison of channels ---
 
 # s. Means over blocks of this length count as independent. Receiver noise and slides are shorter.
 BLOCK_S = 5.0
 
+# s. Shortest blocks, in short recordings. Half of the noise of a receiver lasts for a second.
+BLOCK_LEAST_S = 1.0
+
+# blocks that a recording is divided into at least; samples that a block has at least.
+BLOCKS = 24.0
+BLOCK_SAMPLES = 10.0
+
 # m/s^2. Braking below it makes less than 0.1 % of creepage on a dry rail.
 QUIET_M_S2 = 0.5
 
-# m/s. Below it rounding weighs too much.
+# m/s. Largest and smallest value of the lowest speed at which wheels are compared; see
+# `slowest_m_s`.
 SLOWEST_M_S = 4.0
+SLOWEST_LEAST_M_S = 0.3
+
+# multiples of noise and rounding. Below this speed they weigh too much.
+SLOWEST_FACTOR = 50.0
 
 # probability of a false alarm in a fault-free recording, shared among channels and dates.
 ALPHA = 0.02
@@ -78,6 +119,29 @@ LEAST_BLOCKS = 6
 # below.
 LEAST_RADIUS = 0.002
 
+# share. Standard error of a radius that no amount of data removes: tyre, load, creepage, curves.
+# Chosen.
+SYSTEMATIC_RADIUS = 0.0004
+
+# share. A larger difference is no radius of a wheel: worn and new wheels differ less.
+MOST_RADIUS = 0.05
+
+# share. A ratio that scatters more between blocks is no property of a wheel: it slips. Chosen.
+STEADY_SHARE = 0.01
+
+# share by which all wheels differ from the reference before its scale is doubted. Chosen.
+COMMON_SHARE = 0.025
+
+# m/s beyond its error. A smaller offset of a speed is rounding.
+LEAST_OFFSET_M_S = 0.1
+
+# ratio of the highest to the lowest speed. Below it scale and offset cannot be distinguished.
+# Chosen.
+OFFSET_RANGE = 1.3
+
+# share of the scatter about a line through the origin. An offset must leave less. Chosen.
+OFFSET_SCATTER = 0.8
+
 # s. One and a half samples at 10 Hz. Creepage in braking looks like 0.04 s.
 LATE_S = 0.15
 
@@ -87,19 +151,50 @@ LATEST_S = 3.0
 # m/s. A slide counts no more than this against a delay.
 CAP_M_S = 1.0
 
+# s per m/s. Delay of a reference that creepage of tyres looks like: 0.5 % of creepage for each
+# m/s^2.
+CREEPAGE_S2_M = 0.005
+
+# share of the error without a delay. A delay that is reported must leave less. Chosen.
+LATE_SHARE = 0.7
+
+# share of samples with an error above CAP_M_S. With more the wheel slips. Chosen.
+LATE_CAPPED = 0.2
+
 # --- slides ---
 
-# m/s. Many times noise and rounding.
+# m/s. Largest and smallest value of the smallest slide; see `slide_m_s`.
 SLIDE_M_S = 0.4
+SLIDE_LEAST_M_S = 0.15
+
+# multiples of noise and rounding that a slide must exceed. Chosen.
+SLIDE_NOISE = 10.0
 
 # share of the vehicle speed. Beyond the creepage at the peak of adhesion.
 SLIDE_SHARE = 0.03
 
+# share of the vehicle speed for each m/s^2 of deceleration. Creepage at the peak of adhesion of a
+# tyre is 0.1 at 10 m/s^2.
+SLIDE_SHARE_M_S2 = 0.01
+
+# share of the vehicle speed. A driven wheel that is faster slips. Wheels in curves and at work stay
+# below.
+SLIP_SHARE = 0.1
+
+# share of the deviation of one wheel that another wheel has with the opposite sign in a curve.
+# Chosen.
+MIRROR_SHARE = 0.5
+
+# share of the vehicle speed. A wheel that is so much slower slides even if nobody brakes. Chosen.
+LOCKED_SHARE = 0.5
+
 # multiples of the channel's scatter.
 SLIDE_DEVIATIONS = 5.0
 
-# s. Shorter is noise. Raised from 0.3 on twins: a burst of noise looked like a slide.
-SLIDE_S = 0.5
+# s and samples. Shorter is noise: 0.5 s at 10 Hz, where a burst of noise of a twin of 0.3 s looked
+# like a slide, and 0.1 s at 50 Hz and above.
+SLIDE_S = 0.1
+SLIDE_SAMPLES = 5.0
 
 # m/s. Without a reference, wheels roll where their speeds stay closer than this for 2 s. Set on
 # twins.
@@ -127,3 +222,57 @@ LEFT_DEVIATIONS = 6.0
 
 # multiples of the channel's usual scatter. A block above it is reported as unknown. Chosen.
 ROUGH = 3.0
+
+# multiples of the scatter between blocks that an offset of a block must exceed. Chosen.
+LEFT_SPREAD = 6.0
+
+
+# --- limits from rate, rounding and noise ---
+
+
+def error_m_s(noise_m_s: float, quantum_m_s: float) -> float:
+    """Return the standard error of one sample from its noise and its rounding step."""
+    return math.hypot(noise_m_s, quantum_m_s / math.sqrt(12.0))
+
+
+def slowest_m_s(noise_m_s: float, quantum_m_s: float) -> float:
+    """Return the lowest speed at which wheels are compared."""
+    slowest = SLOWEST_FACTOR * error_m_s(noise_m_s, quantum_m_s)
+    return min(max(slowest, SLOWEST_LEAST_M_S), SLOWEST_M_S)
+
+
+def block_s(duration_s: float, step_s: float) -> float:
+    """Return the length of blocks that count as independent, from the length of all runs."""
+    by_duration_s = min(max(duration_s / BLOCKS, BLOCK_LEAST_S), BLOCK_S)
+    return max(by_duration_s, BLOCK_SAMPLES * step_s)
+
+
+def slide_s(step_s: float) -> float:
+    """Return the duration of the shortest slide."""
+    return max(SLIDE_S, SLIDE_SAMPLES * step_s)
+
+
+def slide_m_s(noise_m_s: float, quantum_m_s: float) -> float:
+    """Return the smallest slide at low speed."""
+    slide = SLIDE_NOISE * error_m_s(noise_m_s, quantum_m_s)
+    return min(max(slide, SLIDE_LEAST_M_S), SLIDE_M_S)
+
+
+def late_s(step_s: float) -> float:
+    """Return the smallest delay: one and a half samples at 10 Hz and below."""
+    return max(LATE_S, 1.5 * step_s)
+
+
+def gap_s(step_s: float) -> float:
+    """Return the length of the shortest gap."""
+    return max(GAP_S, 3.0 * step_s)
+
+
+def jump_m_s(hardest_m_s2: float, step_s: float) -> float:
+    """Return the largest change of the vehicle's speed between two samples."""
+    return JUMP_M_S + hardest_m_s2 * step_s
+
+
+def zero_jump_m_s(hardest_m_s2: float, step_s: float) -> float:
+    """Return the largest change of a wheel that locks or is released between two samples."""
+    return max(ZERO_JUMP_M_S, WHEEL_FACTOR * hardest_m_s2 * step_s)

@@ -4,9 +4,11 @@ import time
 from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
-from rollerrig.rig.identify.train_recorder import faults, rolling, slides
+from rollerrig.rig.identify.train_recorder import driving, faults, judged, rolling, slides
 from rollerrig.rig.identify.train_recorder import thresholds as limit
+from rollerrig.rig.identify.train_recorder.alignment import Aligned, base_speed, slope
 from rollerrig.rig.identify.train_recorder.findings import (
     NAMES,
     Details,
@@ -14,15 +16,15 @@ from rollerrig.rig.identify.train_recorder.findings import (
     SpeedOffset,
     SpeedScatter,
 )
+from rollerrig.rig.identify.train_recorder.judged import Check
 from rollerrig.rig.identify.train_recorder.recording import Recording, Run
-from rollerrig.rig.identify.train_recorder.rolling import Aligned
 from rollerrig.rig.identify.train_recorder.slides import Slide
 
 # samples of a speed. A run in which no speed has more is left out after the checks of the sensors.
 _LEAST_SAMPLES = 50
 
-# s. Blocks this close to a slide are not judged.
-_AROUND_SLIDES_S = 2.0
+# s. A block of BLOCK_S, less a few samples at its ends.
+_SHORTEST_SCATTER_S = 0.8 * limit.BLOCK_S
 
 # m/s. The usual scatter of a speed is taken as at least this.
 _LEAST_SCATTER_M_S = 0.02
@@ -40,14 +42,19 @@ class Account(NamedTuple):
     findings: list[Finding]
     slides: list[Slide]
     unknown: list[Finding]
+    checks: list[Check]  # what could be judged, by name of a finding
     elapsed_s: float
 
     @property
     def verdict(self) -> str:
-        """One of consistent, explained, partly, unexplained."""
+        """One of consistent, explained, partly, unexplained, not_judged."""
         if self.unknown:
             return "partly" if self.findings else "unexplained"
-        return "explained" if self.findings else "consistent"
+        if self.findings:
+            return "explained"
+        # the file alone, as its stamps and gaps, does not make wheels consistent
+        is_judged = any(check.judged for check in self.checks if check.name in judged.OF_MOTION)
+        return "consistent" if is_judged else "not_judged"
 
 
 def explain(recording: Recording) -> Account:
@@ -63,16 +70,19 @@ def explain(recording: Recording) -> Account:
     runs, more = faults.copies(runs)
     found += more
 
-    aligned, more = rolling.fit([run for run in runs if _has_speed(run)])
-    found += more
+    fit = rolling.fit([run for run in runs if _has_speed(run)])
+    aligned = fit.aligned
+    found += fit.found
 
     all_slides, sliding_flags = slides.find(aligned)
     found += [slide.finding for slide in all_slides]
     found += slides.places(aligned, all_slides)
+    slips, slipping_flags = driving.find(aligned, sliding_flags)
+    found += slips
 
     unknown = []
-    for a, sliding in zip(aligned, sliding_flags, strict=True):
-        unknown += _unexplained_blocks(a, sliding)
+    for a, sliding, slipping in zip(aligned, sliding_flags, slipping_flags, strict=True):
+        unknown += _unexplained_blocks(a, sliding | slipping)
 
     found.sort(key=lambda f: (NAMES.index(f.name), f.run, f.channels, f.start_s))
     return Account(
@@ -82,6 +92,7 @@ def explain(recording: Recording) -> Account:
         findings=found,
         slides=all_slides,
         unknown=unknown,
+        checks=judged.checks(runs, fit),
         elapsed_s=time.perf_counter() - begun_s,
     )
 
@@ -94,31 +105,82 @@ def _has_speed(run: Run) -> bool:
 def _unexplained_blocks(a: Aligned, sliding: np.ndarray) -> list[Finding]:
     """Return blocks in which a speed is off or rough beyond chance and braking wheels."""
     noise = slides.scatter(a)
-    reach = round(_AROUND_SLIDES_S / a.step_s)
-    near_slide = np.convolve(sliding.any(axis=1), np.ones(2 * reach + 1), "same") > 0.0
+    near_slide = driving.near(a, np.any(sliding, axis=1))
     base, names = _comparison(a)
-    change_m_s2 = np.nan_to_num(rolling.slope(a.time_s, base))
-    block = a.blocks()
+    half_s = max(1.0, 2.5 * a.step_s)
+    change_m_s2 = np.nan_to_num(slope(a.time_s, base, half_s))
+    difference = a.speed - base[:, None]
 
     found: list[Finding] = []
-    for j, name in enumerate(names):
-        offset = a.speed[:, j] - base
-        good = np.isfinite(offset) & (base > limit.SLOWEST_M_S) & ~near_slide
-        parts = [good & (block == k) for k in np.unique(block[good])]
-        parts = [part for part in parts if a.is_filled(part)]
+    for name in names:
+        j = a.names.index(name)
+        parts = _parts(a, difference[:, j], base, near_slide)
+        means = np.array([float(difference[part, j].mean()) for part in parts])
+        roughness = np.array([_roughness(difference[part, j]) for part in parts])
+        is_rough = _is_rough(a, difference, name, names, parts, roughness)
+        for k, part in enumerate(parts):
+            spread = _spread_without(means, k)
+            is_off = _is_off(part, difference[:, j], base, change_m_s2, noise[j], spread, a)
+            if is_off and not slides.is_mirrored(difference[part], j):
+                error = noise[j] / np.sqrt(max(part.sum() / 4.0, 1.0))
+                found.append(
+                    _unknown(
+                        a,
+                        name,
+                        part,
+                        size=float(means[k]),
+                        low=float(means[k] - 2 * error),
+                        high=float(means[k] + 2 * error),
+                        details=SpeedOffset(faster=bool(means[k] > 0.0)),
+                    )
+                )
+            elif is_rough[k]:
+                usual = max(float(np.median(roughness)), _LEAST_SCATTER_M_S)
+                scatter = float(roughness[k])
+                found.append(
+                    _unknown(
+                        a,
+                        name,
+                        part,
+                        size=scatter,
+                        low=0.8 * scatter,
+                        high=1.2 * scatter,
+                        details=SpeedScatter(times_usual=scatter / usual),
+                    )
+                )
+    return [finding for finding in _join_blocks(found) if not _is_short_scatter(finding)]
 
-        roughness = np.array([float(np.std(np.diff(offset[part]))) for part in parts])
-        usual = _LEAST_SCATTER_M_S
-        if roughness.size:
-            usual = max(float(np.median(roughness)), _LEAST_SCATTER_M_S)
 
-        for part, scatter in zip(parts, roughness, strict=True):
-            finding = _offset_finding(a, name, part, offset, base, change_m_s2, noise[j])
-            if finding is None:
-                finding = _scatter_finding(a, name, part, float(scatter), usual)
-            if finding is not None:
-                found.append(finding)
-    return _join_blocks(found)
+def _is_short_scatter(finding: Finding) -> bool:
+    """Whether a speed scatters for less than a block of BLOCK_S, as on one bump of the road."""
+    is_scatter = isinstance(finding.details, SpeedScatter)
+    return is_scatter and finding.end_s - finding.start_s < _SHORTEST_SCATTER_S
+
+
+def _parts(
+    a: Aligned, difference: np.ndarray, base: np.ndarray, near_slide: np.ndarray
+) -> list[np.ndarray]:
+    """Return the blocks in which a speed is compared with the vehicle, flags (n,) of each."""
+    good = np.isfinite(difference) & (base > a.slowest_m_s) & ~near_slide
+    block = a.blocks()
+    parts = [good & (block == k) for k in np.unique(block[good])]
+    return [part for part in parts if a.is_filled(part)]
+
+
+def _roughness(difference: np.ndarray) -> float:
+    """Return the scatter from sample to sample, m/s."""
+    return float(np.std(np.diff(difference)))
+
+
+def _spread_without(means: np.ndarray, k: int) -> float:
+    """Return the usual scatter of block means, m/s; 0 for few blocks.
+
+    Blocks next to the judged one are left out: a fault may last for several blocks.
+    """
+    others = np.concatenate([means[: max(k - 2, 0)], means[k + 3 :]])
+    if others.size < limit.LEAST_BLOCKS:
+        return 0.0
+    return 1.4826 * float(np.median(np.abs(others - np.median(others))))
 
 
 def _comparison(a: Aligned) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -127,61 +189,75 @@ def _comparison(a: Aligned) -> tuple[np.ndarray, tuple[str, ...]]:
     Without a reference a single speed shows nothing about itself, and two speeds only show how the
     first differs from the second.
     """
-    if a.has_reference or len(a.names) > 2:
-        return a.vehicle, a.names
-    if len(a.names) == 2:
-        return a.speed[:, 1], a.names[:1]
-    return a.vehicle, ()
+    base = base_speed(a)
+    if base is None:
+        return a.vehicle, ()
+    if not a.has_reference and len(a.names) == 2:
+        return base, a.names[:1]
+    return base, a.names
 
 
-def _offset_finding(
-    a: Aligned,
-    name: str,
+def _is_off(
     part: np.ndarray,
-    offset: np.ndarray,
+    difference: np.ndarray,
     base: np.ndarray,
     change_m_s2: np.ndarray,
     noise_m_s: float,
-) -> Finding | None:
-    """Return a finding if the mean of a block is off; a braked wheel may be a little slower."""
-    mean = float(offset[part].mean())
+    spread_m_s: float,
+    a: Aligned,
+) -> bool:
+    """Whether the mean of a block is off; a braked wheel may be a little slower."""
+    mean = float(difference[part].mean())
     mean_speed = float(base[part].mean())
+    mean_change_m_s2 = float(change_m_s2[part].mean())
     # a quarter of the samples counts as independent
     error = float(noise_m_s) / np.sqrt(max(part.sum() / 4.0, 1.0))
 
-    least = max(limit.LEFT_M_S, limit.LEFT_SHARE * mean_speed)
+    least = max(
+        limit.LEFT_M_S,
+        limit.LEFT_SHARE * mean_speed,
+        abs(mean_change_m_s2) * a.timing_s,
+        limit.LEFT_SPREAD * spread_m_s,
+    )
     if abs(mean) <= least + limit.LEFT_DEVIATIONS * error:
-        return None
-    slowest_in_braking = -limit.SLIDE_M_S - limit.SLIDE_SHARE * mean_speed
-    is_braked = change_m_s2[part].mean() < _BRAKED_M_S2
-    if is_braked and slowest_in_braking < mean < 0.0:
-        return None
-    return _unknown(
-        a,
-        name,
-        part,
-        size=mean,
-        low=float(mean - 2 * error),
-        high=float(mean + 2 * error),
-        details=SpeedOffset(faster=mean > 0),
-    )
+        return False
+    creepage = limit.SLIDE_M_S + limit.SLIDE_SHARE * mean_speed
+    is_braked = mean_change_m_s2 < _BRAKED_M_S2 and -creepage < mean < 0.0
+    is_driven = mean_change_m_s2 > -_BRAKED_M_S2 and 0.0 < mean < creepage
+    return not (is_braked or is_driven)
 
 
-def _scatter_finding(
-    a: Aligned, name: str, part: np.ndarray, scatter: float, usual: float
-) -> Finding | None:
-    """Return a finding if a speed scatters much more in a block than usual."""
-    if scatter <= limit.ROUGH * usual or scatter <= limit.LEFT_M_S:
-        return None
-    return _unknown(
-        a,
-        name,
-        part,
-        size=scatter,
-        low=0.8 * scatter,
-        high=1.2 * scatter,
-        details=SpeedScatter(times_usual=scatter / usual),
-    )
+def _is_rough(
+    a: Aligned,
+    difference: np.ndarray,
+    name: str,
+    names: tuple[str, ...],
+    parts: list[np.ndarray],
+    roughness: np.ndarray,
+) -> np.ndarray:
+    """Return in which blocks a speed scatters much more than usual, flags (blocks,).
+
+    If the other speeds scatter there, too, the road or the reference is rough and not this speed.
+    With a single speed it cannot be decided which of the two is rough.
+    """
+    if len(parts) < limit.LEAST_BLOCKS or len(names) < 2:
+        return np.zeros(len(parts), bool)
+    usual = max(float(np.median(roughness)), _LEAST_SCATTER_M_S)
+    # of this channel at other speeds and accelerations
+    widest = float(np.quantile(roughness, 0.6))
+    flags = []
+    for part, scatter in zip(parts, roughness, strict=True):
+        # few samples show their scatter badly: a third of them counts as independent
+        freedom = max(part.sum() / 3.0, 1.0)
+        by_chance = np.sqrt(chi2.ppf(1.0 - limit.ALPHA / len(parts), freedom) / freedom)
+        others = [
+            _roughness(difference[part, a.names.index(other)]) for other in names if other != name
+        ]
+        known = [other for other in others if np.isfinite(other)]
+        is_alone = bool(known) and scatter > limit.ROUGH * float(np.median(known))
+        least = max(limit.ROUGH * usual * by_chance, limit.ROUGH * widest, limit.LEFT_M_S)
+        flags.append(bool(scatter > least and is_alone))
+    return np.array(flags, bool)
 
 
 def _unknown(

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rollerrig.realtime.reports.page import EXTENDED, GREY, INK, RUNS, VERMILION
-from rollerrig.rig.identify.train_recorder import rolling
+from rollerrig.rig.identify.train_recorder import scales
+from rollerrig.rig.identify.train_recorder.alignment import Aligned, slope
 from rollerrig.rig.identify.train_recorder.findings import Finding
 from rollerrig.rig.identify.train_recorder.recording import Run
-from rollerrig.rig.identify.train_recorder.rolling import Aligned
 from rollerrig.rig.identify.train_recorder.verdict import Account
 
 # s. What is shown on both sides of a finding, of a slide and of a delay.
@@ -109,7 +109,7 @@ def delay(figure: Figure, account: Account, finding: Finding, title: str) -> Non
 
 def _change_m_s2(aligned: Aligned) -> np.ndarray:
     """Return how fast the speed of the vehicle changes, (n,)."""
-    return np.abs(rolling.slope(aligned.time_s, aligned.vehicle, 2.0))
+    return np.abs(slope(aligned.time_s, aligned.vehicle, 2.0))
 
 
 def wheels(figure: Figure, account: Account) -> None:
@@ -121,16 +121,18 @@ def wheels(figure: Figure, account: Account) -> None:
         of_group = [
             aligned.as_recorded() for aligned in account.aligned if _group(aligned) == group
         ]
-        found = rolling.wheels(of_group)
+        found = {fit.name: fit.dates for fit in scales.fit_channels(of_group)}
         for k, name in enumerate(names):
-            if name not in found:
+            dates = found.get(name, {})
+            if not dates:
                 continue
+            wheel = next(iter(dates.values()))
             # the speeds of a date are next to each other
             at = g + 0.12 * (k - 0.5 * (len(names) - 1))
             axes.errorbar(
                 at,
-                -100.0 * found[name].radius,
-                200.0 * found[name].error,
+                -100.0 * wheel.radius,
+                100.0 * wheel.error * wheel.quantile,
                 color=RUNS[k % len(RUNS)],
                 marker="o",
                 label=name if g == 0 else "_",

@@ -1,0 +1,1 @@
+"""Parts of the report of a train recording: pictures, and what could be judged."""

@@ -1,0 +1,249 @@
+"""Decides which channels are late. The delay minimises the capped absolute error.
+
+Its interval comes from a bootstrap over blocks. With two channels only it cannot be decided which
+of them is wrong: the later one is reported, with the other. A wheel that slips has no delay.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.identify.train_recorder import faults
+from rollerrig.rig.identify.train_recorder import thresholds as limit
+from rollerrig.rig.identify.train_recorder.alignment import (
+    AS_RECORDED,
+    Aligned,
+    Scale,
+    align,
+    slope,
+)
+from rollerrig.rig.identify.train_recorder.findings import Delay, Finding
+from rollerrig.rig.identify.train_recorder.recording import Run
+
+# s. Delays are tried in these steps.
+_DELAY_STEP_S = 0.05
+_GRID_S = np.arange(-limit.LATEST_S, limit.LATEST_S + 0.01, _DELAY_STEP_S)
+
+# samples. More do not improve a delay, they only cost time.
+_MOST_SAMPLES = 20_000
+
+# samples in motion. With fewer a run shows nothing about a delay.
+_LEAST_SAMPLES = 50
+
+# m/s^2. Below this change of speed a delay does not show.
+_CHANGING_M_S2 = 0.15
+
+# samples of the bootstrap of a delay
+_REPLICATES = 300
+
+
+class Lag(NamedTuple):
+    """How late a channel is, with its 95 % interval, s; negative: early."""
+
+    delay_s: float
+    low_s: float
+    high_s: float
+    share_left: float = 0.0  # error that is left, over the error without a delay
+
+    def reversed(self) -> "Lag":
+        """The lag of the other side of the comparison."""
+        return Lag(-self.delay_s, -self.high_s, -self.low_s, self.share_left)
+
+
+class _DelaySearch:
+    """Decides which channels are late; `delays` are to be corrected, `found` are reported."""
+
+    def __init__(self, runs: list[Run], scales: list[dict[str, Scale]], block_s: float) -> None:
+        self.scales = scales
+        self.aligned = [
+            align(run, {}, scale, block_s) for run, scale in zip(runs, scales, strict=True)
+        ]
+        self.late_s = limit.late_s(max(a.step_s for a in self.aligned))
+        self.names = list(dict.fromkeys(name for a in self.aligned for name in a.names))
+        self.channels = {
+            channel.name: channel for run in runs for channel in run.of("speed", "reference")
+        }
+        self.reference: str | None = None
+        for channel in self.channels.values():
+            if channel.quantity == "reference":
+                self.reference = channel.name
+                break
+        self.delays: dict[str, float] = {}
+        self.found: list[Finding] = []
+        self.lags: dict[str, Lag] = {}
+        self._rng = np.random.default_rng(1)
+
+    def search(self) -> None:
+        if len(self.names) == 2:
+            self._compare_pair()
+        elif len(self.names) > 2:
+            self._compare_with_median()
+        if self.reference is not None:
+            self._compare_reference(self.reference)
+
+    def _compare_pair(self) -> None:
+        """Compare two speeds: the later one is taken as wrong."""
+        first, second = self.names
+        lag = self._estimate(first, [second])
+        if lag is None:
+            return
+        self.lags[first] = lag
+        self.lags[second] = lag.reversed()
+        late, other = first, second
+        if lag.delay_s <= 0.0:
+            late, other = second, first
+            lag = lag.reversed()
+        if lag.low_s > self.late_s:
+            self._decide(late, lag, other)
+
+    def _compare_with_median(self) -> None:
+        """Compare each speed with the median of all speeds."""
+        for name in self.names:
+            lag = self._estimate(name, self.names)
+            if lag is None:
+                continue
+            self.lags[name] = lag
+            if lag.low_s > self.late_s or lag.high_s < -self.late_s:
+                self._decide(name, lag, "")
+
+    def _compare_reference(self, reference: str) -> None:
+        """Compare the reference with the median of the speeds that are not late."""
+        right = [name for name in self.names if name not in self.delays]
+        lag = self._estimate(reference, right) if right else None
+        if lag is None:
+            return
+        self.lags[reference] = lag
+        if lag.high_s < -self.late_s and len(right) == 1:
+            # an early reference means that the only wheel is late
+            self._decide(right[0], lag.reversed(), reference)
+        else:
+            self._decide(reference, lag, "")
+
+    def _estimate(self, name: str, against: list[str]) -> Lag | None:
+        return _lag(self.aligned, self.scales, name, against, self._rng)
+
+    def _decide(self, name: str, lag: Lag, against: str) -> None:
+        """Report a lag beyond the delay that is normal for the channel; else only corrects it."""
+        normal_s = max(self.channels[name].delay_s, 0.0)
+        if name == self.reference or against == self.reference:
+            normal_s += self._creepage_s()
+        is_late = lag.low_s > normal_s + self.late_s
+        is_early = lag.high_s < -self.late_s and len(self.names) > 2 and name != self.reference
+        if (is_late or is_early) and lag.share_left < limit.LATE_SHARE:
+            self.delays[name] = lag.delay_s
+            self.found.append(
+                Finding(
+                    name="speed_sensor_delay",
+                    channels=(name,),
+                    run="",
+                    start_s=0.0,
+                    end_s=0.0,
+                    size=lag.delay_s,
+                    low=lag.low_s,
+                    high=lag.high_s,
+                    unit="s",
+                    details=Delay(of_reference=name == self.reference, against=against),
+                )
+            )
+        elif name == self.reference or abs(lag.delay_s) > self.late_s:
+            # normal for this channel: corrected, not reported
+            self.delays[name] = lag.delay_s
+
+    def _creepage_s(self) -> float:
+        """Return the delay of a reference that creepage in driving and braking looks like, s."""
+        speeds = np.concatenate([a.vehicle for a in self.aligned])
+        return limit.CREEPAGE_S2_M * float(np.nanmedian(speeds))
+
+
+class Delays(NamedTuple):
+    """Delays to correct, s, by channel; the findings; and the estimates by channel."""
+
+    delay_s: dict[str, float]
+    found: list[Finding]
+    lags: dict[str, Lag]
+
+
+def fit(runs: list[Run], scales: list[dict[str, Scale]], block_s: float) -> Delays:
+    """Return the delay of each late channel and the findings."""
+    search = _DelaySearch(runs, scales, block_s)
+    search.search()
+    return Delays(search.delays, search.found, search.lags)
+
+
+def _lag(
+    aligned: list[Aligned],
+    scales: list[dict[str, Scale]],
+    name: str,
+    against: list[str],
+    rng: np.random.Generator,
+) -> Lag | None:
+    """Return how late a channel is against the median of others.
+
+    The result is None where nothing changes, where the wheel slips, and where the best delay is at
+    the edge of the search.
+    """
+    block_costs: list[np.ndarray] = []
+    capped = np.zeros(_GRID_S.size, int)
+    samples = 0
+    total = sum(a.time_s.size for a in aligned)
+    every = max(total // _MOST_SAMPLES, 1)
+    for a, scale in zip(aligned, scales, strict=True):
+        if name not in a.run.channels:
+            continue
+        present = [other for other in against if other in a.names]
+        base = faults.median(np.array([a.speed[:, a.names.index(other)] for other in present]))
+        half_s = max(1.0, 2.5 * a.step_s)
+        changes = np.abs(slope(a.time_s, base, half_s)) > _CHANGING_M_S2
+        picked = np.flatnonzero(changes & (base > a.slowest_m_s))[::every]
+        if picked.size < _LEAST_SAMPLES:
+            continue
+
+        # capped error (delays, samples) of the channel for each delay of the grid
+        t = a.time_s[picked]
+        shifted = faults.at(a.run.channels[name], t + _GRID_S[:, None])
+        error = np.abs(scale.get(name, AS_RECORDED).corrected(shifted) - base[picked])
+        error = np.where(np.isfinite(error), np.minimum(error, limit.CAP_M_S), np.nan)
+
+        # only samples that have a value for every delay compare the delays fairly
+        complete = np.isfinite(error).all(axis=0)
+        block = ((t - a.time_s[0]) // a.block_s).astype(int)[complete]
+        if block.size < _LEAST_SAMPLES:
+            continue
+        _, block_number = np.unique(block, return_inverse=True)
+        cost = np.array([np.bincount(block_number, row[complete]) for row in error])
+        block_costs += list(cost.T)
+        capped += np.count_nonzero(error[:, complete] >= limit.CAP_M_S, axis=1)
+        samples += block.size
+
+    if len(block_costs) < limit.LEAST_BLOCKS:
+        return None
+    costs = np.array(block_costs)
+    total_cost = costs.sum(axis=0)
+    best = int(np.argmin(total_cost))
+    slips = capped[best] > limit.LATE_CAPPED * samples
+    at_edge = not 2 <= best < _GRID_S.size - 2
+    if slips or at_edge:
+        return None
+    without_delay = float(total_cost[int(np.argmin(np.abs(_GRID_S)))])
+    drawn = rng.integers(0, len(costs), (_REPLICATES, len(costs)))
+    best_s = _least_cost(costs.sum(axis=0)[None])[0]
+    low_s, high_s = np.quantile(_least_cost(costs[drawn].sum(axis=1)), (0.025, 0.975))
+    return Lag(
+        delay_s=float(best_s),
+        low_s=float(min(low_s, best_s) - _DELAY_STEP_S),
+        high_s=float(max(high_s, best_s) + _DELAY_STEP_S),
+        share_left=float(total_cost[best]) / max(without_delay, 1e-9),
+    )
+
+
+def _least_cost(cost: np.ndarray) -> np.ndarray:
+    """Return the delay of the least cost of each row, by a parabola through three points."""
+    k = np.clip(np.argmin(cost, axis=1), 1, cost.shape[1] - 2)
+    row = np.arange(len(cost))
+    before = cost[row, k - 1]
+    here = cost[row, k]
+    after = cost[row, k + 1]
+    bend = before - 2.0 * here + after
+    is_valley = bend > 0.0
+    vertex = 0.5 * (before - after) / np.where(is_valley, bend, 1.0)
+    return _GRID_S[k] + _DELAY_STEP_S * np.where(is_valley, vertex, 0.0)

@@ -1,0 +1,89 @@
+"""Recognises a recorder that logs a row only when a value changes, and fills its intervals.
+
+Such a recorder leaves long intervals in which nothing changes by more than its deadband. A gap of a
+recorder that logs every sample has no such bound: after it the speed has moved on.
+"""
+
+import numpy as np
+
+from rollerrig.rig.identify.train_recorder import thresholds as limit
+from rollerrig.rig.identify.train_recorder.recording import Channel, Run
+
+_SPEEDS = ("speed", "reference")
+
+# times the median interval. A longer interval is a long one.
+_LONG = 2.5
+
+# quantile of the changes across long intervals, and how many usual changes it may reach. Chosen.
+_LONG_QUANTILE = 0.9
+_LONG_CHANGES = 1.5
+
+# quantile of the changes of the other rows, and the share of a usual change that it must reach:
+# rows without a change are rare. Chosen.
+_ROW_QUANTILE = 0.25
+_ROW_SHARE = 0.5
+
+
+def resampled(run: Run) -> Run | None:
+    """Return a run with all samples if it logs on change; None if it logs every sample.
+
+    Values between two rows are interpolated. They are known to the deadband.
+    """
+    groups: dict[bytes, list[Channel]] = {}
+    for channel in run.channels.values():
+        # cells without a value belong to the rows of other channels
+        known = channel._replace(
+            time_s=channel.time_s[np.isfinite(channel.values)],
+            values=channel.values[np.isfinite(channel.values)],
+        )
+        groups.setdefault(known.time_s.tobytes(), []).append(known)
+
+    channels = {}
+    any_on_change = False
+    for group in groups.values():
+        deadband_m_s = deadband(group)
+        if deadband_m_s is None:
+            for channel in group:
+                channels[channel.name] = run.channels[channel.name]
+            continue
+        any_on_change = True
+        for channel in group:
+            channels[channel.name] = _filled(channel, deadband_m_s)
+    if not any_on_change:
+        return None
+    # in the order of the recording
+    ordered = {name: channels[name] for name in run.channels}
+    return run._replace(channels=ordered, logs_on_change=True)
+
+
+def deadband(group: list[Channel]) -> float | None:
+    """Return the change that makes a recorder log a row, m/s; None if it logs every sample."""
+    speeds = [channel for channel in group if channel.quantity in _SPEEDS]
+    if not speeds or speeds[0].time_s.size < 2 * limit.CHANGE_INTERVALS:
+        return None
+    intervals_s = np.diff(speeds[0].time_s)
+    if np.any(intervals_s < 0.0):
+        return None
+    is_long = intervals_s > _LONG * float(np.median(intervals_s))
+    if is_long.sum() < limit.CHANGE_INTERVALS:
+        return None
+
+    change = np.max([np.abs(np.diff(channel.values)) for channel in speeds], axis=0)
+    usual = float(np.median(change[~is_long]))
+    few_idle_rows = np.quantile(change[~is_long], _ROW_QUANTILE) >= _ROW_SHARE * usual > 0.0
+    long_change = float(np.quantile(change[is_long], _LONG_QUANTILE))
+    if few_idle_rows and long_change <= _LONG_CHANGES * usual:
+        return usual
+    return None
+
+
+def _filled(channel: Channel, deadband_m_s: float) -> Channel:
+    """Return a channel with samples at even intervals, by linear interpolation."""
+    step_s = float(np.median(np.diff(channel.time_s)))
+    count = int((channel.time_s[-1] - channel.time_s[0]) / step_s) + 1
+    time_s = channel.time_s[0] + step_s * np.arange(count)
+    return channel._replace(
+        time_s=time_s,
+        values=np.interp(time_s, channel.time_s, channel.values),
+        deadband_m_s=deadband_m_s,
+    )

@@ -1,0 +1,579 @@
+"""Compares speeds while wheels roll: wheel radii, scales and offsets, in one fit.
+
+    [R2] v_i = (1 + rho_i) V + c_i + b_i w, V the reference, else the median of all speeds,
+         w the yaw rate of the vehicle (0 where it is not recorded)
+
+rho_i of a wheel is the radius that the recorder assumes over the radius of the wheel, less one. It
+is the median over blocks in which nobody brakes hard, for each date. c_i and b_i hold for all
+dates. The standard error of rho_i is that of the median of blocks or of the medians of stretches of
+the recording, whichever is larger, with SYSTEMATIC_RADIUS, which no amount of data removes.
+
+A ratio that scatters between blocks is no property of a wheel: it slips, or the vehicle turns. If
+all wheels differ from the reference by the same scale, the reference is doubted.
+"""
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import t as student
+
+from rollerrig.rig.identify.train_recorder import thresholds as limit
+from rollerrig.rig.identify.train_recorder.alignment import (
+    AS_RECORDED,
+    Aligned,
+    Scale,
+    align,
+    base_speed,
+    quiet,
+)
+from rollerrig.rig.identify.train_recorder.findings import Finding, SpeedLine, WheelRadius
+from rollerrig.rig.identify.train_recorder.recording import Run
+
+# standard deviation of a normal distribution over its median absolute deviation
+_DEVIATION_OF_MEDIAN = 1.4826
+
+# standard error of a median over that of a mean
+_ERROR_OF_MEDIAN = 1.2533
+
+# stretches of a recording whose medians are compared, and blocks of each stretch at least
+_STRETCHES = 6
+_BLOCKS_PER_STRETCH = 2
+
+# samples of the bootstrap of scale and offset
+_REPLICATES = 300
+
+# share of the common difference by which wheels may differ if the reference is wrong. Chosen.
+_COMMON_SPREAD = 0.25
+
+
+class Wheel(NamedTuple):
+    """rho of a speed [R2] with its standard error, from so many blocks."""
+
+    radius: float
+    error: float
+    blocks: int
+
+    @property
+    def quantile(self) -> float:
+        """Quantile of Student's distribution for a 95 % interval."""
+        return float(student.ppf(0.975, max(min(self.blocks, _STRETCHES) - 1, 2)))
+
+
+class _Block(NamedTuple):
+    """Means over one block of one channel."""
+
+    date: str
+    speed: float  # of the vehicle, m/s
+    share: float  # of the channel beyond the vehicle
+    yaw_rad_s: float
+    error: float  # standard error of `share` by noise
+
+
+class ChannelFit(NamedTuple):
+    """The line of one speed [R2], over all dates of a vehicle."""
+
+    name: str
+    dates: dict[str, Wheel]  # without the effect of the offset if it is significant
+    line: Wheel  # rho of a fit of scale and offset
+    offset_m_s: float  # of the same fit
+    offset_error_m_s: float
+    has_offset: bool
+    scatter: float  # of the ratio between blocks, beyond noise
+    scatter_in_motion: float  # the same, also while the vehicle is driven or braked
+    typical: float  # median of the ratio less one
+    speeds_m_s: tuple[float, float]  # lowest and highest
+
+    @property
+    def is_steady(self) -> bool:
+        """Whether the ratio is a property of the wheel.
+
+        A ratio that is too large for worn wheels must also hold while the vehicle is driven or
+        braked: else the wheel slips.
+        """
+        return self.worst_scatter < limit.STEADY_SHARE
+
+    @property
+    def worst_scatter(self) -> float:
+        """Scatter that `is_steady` judges."""
+        if abs(self.typical) > limit.COMMON_SHARE:
+            return max(self.scatter, 0.5 * self.scatter_in_motion)
+        return self.scatter
+
+    @property
+    def has_range(self) -> bool:
+        """Whether the speeds differ enough to distinguish scale and offset."""
+        return self.speeds_m_s[1] > limit.OFFSET_RANGE * self.speeds_m_s[0]
+
+
+class _Level(NamedTuple):
+    """Dates in a row whose radii agree, and their mean."""
+
+    dates: list[str]
+    mean: Wheel
+
+
+class Scales(NamedTuple):
+    """Scales of each channel in each run, the findings, and the fits by vehicle."""
+
+    of_runs: list[dict[str, Scale]]
+    found: list[Finding]
+    fits: dict[str, list[ChannelFit]]
+    tests: int
+
+
+def fit(runs: list[Run], delay_s: dict[str, float], block_s: float) -> Scales:
+    """Return the scales of all channels, and the statistically significant findings."""
+    aligned = [align(run, delay_s, {}, block_s) for run in runs]
+    by_vehicle: dict[str, list[Aligned]] = {}
+    for a in aligned:
+        by_vehicle.setdefault(a.run.vehicle_id, []).append(a)
+
+    found: list[Finding] = []
+    fits: dict[str, list[ChannelFit]] = {}
+    scale_of: dict[tuple[str, str, str], Scale] = {}
+    tests = 1
+    for vehicle_id, group in sorted(by_vehicle.items()):
+        fits[vehicle_id] = fit_channels(group)
+        reference = _reference_finding(group, fits[vehicle_id])
+        if reference is not None:
+            finding, scale = reference
+            found.append(finding)
+            name = finding.channels[0]
+            for a in group:
+                scale_of[vehicle_id, name, a.run.date] = scale
+            group = [align(a.run, delay_s, {name: scale}, block_s) for a in group]
+            fits[vehicle_id] = fit_channels(group)
+        tests = max(sum(len(channel.dates) for channel in fits[vehicle_id]), tests)
+
+        is_pair = not any(a.has_reference for a in group) and len(fits[vehicle_id]) == 1
+        for channel in fits[vehicle_id]:
+            names = group[0].names if is_pair else (channel.name,)
+            more, scales = _judge(channel, names, vehicle_id, tests)
+            found += more
+            for date, scale in scales.items():
+                scale_of[vehicle_id, channel.name, date] = scale
+
+    of_runs = []
+    for run in runs:
+        scales = {}
+        for name in run.channels:
+            scales[name] = scale_of.get((run.vehicle_id, name, run.date), AS_RECORDED)
+        of_runs.append(scales)
+    return Scales(of_runs, found, fits, tests)
+
+
+# --- blocks ---
+
+
+def fit_channels(group: list[Aligned]) -> list[ChannelFit]:
+    """Return the fit of each speed over the runs of one vehicle; none if it has few blocks."""
+    blocks: dict[str, list[_Block]] = {}
+    in_motion: dict[str, list[_Block]] = {}
+    rounding: dict[str, float] = {}
+    for a in group:
+        base = base_speed(a)
+        if base is None:
+            continue
+        names = a.names
+        if not a.has_reference and len(names) == 2:
+            # the second speed of a pair is the base of the comparison
+            names = names[:1]
+        is_quiet = quiet(a)
+        moves = np.nan_to_num(base) > a.slowest_m_s
+        for name in names:
+            blocks.setdefault(name, []).extend(_blocks(a, name, base, is_quiet))
+            in_motion.setdefault(name, []).extend(_blocks(a, name, base, moves))
+            error = _rounding_error(a, name, base, is_quiet)
+            rounding[name] = max(rounding.get(name, 0.0), error)
+
+    return [
+        _fit_channel(name, rows, in_motion[name], rounding[name])
+        for name, rows in blocks.items()
+        if len(rows) >= limit.LEAST_BLOCKS
+    ]
+
+
+def _blocks(a: Aligned, name: str, base: np.ndarray, is_quiet: np.ndarray) -> list[_Block]:
+    """Return the blocks of one speed of a run."""
+    speed = a.speed[:, a.names.index(name)]
+    good = is_quiet & np.isfinite(speed) & np.isfinite(base)
+    noise = np.hypot(a.noise_m_s[a.names.index(name)], _base_error(a))
+    number_of_block = a.blocks()
+    rows = []
+    for k in np.unique(number_of_block[good]):
+        part = good & (number_of_block == k)
+        if not a.is_filled(part):
+            continue
+        mean = float(base[part].mean())
+        yaw = a.yaw_rad_s[part]
+        rows.append(
+            _Block(
+                date=a.run.date,
+                speed=mean,
+                share=float(speed[part].sum() / base[part].sum()) - 1.0,
+                yaw_rad_s=float(np.nanmean(yaw)) if np.isfinite(yaw).any() else 0.0,
+                # the noise of a receiver is not white: a quarter of the samples is independent
+                error=float(noise / mean / np.sqrt(max(part.sum() / 4.0, 1.0))),
+            )
+        )
+    return rows
+
+
+def _base_error(a: Aligned) -> float:
+    """Return the standard error of a sample of the speed to compare with, m/s."""
+    return a.reference_noise_m_s if a.has_reference else max(a.noise_m_s)
+
+
+def _rounding_error(a: Aligned, name: str, base: np.ndarray, is_quiet: np.ndarray) -> float:
+    """Return the error of a ratio by rounding: that of equal values does not average out."""
+    speed = a.speed[:, a.names.index(name)]
+    good = is_quiet & np.isfinite(speed) & np.isfinite(base)
+    if not good.any():
+        return 0.0
+    distinct = max(np.unique(speed[good]).size, 1)
+    rounding = a.run.channels[name].quantum / np.sqrt(12.0)
+    return float(rounding / np.mean(base[good]) / np.sqrt(distinct))
+
+
+def _fit_channel(
+    name: str, rows: list[_Block], in_motion: list[_Block], rounding: float
+) -> ChannelFit:
+    """Return the fit of one speed to its blocks [R2], which are part of those in motion."""
+    speed = np.array([row.speed for row in rows])
+    share = np.array([row.share for row in rows])
+    noise = float(np.median([row.error for row in rows]))
+    dates = sorted({row.date for row in rows})
+    is_date = np.array([[row.date == date for date in dates] for row in rows], float)
+    weight = np.sqrt(speed)
+
+    # turning is taken out first: one side runs faster, the other slower
+    yaw = np.array([row.yaw_rad_s for row in rows])
+    if np.std(yaw) > 0.0:
+        turning = np.column_stack([is_date, yaw / speed])
+        coefficients = _robust_fit(turning, share, weight)
+        share = share - coefficients[-1] * yaw / speed
+
+    line = np.column_stack([is_date, 1.0 / speed])
+    robust_line = _robust_fit(line, share, weight)
+    offset = float(robust_line[-1])
+    errors = _bootstrap(line, share, weight)
+    offset_error = float(errors[-1])
+
+    ratio_only = _robust_fit(is_date, share, weight)
+    scatter_of_ratio = _spread((share - is_date @ ratio_only) * speed)
+    scatter_of_line = _spread((share - line @ robust_line) * speed)
+    speeds = (float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95)))
+    quantile = student.ppf(1.0 - 0.5 * limit.ALPHA, max(min(len(rows), 12) - 2, 2))
+    has_offset = bool(
+        speeds[1] > limit.OFFSET_RANGE * speeds[0]
+        and abs(offset) - limit.LEAST_OFFSET_M_S > quantile * offset_error
+        and scatter_of_line < limit.OFFSET_SCATTER * scatter_of_ratio
+    )
+    level = share - offset / speed if has_offset else share
+    wheels = {}
+    for k, date in enumerate(dates):
+        of_date = level[is_date[:, k] > 0.0]
+        if of_date.size < limit.LEAST_BLOCKS:
+            continue
+        error = float(np.hypot(_error_of_level(of_date), rounding))
+        if has_offset:
+            error = float(np.hypot(error, offset_error * np.median(1.0 / speed)))
+        wheels[date] = Wheel(float(np.median(of_date)), error, of_date.size)
+
+    middle = level - is_date @ _robust_fit(is_date, level, weight)
+    scatter = np.sqrt(max(_spread(middle) ** 2 - noise**2, 0.0))
+    share_in_motion = np.array([row.share for row in in_motion])
+    if has_offset:
+        share_in_motion -= offset / np.array([row.speed for row in in_motion])
+    noise_in_motion = float(np.median([row.error for row in in_motion]))
+    scatter_in_motion = np.sqrt(max(_spread(share_in_motion) ** 2 - noise_in_motion**2, 0.0))
+    return ChannelFit(
+        name=name,
+        dates=wheels,
+        line=Wheel(
+            radius=float(np.median(robust_line[:-1])),
+            error=float(np.hypot(np.median(errors[:-1]), limit.SYSTEMATIC_RADIUS)),
+            blocks=len(rows),
+        ),
+        offset_m_s=offset,
+        offset_error_m_s=offset_error,
+        has_offset=has_offset,
+        scatter=float(scatter),
+        scatter_in_motion=float(scatter_in_motion),
+        typical=float(np.median(share)),
+        speeds_m_s=speeds,
+    )
+
+
+def _spread(values: np.ndarray) -> float:
+    """Return half the distance of the quantiles of one standard deviation."""
+    low, high = np.quantile(values, (0.16, 0.84))
+    return 0.5 * float(high - low)
+
+
+def _error_of_level(shares: np.ndarray) -> float:
+    """Return the standard error of a median: of its blocks, of its stretches, and systematic."""
+    from_middle = np.abs(shares - np.median(shares))
+    spread = _DEVIATION_OF_MEDIAN * float(np.median(from_middle))
+    of_blocks = _ERROR_OF_MEDIAN * spread / np.sqrt(shares.size)
+
+    stretches = min(_STRETCHES, shares.size // _BLOCKS_PER_STRETCH)
+    of_stretches = 0.0
+    if stretches > 1:
+        medians = [np.median(part) for part in np.array_split(shares, stretches)]
+        of_stretches = (
+            _DEVIATION_OF_MEDIAN
+            * float(np.median(np.abs(medians - np.median(medians))))
+            / np.sqrt(stretches)
+        )
+    return float(np.hypot(max(of_blocks, of_stretches), limit.SYSTEMATIC_RADIUS))
+
+
+def _robust_fit(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return coefficients that minimise the weighted absolute errors, by repeated least squares."""
+    robust = np.ones(values.size)
+    coefficients = np.zeros(columns.shape[1])
+    for _ in range(_ROBUST_STEPS):
+        scaled = (weight * robust)[:, None]
+        coefficients, *_ = np.linalg.lstsq(scaled * columns, weight * robust * values, rcond=None)
+        error = np.abs(weight * (values - columns @ coefficients))
+        usual = max(float(np.median(error)), 1e-9)
+        robust = np.sqrt(np.minimum(1.0, 1.5 * usual / np.maximum(error, 1e-12)))
+    return coefficients
+
+
+_ROBUST_STEPS = 12
+
+
+def _bootstrap(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the standard errors of the coefficients, by drawing pairs of successive blocks."""
+    rng = np.random.default_rng(1)
+    coefficients = _robust_fit(columns, values, weight)
+    error = weight * (values - columns @ coefficients)
+    usual = max(float(np.median(np.abs(error))), 1e-9)
+    kept = np.minimum(1.0, 1.5 * usual / np.maximum(np.abs(error), 1e-12)) * weight**2
+
+    size = values.size
+    first = rng.integers(0, size, (_REPLICATES, (size + 1) // 2))
+    drawn = np.concatenate([first, (first + 1) % size], axis=1)
+    counts = np.array([np.bincount(row, minlength=size) for row in drawn])
+    normal = np.einsum("rk,ki,kj->rij", counts * kept, columns, columns, optimize=True)
+    right = np.einsum("rk,ki->ri", counts * kept * values, columns, optimize=True)
+    replicates = np.einsum("rij,rj->ri", np.linalg.pinv(normal), right)
+    # a few replicates may have no block of a date
+    return np.array([_spread(column) for column in replicates.T])
+
+
+# --- the reference ---
+
+
+def _reference_finding(
+    group: list[Aligned], fits: list[ChannelFit]
+) -> tuple[Finding, Scale] | None:
+    """Return the finding that the reference differs from all wheels, and the scale to correct."""
+    references = [channel for a in group for channel in a.run.of("reference")]
+    steady = [channel for channel in fits if channel.is_steady]
+    if not references or len(steady) < 2 or len(steady) < len(fits):
+        return None
+
+    typical = np.array([channel.typical for channel in steady])
+    middle = float(np.median(typical))
+    is_common = bool(np.ptp(typical) < _COMMON_SPREAD * abs(middle))
+    offsets = np.array([channel.offset_m_s for channel in steady])
+    offset = float(np.median(offsets))
+    offset_is_common = all(channel.has_offset for channel in steady) and bool(
+        np.ptp(offsets) < _COMMON_SPREAD * abs(offset)
+    )
+    if not is_common or not (abs(middle) > limit.COMMON_SHARE or offset_is_common):
+        return None
+
+    has_range = all(channel.has_range for channel in steady)
+    ratio = middle
+    error = max(np.ptp(typical), limit.SYSTEMATIC_RADIUS)
+    offset_error = 0.0
+    blocks = min(channel.line.blocks for channel in steady)
+    if has_range:
+        ratio = float(np.median([channel.line.radius for channel in steady]))
+        error = max(channel.line.error for channel in steady)
+        offset_error = max(channel.offset_error_m_s for channel in steady)
+    else:
+        offset = 0.0
+
+    # wheels read (1 + ratio) V + offset of the reference: the inverse line is that of the reference
+    scale = Scale(1.0 / (1.0 + ratio) - 1.0, -offset / (1.0 + ratio))
+    quantile = Wheel(ratio, float(error), blocks).quantile
+    finding = _line_finding(
+        "speed_offset" if abs(middle) < limit.COMMON_SHARE else "speed_scale",
+        references[0].name,
+        scale,
+        float(error) * quantile,
+        offset_error * quantile,
+        of_reference=True,
+    )
+    return finding, scale
+
+
+def _line_finding(
+    name: str,
+    channel: str,
+    scale: Scale,
+    half_ratio: float,
+    half_offset_m_s: float,
+    of_reference: bool,
+) -> Finding:
+    """Return a finding about scale and offset of a speed; its size is the one of its name."""
+    percent = 100.0 * scale.ratio
+    half_percent = 100.0 * half_ratio
+    scale_percent = (percent, percent - half_percent, percent + half_percent)
+    offset_m_s = (
+        scale.offset_m_s,
+        scale.offset_m_s - half_offset_m_s,
+        scale.offset_m_s + half_offset_m_s,
+    )
+    size, low, high = scale_percent if name == "speed_scale" else offset_m_s
+    return Finding(
+        name=name,
+        channels=(channel,),
+        run="",
+        start_s=0.0,
+        end_s=0.0,
+        size=size,
+        low=low,
+        high=high,
+        unit="%" if name == "speed_scale" else "m/s",
+        details=SpeedLine(scale_percent, offset_m_s, of_reference),
+    )
+
+
+# --- wheels ---
+
+
+def _judge(
+    channel: ChannelFit, names: tuple[str, ...], vehicle_id: str, tests: int
+) -> tuple[list[Finding], dict[str, Scale]]:
+    """Return the findings about one speed, and its scale by date."""
+    if not channel.is_steady or not channel.dates:
+        return [], {}
+    found = []
+    offset_m_s = 0.0
+    if channel.has_offset:
+        offset_m_s = channel.offset_m_s
+        found.append(
+            _line_finding(
+                "speed_offset",
+                channel.name,
+                Scale(channel.line.radius, offset_m_s),
+                channel.line.error * channel.line.quantile,
+                channel.offset_error_m_s * channel.line.quantile,
+                of_reference=False,
+            )
+        )
+
+    levels = _levels(channel.dates, tests)
+    first = levels[0]
+    if is_significant(first.mean, tests):
+        until = first.dates[-1] if len(levels) > 1 else None
+        found.append(_level_finding(names, first.mean, first.dates[0], vehicle_id, until))
+    for before, level in itertools.pairwise(levels):
+        step = _difference(level.mean, before.mean)
+        if abs(step.radius) < limit.MOST_RADIUS:
+            found.append(
+                _radius_finding("wheel_radius_step", names, step, level.dates[0], vehicle_id, None)
+            )
+
+    scales = {}
+    for level in levels:
+        for date in level.dates:
+            scales[date] = Scale(level.mean.radius if found else 0.0, offset_m_s)
+    return found, scales
+
+
+def _level_finding(
+    names: tuple[str, ...], wheel: Wheel, date: str, vehicle_id: str, until: str | None
+) -> Finding:
+    """Return a wheel radius, or a scale of the speed where no wheel differs so much."""
+    if abs(wheel.radius) <= limit.MOST_RADIUS:
+        return _radius_finding("wheel_radius", names, wheel, date, vehicle_id, until)
+    return _line_finding(
+        "speed_scale",
+        names[0],
+        Scale(wheel.radius),
+        wheel.error * wheel.quantile,
+        0.0,
+        of_reference=False,
+    )
+
+
+def _levels(dates: dict[str, Wheel], tests: int) -> list[_Level]:
+    """Return the levels of a radius: a date that differs significantly begins a new one."""
+    levels: list[list[tuple[str, Wheel]]] = []
+    for date, wheel in dates.items():
+        if levels:
+            before = _mean([earlier for _, earlier in levels[-1]])
+            if not is_significant(_difference(wheel, before), tests):
+                levels[-1].append((date, wheel))
+                continue
+        levels.append([(date, wheel)])
+    return [
+        _Level([date for date, _ in level], _mean([wheel for _, wheel in level]))
+        for level in levels
+    ]
+
+
+def _radius_finding(
+    name: str,
+    channels: tuple[str, ...],
+    wheel: Wheel,
+    date: str,
+    vehicle_id: str,
+    until: str | None,
+) -> Finding:
+    """Return a finding with its size in % of the radius."""
+    half = wheel.error * wheel.quantile
+    # a wheel that is smaller than assumed turns faster: the signs differ
+    return Finding(
+        name=name,
+        channels=channels,
+        run="",
+        start_s=0.0,
+        end_s=0.0,
+        size=-100 * wheel.radius,
+        low=-100 * (wheel.radius + half),
+        high=-100 * (wheel.radius - half),
+        unit="%",
+        details=WheelRadius(vehicle_id=vehicle_id, until=until, ambiguous=len(channels) > 1),
+        date=date,
+    )
+
+
+def _difference(wheel: Wheel, other: Wheel) -> Wheel:
+    return Wheel(
+        radius=wheel.radius - other.radius,
+        error=float(np.hypot(wheel.error, other.error)),
+        blocks=min(wheel.blocks, other.blocks),
+    )
+
+
+def _mean(level: list[Wheel]) -> Wheel:
+    """Return the mean, weighted by the inverse variances; the systematic error stays."""
+    weight = np.array([1.0 / wheel.error**2 for wheel in level])
+    return Wheel(
+        radius=float(np.sum(weight * [wheel.radius for wheel in level]) / weight.sum()),
+        error=float(max(weight.sum() ** -0.5, limit.SYSTEMATIC_RADIUS)),
+        blocks=sum(wheel.blocks for wheel in level),
+    )
+
+
+def is_significant(wheel: Wheel, tests: int) -> bool:
+    """Whether a radius differs from 0 by more than LEAST_RADIUS and chance.
+
+    The probability ALPHA of a false alarm is shared among the tests.
+    """
+    return abs(wheel.radius) > smallest_radius(wheel, tests)
+
+
+def smallest_radius(wheel: Wheel, tests: int) -> float:
+    """Return the smallest share of the radius that these blocks would have shown."""
+    quantile = float(student.ppf(1.0 - limit.ALPHA / tests / 2.0, max(wheel.blocks - 1, 2)))
+    return limit.LEAST_RADIUS + wheel.error * quantile
