@@ -14,6 +14,8 @@ from enum import StrEnum
 from string import Formatter
 from typing import Any, NamedTuple, Protocol
 
+from rollerrig.configs.processes import exits
+
 INFO, WARNING, ERROR = LEVELS = ("info", "warning", "error")
 
 
@@ -174,7 +176,7 @@ TABLE: dict[Code, Row] = {
     Code.RECORDER_ENDED: Row(
         ERROR,
         {"status": int, "reason": str},
-        "the recorder exited with status {status}[: {reason}]",
+        "the recorder {status:exit}[: {reason}]",
         "the run goes on, its record ends about here",
     ),
     Code.RECORDER_OVERRUN: Row(
@@ -284,7 +286,7 @@ TABLE: dict[Code, Row] = {
     Code.UNIT_ENDED: Row(
         ERROR,
         {"unit": str, "status": int, "last_words": str, "log": str},
-        "the {unit} exited with status {status}",
+        "the {unit} {status:exit}",
         "[its last words: {last_words}; ]its log is {log}",
     ),
     # nodes of the rig
@@ -490,6 +492,8 @@ class _Sentences(Formatter):
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """One value as text."""
+        if format_spec == "exit":
+            return exits.exit_text(value)
         if format_spec in _UNITS:
             factor, places, unit = _UNITS[format_spec]
             return f"{round(factor * value, places):g} {unit}"

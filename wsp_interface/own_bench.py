@@ -21,7 +21,7 @@ import tomli_w
 
 from rollerrig.configs import output_files, store, user_files
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError, UnitError
-from rollerrig.configs.processes import children
+from rollerrig.configs.processes import children, exits
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.harness_client import Harness
 
@@ -194,7 +194,7 @@ class Program(NamedTuple):
         if status is None:
             return ""
         return (
-            f"; --unit '{self.command}' has exited with status {status}"
+            f"; --unit '{self.command}' {exits.exit_text(status)}"
             f"{children.last_words(self.log)} ({self.log})"
         )
 

@@ -63,6 +63,11 @@ def module(name: str, *words: str) -> list[str]:
     return [sys.executable, "-P", "-m", name, *words]
 
 
+def interpreter() -> str:
+    """Return the path of the Python that runs this program."""
+    return sys.executable
+
+
 def keep_working_folder_out() -> None:
     """Make the Python programs that this process starts import nothing from the working folder.
 

@@ -35,6 +35,7 @@ from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.fmu import ls_bus
 from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
+from rollerrig.firmware_sim.fmu.fmu_log import FmuLog
 from rollerrig.firmware_sim.fmu.ls_bus import Code, Operation, Parameter
 from rollerrig.firmware_sim.fmu.signal_unit import (
     Watch,
@@ -115,17 +116,19 @@ class Node:
         self._watch = watch
         self._needs_event = True
         self._interval_ns = round((self.terminal.interval_s or 0.0) * S_NS) or _STEP_NS
+        self._description = checked.description
         self._fmu = open_fmu(checked, folder)
+        self._log = FmuLog()
 
     def begin(self) -> None:
         """Initialise the FMU, including its first event. Raises UnitError."""
         fmu = self._fmu
         terminal = self.terminal
         with (
-            initialisation_of(self.name),
-            self._watch.call(0.0, self.name, "its initialisation"),
+            initialisation_of(self.name, self._log),
+            self._watch.call(0.0, self.name, "its initialisation", self._log),
         ):
-            fmu.instantiate(eventModeUsed=True)
+            self._log.instantiate(fmu, self._description, eventModeUsed=True)
             if terminal.notify is not None:
                 self._enable_notifications(terminal.notify)
             fmu.enterInitializationMode(startTime=0.0)
@@ -158,7 +161,7 @@ class Node:
     def advance(self, now_ns: int) -> None:
         """Advance the time of the FMU. Raises UnitError."""
         begin_s = self.now_ns / S_NS
-        with self._watch.call(begin_s, self.name):
+        with self._watch.call(begin_s, self.name, log=self._log):
             needs_event, terminates, *_ = self._fmu.doStep(begin_s, (now_ns - self.now_ns) / S_NS)
         self.now_ns = now_ns
         self._needs_event = needs_event
@@ -166,7 +169,7 @@ class Node:
 
     def event(self) -> None:
         """Let the FMU receive and send. Raises UnitError."""
-        with self._watch.call(self.now_ns / S_NS, self.name, "its event"):
+        with self._watch.call(self.now_ns / S_NS, self.name, "its event", self._log):
             self._fmu.enterEventMode()
             self._iterate()
 

@@ -8,6 +8,7 @@ bus instead, and sends and receives the frames of `wsp_interface.rig_objects`.
 Source: FMI 2.0.4 and 3.0.2, co-simulation; FMI-LS-BUS 1.0, bus terminal.
 """
 
+import math
 import re
 import shutil
 import zipfile
@@ -19,6 +20,7 @@ from xml.etree import ElementTree
 from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
+from rollerrig.firmware_sim.fmu import kinds
 from rollerrig.firmware_sim.fmu.ls_bus import MEDIA_TYPE
 from rollerrig.wsp_interface.signals import AXLES
 from rollerrig.wsp_interface.unit_map import mapping
@@ -47,19 +49,23 @@ _TERMINALS = "terminalsAndIcons/terminalsAndIcons.xml"
 
 
 class _SiUnit(NamedTuple):
-    """A unit: its exponents of kilogram, metre and second. Angles have none."""
+    """A unit: its exponents of kilogram, metre, second and radian.
+
+    The radian counts: 1 rad/s is no hertz, which is 2 pi rad/s for a rotation.
+    """
 
     name: str
     kg: int
     m: int
     s: int
+    rad: int
 
 
 # by the first word of a quantity
 _SI_UNITS = {
-    "measured": _SiUnit("rad/s", 0, 0, -1),
-    "cylinder": _SiUnit("Pa", 1, -1, -2),
-    "reference": _SiUnit("m/s", 0, 1, -1),
+    "measured": _SiUnit("rad/s", 0, 0, -1, 1),
+    "cylinder": _SiUnit("Pa", 1, -1, -2, 0),
+    "reference": _SiUnit("m/s", 0, 1, -1, 0),
 }
 
 
@@ -194,8 +200,8 @@ def examine(
         problem = Finding(
             name="co-simulation",
             fits=False,
-            found="has none, only model exchange",
-            mend="export it for co-simulation, because the rig has no solver",
+            found=f"has none, only {kinds.interfaces(description)}",
+            mend="export it for co-simulation, because the rig has no solver and runs no scheduler",
         )
         return None, [*findings, problem]
 
@@ -238,6 +244,12 @@ def library() -> Any:
     except ImportError:
         raise ConfigError("FMUs need the extra: pip install 'rollerrig[fmu]'") from None
     return fmpy
+
+
+def description_of(path: Path) -> Any:
+    """Return the description of an FMU, as FMPy has it. Raises ConfigError if it is unreadable."""
+    description, _ = _read(path)
+    return description
 
 
 def _read(path: Path) -> tuple[Any, str]:
@@ -491,7 +503,7 @@ def _ports(
 
     `mapped`: the names come from a mapping, which also gives the scales.
     """
-    variables = {variable.name: variable for variable in description.modelVariables}
+    variables = kinds.by_name(description)
     inputs: list[Port] = []
     outputs: list[Port] = []
     findings: list[Finding] = []
@@ -507,6 +519,16 @@ def _ports(
         findings.append(finding)
 
     used_names = {wanted.name for wanted in all_wanted}
+    aliases = [
+        f"{name} is an alias of {original}" for name, original in _aliases(description, used_names)
+    ]
+    if aliases:
+        findings.append(Finding("aliases", True, ", ".join(aliases)))
+    used_names |= {original for _, original in _aliases(description, used_names)}
+    if not all(finding.fits for finding in findings):
+        for name, kind in kinds.unfit_variables(description):
+            if name not in used_names:
+                findings.append(Finding(name, True, f"{kind}, which the rig does not exchange"))
     unused = [
         variable.name
         for variable in description.modelVariables
@@ -517,6 +539,12 @@ def _ports(
             Finding("other inputs", True, f"{', '.join(unused)}: keep their start values")
         )
     return tuple(inputs), tuple(outputs), findings
+
+
+def _aliases(description: Any, names: set[str]) -> list[tuple[str, str]]:
+    """Return the names that are aliases, each with the variable that has the value."""
+    found = [(name, kinds.is_alias(description, name)) for name in sorted(names)]
+    return [(name, original) for name, original in found if original]
 
 
 def _wanted(names: mapping.FmuMap) -> Iterator[_Wanted]:
@@ -542,13 +570,14 @@ def _missing(description: Any, wanted: _Wanted, mapped: bool) -> Finding:
         name=wanted.name,
         fits=optional,
         found="is missing, and is not needed" if optional else "is missing",
-        mend=f"{_MAP} if it has another name{nearest(wanted.name, others)}",
+        mend=f"{_MAP} if it has another name{nearest(wanted.name, others)}; 'rollerrig check FMU "
+        "--write-map map.toml' writes one to fill in",
     )
 
 
 def _port(description: Any, variable: Any, wanted: _Wanted, mapped: bool) -> tuple[Port, Finding]:
     """Return the port of a variable, and the finding about it."""
-    problem = _wrong_declaration(variable, wanted.causality)
+    problem = _wrong_declaration(description, variable, wanted.causality)
     factor = 1.0
     is_magnet = wanted.quantity.startswith(("hold", "vent"))
     if mapped:
@@ -568,8 +597,13 @@ def _port(description: Any, variable: Any, wanted: _Wanted, mapped: bool) -> tup
     return port, Finding(wanted.name, True, found)
 
 
-def _wrong_declaration(variable: Any, causality: str) -> _Problem | None:
+def _wrong_declaration(description: Any, variable: Any, causality: str) -> _Problem | None:
     """Return what is wrong with the declaration of a variable, apart from its unit."""
+    kind = kinds.unfit_kind(description, variable)
+    if kind:
+        return _Problem(
+            f"is {kind}", "allowed are single numbers and Booleans: one variable for each axle"
+        )
     if variable.causality != causality:
         return _Problem(
             f"is declared as {variable.causality}",
@@ -579,11 +613,6 @@ def _wrong_declaration(variable: Any, causality: str) -> _Problem | None:
         return _Problem(
             f"has the variability {variable.variability}",
             "allowed are continuous and discrete",
-        )
-    if variable.dimensions or variable.type in ("String", "Binary", "Clock", "Enumeration"):
-        kind = "an array" if variable.dimensions else f"of type {variable.type}"
-        return _Problem(
-            f"is {kind}", "allowed are single numbers and Booleans: one variable for each axle"
         )
     return None
 
@@ -611,6 +640,12 @@ def _unit_factor(description: Any, variable: Any, quantity: str) -> float | _Pro
         return 1.0 / float(base.factor)
     if unit is None or (unit == si_unit.name and base is None):
         return 1.0
+    if base is not None and quantity.startswith("measured") and _is_per_second(base):
+        return _Problem(
+            f"has the unit {unit}, which is 1/s without an angle, such as turns in a second",
+            f"declare rad/s, or {_MAP}: factor = {1.0 / math.tau:.6g} for turns in a second, "
+            "factor = 1 where the radian was left out",
+        )
     problem = "which is not a unit of this quantity" if base else "which it does not define"
     radius = " (for m/s the wheel radius in m)" if quantity.startswith("measured") else ""
     return _Problem(
@@ -619,7 +654,13 @@ def _unit_factor(description: Any, variable: Any, quantity: str) -> float | _Pro
     )
 
 
+def _is_per_second(base: Any) -> bool:
+    """Return whether a base unit is that of a frequency."""
+    return _has_dimension(base, _SiUnit("Hz", 0, 0, -1, 0))
+
+
 def _has_dimension(base: Any, si_unit: _SiUnit) -> bool:
     """Return whether the base unit of a definition has the dimension of an SI unit."""
-    same = (base.kg, base.m, base.s) == (si_unit.kg, si_unit.m, si_unit.s)
+    exponents = (base.kg, base.m, base.s, base.rad)
+    same = exponents == (si_unit.kg, si_unit.m, si_unit.s, si_unit.rad)
     return same and not any((base.A, base.K, base.mol, base.cd))

@@ -27,6 +27,7 @@ from rollerrig.configs import unpacking
 from rollerrig.configs.errors import ConfigError, UnitError
 from rollerrig.firmware_sim.fmu import fmu_file
 from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
+from rollerrig.firmware_sim.fmu.fmu_log import FmuLog
 from rollerrig.firmware_sim.wsp import node
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface import rig_objects as rig
@@ -48,6 +49,7 @@ class Watch:
 
     def __init__(self, patience_s: float) -> None:
         self._failure = _failures()
+        self._log: FmuLog | None = None
         self._calls = 0
         self._running = False
         self._name = ""
@@ -57,11 +59,19 @@ class Watch:
             target=self._check, args=(patience_s,), name="step watch", daemon=True
         ).start()
 
-    def call(self, at_s: float, name: str = "the FMU", action: str = "doStep") -> "Watch":
+    def call(
+        self,
+        at_s: float,
+        name: str = "the FMU",
+        action: str = "doStep",
+        log: FmuLog | None = None,
+    ) -> "Watch":
         """Return this watch for a `with` block, which makes a call at a time of the FMU.
 
-        The block raises UnitError if the call fails. `name` and `action` are for messages.
+        The block raises UnitError if the call fails, with the last messages of the log. `name` and
+        `action` are for messages.
         """
+        self._log = log
         self._at_s = at_s
         self._name = name
         self._action = action
@@ -74,7 +84,10 @@ class Watch:
     def __exit__(self, kind: Any, error: BaseException | None, trace: Any) -> None:
         self._running = False
         if isinstance(error, self._failure):
-            raise UnitError(f"{self._name} has failed at {self._at_s:.3f} s: {error}") from None
+            log = self._log.text() if self._log else ""
+            raise UnitError(
+                f"{self._name} has failed at {self._at_s:.3f} s: {error}{log}"
+            ) from None
 
     def _check(self, patience_s: float) -> None:
         """Count for how many checks the same call has been running."""
@@ -97,14 +110,14 @@ class Watch:
 
 
 @contextlib.contextmanager
-def initialisation_of(name: str) -> Iterator[None]:
-    """Raise UnitError for every exception of FMPy in the `with` block."""
+def initialisation_of(name: str, log: FmuLog) -> Iterator[None]:
+    """Raise UnitError for every exception of FMPy in the `with` block, with the FMU's messages."""
     try:
         yield
     except UnitError:
         raise
     except Exception as error:  # FMPy raises plain exceptions
-        raise UnitError(f"{name} cannot be initialised: {error}") from None
+        raise UnitError(f"{name} cannot be initialised: {error}{log.text()}") from None
 
 
 class Fmu:
@@ -120,7 +133,9 @@ class Fmu:
         self._period_s = checked.period_s
         self._steps = 0
         self._begun = False
+        self._description = checked.description
         self._fmu = open_fmu(checked, folder)
+        self._log = FmuLog()
         self._values = np.zeros(len(SOURCES))  # of the input frames, in SI units
         self._scales = np.array([scale for layout in self.hears for scale in layout.scales])
         self._inputs = _by_type(checked.inputs)
@@ -130,11 +145,11 @@ class Fmu:
     def begin(self) -> None:
         fmu = self._fmu
         self._steps = 0
-        with initialisation_of("the FMU"):
+        with initialisation_of("the FMU", self._log):
             if self._begun:
                 fmu.reset()
             else:
-                fmu.instantiate()
+                self._log.instantiate(fmu, self._description)
             self._begun = True
             if hasattr(fmu, "setupExperiment"):
                 # FMI 2
@@ -183,7 +198,7 @@ class Fmu:
         Inputs and outputs are in SI units, by quantity. Raises UnitError.
         """
         time_s = self._steps * self._period_s
-        with self._watch.call(time_s):
+        with self._watch.call(time_s, log=self._log):
             if inputs:
                 self._set_inputs(inputs)
             step_result = self._fmu.doStep(time_s, self._period_s)

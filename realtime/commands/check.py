@@ -96,6 +96,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     wsp.map_argument(parser)
     parser.add_argument(
+        "--write-map",
+        type=Path,
+        metavar="FILE",
+        help="with an FMU whose variables have other names: write a proposal for --unit-map to "
+        "correct, with all inputs and outputs of the FMU in its comments",
+    )
+    parser.add_argument(
         "--step",
         type=float,
         default=0.01,
@@ -116,6 +123,8 @@ def call(options: argparse.Namespace) -> int:
 
     Raises ConfigError for a port that cannot exist.
     """
+    if options.write_map:
+        return _write_map(options)
     if options.fmu:
         findings = check_fmu(options.fmu, options.unit_map, options.step)
         return show(options, findings, f"{options.fmu.name}: whether it fits the rig")
@@ -124,6 +133,28 @@ def call(options: argparse.Namespace) -> int:
             f"--port {options.port}: allowed are numbers from 0 (any free port) to {_HIGHEST_PORT}"
         )
     return show(options, check_machine(options.port))
+
+
+def _write_map(options: argparse.Namespace) -> int:
+    """Write a proposal of a mapping for an FMU. Returns PASS. Raises ConfigError."""
+    from rollerrig.firmware_sim.fmu import map_skeleton
+
+    if not options.fmu:
+        raise ConfigError("--write-map needs an FMU: rollerrig check unit.fmu --write-map map.toml")
+    if options.write_map.exists():
+        raise ConfigError(
+            f"--write-map {options.write_map}: exists; remove it, or give another file"
+        )
+    unknown = map_skeleton.write(options.fmu, options.write_map)
+    todo = "check its names and factors"
+    if unknown:
+        todo = f"{unknown} names were not recognised (?): fill them in, and check the factors"
+    return output.show(
+        options,
+        {"file": str(options.write_map), "unknown": unknown},
+        f"{options.write_map}: {todo}; then 'rollerrig check {options.fmu} --unit-map "
+        f"{options.write_map}'",
+    )
 
 
 def show(

@@ -258,7 +258,7 @@ def test_killing_the_reference_unit_in_lockstep_stops_the_run_with_a_report(tmp_
     os.kill(bench.child("wsp"), signal.SIGKILL)
     bench.finish()
 
-    failed(bench, "the reference WSP unit exited with status -9", "wsp.log")
+    failed(bench, "the reference WSP unit was killed (signal 9, SIGKILL)", "wsp.log")
     assert len(bench.record.table) > 50
 
 
@@ -390,8 +390,10 @@ def test_a_recorder_that_is_killed_is_an_event_and_its_files_are_readable(tmp_pa
 
     assert bench.status == 4, bench.stderr
     assert "Traceback" not in bench.stderr
-    assert bench.result["invalid_because"][0].startswith("the recorder exited with status -9")
-    assert "the recorder exited with status -9" in bench.stderr
+    assert bench.result["invalid_because"][0].startswith(
+        "the recorder was killed (signal 9, SIGKILL)"
+    )
+    assert "the recorder was killed (signal 9, SIGKILL)" in bench.stderr
     assert bench.result["loop"]["ticks"] == 3000
     assert Code.RECORDER_ENDED in [event["code"] for event in bench.result["events"]]
     assert 1.0 <= bench.record.column("time_s")[-1] < 3.0

@@ -55,12 +55,12 @@ def test_a_can_node_of_an_fmu_that_crashes_is_a_unit_that_died_and_the_record_is
     run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}")
     assert run.status == 2
     assert (
-        "the WSP unit wsp.fmu exited with status -11; its last words: the next step crashes"
+        "the WSP unit wsp.fmu crashed (signal 11, SIGSEGV); its last words: the next step crashes"
         in run.stderr
     )
     assert "Traceback" not in run.stderr + said(run)
     (failed,) = run.reported(Code.RUN_FAILED)
-    assert "the WSP unit wsp.fmu exited with status -11" in failed.fields["reason"]
+    assert "the WSP unit wsp.fmu crashed (signal 11, SIGSEGV)" in failed.fields["reason"]
     assert len(run.record.column("time_s")) > 45
     assert not json.loads((run.out / "summary.json").read_text())["valid"]
 

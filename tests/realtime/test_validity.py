@@ -105,7 +105,7 @@ def test_a_units_process_that_exits_in_real_time_makes_the_run_not_valid(tmp_pat
     os.kill(bench.child("wsp"), signal.SIGKILL)
     bench.finish()
 
-    recorded = not_valid(bench, "the reference WSP unit exited with status -9", ", at ")
+    recorded = not_valid(bench, "the reference WSP unit was killed (signal 9, SIGKILL)", ", at ")
     assert recorded["stopped"]
     reasons = recorded["invalid_because"]
     assert any("was lost 1 time (no heartbeat)" in reason for reason in reasons)

@@ -7,7 +7,6 @@ not even its name, becomes part of a program.
 import re
 import shutil
 import subprocess
-import sys
 import tempfile
 import zipfile
 from importlib import metadata
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, write_bytes, writing
+from rollerrig.configs.processes import children
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.rig_fmu import description, rig
 from rollerrig.realtime.bench.scenario import Scenario
@@ -60,7 +60,7 @@ def write(plan: Scenario, out: Path) -> int:
         files["sources/buildDescription.xml"] = _build_description()
         files[f"resources/{rig.SCENARIO}"] = scenario_text.encode()
         files[f"resources/{rig.NAME}"] = model.encode()
-        files[f"resources/{_PYTHON}"] = f"{sys.executable}\n".encode()
+        files[f"resources/{_PYTHON}"] = f"{children.interpreter()}\n".encode()
         archive = folder / "rig.fmu"
         _pack(files, archive)
         make_folder(out.parent)

@@ -156,11 +156,17 @@ static void act(Wsp *w, int j, int event)
     w->hold_age[j] = magnets == 0 ? 0.0 : w->hold_age[j] + (w->vent[j] == 0);
 }
 
+/* its log is the one of the last instance */
+static void complain(void);
+
 static int step(Wsp *w)
 {
     long counts[4];
 #ifdef FAIL_AT_S
-    if (w->time > FAIL_AT_S) return 3;
+    if (w->time > FAIL_AT_S) {
+        complain();
+        return 3;
+    }
 #endif
 #ifdef HANG_AT_S
     while (w->time > HANG_AT_S) { }
@@ -187,14 +193,21 @@ static int valve(const Wsp *w, unsigned vr) { return vr < 12 ? w->hold[vr - 8] :
 
 #ifdef LS_BUS
 #include "can_node.c"
+static void complain(void) {}
 #elif defined(FMI2)
 #include "fmi2Functions.h"
+static const fmi2CallbackFunctions *callbacks;
+static void complain(void)
+{
+    callbacks->logger(callbacks->componentEnvironment, "wsp", fmi2Error, "logStatusError", "wheel %d of %s is lost", 3, "the WSP");
+}
 #define EACH for (size_t i = 0; i < n; i++)
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
 const char *fmi2GetVersion(void) { return fmi2Version; }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
                               const fmi2CallbackFunctions *call, fmi2Boolean visible, fmi2Boolean logging)
 {
+    callbacks = call;
     call->logger(call->componentEnvironment, name, fmi2OK, "logAll", "%s of the FMU is there", "the WSP");
     return calloc(1, sizeof(Wsp));
 }
@@ -210,12 +223,20 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real dt, fmi2Boolean k) { return step(c); }
 #else
 #include "fmi3Functions.h"
+static fmi3InstanceEnvironment log_environment;
+static fmi3LogMessageCallback log_message;
+static void complain(void)
+{
+    log_message(log_environment, fmi3Error, "logStatusError", "wheel 3 of the WSP is lost");
+}
 #define EACH for (size_t i = 0; i < n; i++)
 const char *fmi3GetVersion(void) { return fmi3Version; }
 fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String token, fmi3String resources, fmi3Boolean visible,
     fmi3Boolean logging, fmi3Boolean event, fmi3Boolean early, const fmi3ValueReference needed[], size_t n,
     fmi3InstanceEnvironment env, fmi3LogMessageCallback log, fmi3IntermediateUpdateCallback update)
 {
+    log_environment = env;
+    log_message = log;
     log(env, fmi3OK, "logAll", "the WSP of the FMU is there");
     return calloc(1, sizeof(Wsp));
 }
