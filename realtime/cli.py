@@ -35,6 +35,7 @@ from rollerrig.realtime.commands import (
     tuning,
     wsp,
 )
+from rollerrig.realtime.commands.datasets import importing
 from rollerrig.realtime.commands.evidence import etcs, programme
 
 # exit statuses
@@ -106,8 +107,15 @@ VERBS = (
         "export",
         results.export_arguments,
         results.export,
-        "write a run as MDF4, MAT or CSV: all channels with units, and events",
+        "write runs as MDF4, MAT or CSV with all channels and events, or as one dataset",
         "rollerrig export runs/demo --format csv --out demo.csv",
+    ),
+    Verb(
+        "import",
+        importing.arguments,
+        importing.call,
+        "make a dataset of the files of a logger: propose what each column is, ask, write it",
+        "rollerrig import docs/examples/import/fahrt_1.csv --out datasets/fahrten",
     ),
     Verb(
         "export-fmu",

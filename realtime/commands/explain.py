@@ -15,10 +15,6 @@ if TYPE_CHECKING:
     from rollerrig.rig.identify.data.runs import Dataset
     from rollerrig.rig.identify.decide.decision import Diagnosis
 
-# run folders are used down to this speed: creepage grows without bound as the speed falls to 0
-SLOWEST_M_S = 4.0
-# of the run folders, one in so many is never fitted unless --validate names others
-RUNS_FOR_ONE_HELD_OUT = 3
 # a step whose share falls below this has begun again
 STEP_BEGINS = 0.03
 
@@ -128,25 +124,9 @@ def _open_dataset(given: argparse.Namespace) -> "tuple[Dataset, Path]":
         )
 
     def dataset_of_runs(runs: list[Path], folder: Path) -> "Dataset":
-        return _dataset_of_runs(runs, given.validate, folder)
+        return study.dataset_of_runs(runs, given.validate, folder)
 
     return study.open_dataset(given.dataset, given.out, "explain", dataset_of_runs)
-
-
-def _dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "Dataset":
-    """Write and return a dataset of run folders; without `validate` the last third validates."""
-    from rollerrig.realtime.datasets import run_dataset, run_sensors
-    from rollerrig.rig.identify.data import dataset
-
-    fitted = runs
-    held_out = validate
-    if not validate:
-        first_held_out = len(runs) - len(runs) // RUNS_FOR_ONE_HELD_OUT
-        fitted = runs[:first_held_out]
-        held_out = runs[first_held_out:]
-    written = run_dataset.from_folders(fitted, folder, held_out, run_sensors.NOISE, SLOWEST_M_S)
-    name = ", ".join(run.resolve().name for run in (*fitted, *held_out))
-    return dataset.load(written)._replace(name=name)
 
 
 # --- output ---

@@ -19,6 +19,7 @@ from rollerrig.realtime import standard_streams
 # exit statuses of the command line that several verbs return
 PASS = 0
 FAILED = 1
+USAGE = 2
 INVALID = 4
 
 # a little less than 5 s, so that a busy machine, too, prints a line every five seconds

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from rollerrig.realtime.record.compare import Difference
     from rollerrig.realtime.record.records import Run
 
+DATASET = "dataset"  # a format of `export`
 # rows of the table of differences; --json has all of them
 _TABLE_ROWS = 12
 _THIRDS = ("first third", "second third", "last third")
@@ -210,49 +211,89 @@ def _picture_size(text: str) -> tuple[int, int]:
 
 def export_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `rollerrig export`."""
-    parser.add_argument("run", type=Path, help="folder of a run")
+    parser.add_argument("run", nargs="+", type=Path, help="folders of runs")
     parser.add_argument(
         "--format",
         required=True,
         metavar="FORMAT",
-        help="mdf4, mat, csv, or svg: a picture of the stop",
+        help="mdf4, mat, csv, svg: a picture of the stop, or dataset: one dataset of all runs, as "
+        "their sensors measure them, for 'rollerrig explain'",
     )
     parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help="the file to write (default: in the folder of the run, with the name of the folder)",
+        help="the file to write, or the folder of the dataset (default: in the folder of each run, "
+        "with the name of the folder; a dataset needs --out)",
     )
 
 
 def export(options: argparse.Namespace) -> int:
-    """Write a run in the format of another program. Returns PASS."""
+    """Write runs in the format of another program, or as a dataset. Returns PASS."""
+    if options.format == DATASET:
+        return _export_dataset(options)
+
     from rollerrig.realtime.record import export as formats
     from rollerrig.realtime.record import records
     from rollerrig.realtime.reports import stop
 
-    run = records.load(options.run)
-    out = options.out
-    if not out:
+    if options.out and len(options.run) > 1:
+        raise ConfigError(
+            f"--out {options.out}: is one file, but {len(options.run)} runs are given; leave --out "
+            "out, so that each run gets its file in its folder"
+        )
+    files: list[Path] = []
+    samples = 0
+    events = 0
+    channels = 0
+    for folder in options.run:
+        run = records.load(folder)
         suffix = formats.SUFFIX.get(options.format, "")
-        out = options.run / f"{options.run.resolve().name}{suffix}"
-    files = formats.write(run, options.format, out, {"svg": stop.write})
-
-    samples = len(run.table)
-    channels = len(run.table.column_names)
-    events = len(run.events)
+        out = options.out or folder / f"{folder.resolve().name}{suffix}"
+        files += formats.write(run, options.format, out, {"svg": stop.write})
+        samples += len(run.table)
+        events += len(run.events)
+        channels = max(channels, len(run.table.column_names))
     result = {
         "files": [str(file) for file in files],
         "samples": samples,
         "channels": channels,
         "events": events,
-        "warnings": records.not_valid([options.run]),
+        "warnings": records.not_valid(options.run),
     }
     names = ", ".join(map(str, files))
     return output.show(
         options,
         result,
         f"{samples} samples of {channels} channels and {events} events in {names}",
+    )
+
+
+def _export_dataset(options: argparse.Namespace) -> int:
+    """Write a dataset of runs. Returns PASS."""
+    from rollerrig.realtime.commands import study
+
+    if options.out is None:
+        raise ConfigError("--format dataset needs the folder of the dataset: --out DATASET")
+    if (options.out / "dataset.toml").exists():
+        raise ConfigError(
+            f"{options.out / 'dataset.toml'}: is there already; give another folder with --out, or "
+            "remove it"
+        )
+    with output.report_progress(lambda: f"writing {options.out}"):
+        data = study.dataset_of_runs(options.run, [], options.out)
+    validated = [run.name for run in data.group("validate")]
+    result = {
+        "dataset": str(options.out),
+        "runs": [run.name for run in data.runs],
+        "validate": validated,
+        "warnings": data.warnings,
+    }
+    return output.show(
+        options,
+        result,
+        f"{options.out}: {len(data.runs)} runs, {len(validated)} of them only to validate; next: "
+        f"rollerrig explain {options.out}",
     )
 
 

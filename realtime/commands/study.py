@@ -16,6 +16,11 @@ if TYPE_CHECKING:
     from rollerrig.realtime.reports.study import StudyReport
     from rollerrig.rig.identify.data.runs import Dataset
 
+# run folders are used down to this speed: creepage grows without bound as the speed falls to 0
+SLOWEST_M_S = 4.0
+# of the run folders, one in so many is never fitted unless --validate names others
+RUNS_FOR_ONE_HELD_OUT = 3
+
 
 def open_dataset(
     names: list[str],
@@ -48,6 +53,22 @@ def open_dataset(
             f"{', '.join(names)}: several names must all be run folders; give one dataset, or only run folders"
         )
     return dataset.load(names[0]), folder
+
+
+def dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "Dataset":
+    """Write and return a dataset of run folders; without `validate` the last third validates."""
+    from rollerrig.realtime.datasets import run_dataset, run_sensors
+    from rollerrig.rig.identify.data import dataset
+
+    fitted = runs
+    held_out = validate
+    if not validate:
+        first_held_out = len(runs) - len(runs) // RUNS_FOR_ONE_HELD_OUT
+        fitted = runs[:first_held_out]
+        held_out = runs[first_held_out:]
+    written = run_dataset.from_folders(fitted, folder, held_out, run_sensors.NOISE, SLOWEST_M_S)
+    name = ", ".join(run.resolve().name for run in (*fitted, *held_out))
+    return dataset.load(written)._replace(name=name)
 
 
 def report_folder(names: list[str], out: Path | None, verb: str) -> Path:

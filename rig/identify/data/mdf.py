@@ -11,6 +11,7 @@ Python, so a file could run code. Formulas that are more than arithmetic are ref
 Source of the format: ASAM MDF 4.1.
 """
 
+import contextlib
 import math
 import mmap
 import re
@@ -57,6 +58,7 @@ _LONGEST_FORMULA = 200
 # nothing here needs the frames of a bus logger, and to read them asammdf would convert channels
 _WITHOUT_FRAMES: Any = {"process_bus_logging": False}
 _SHOWN_OF_FORMULA = 60
+_LISTED_SAMPLES = 1000  # of a channel that is listed
 _LEAST_SAMPLES = 4  # a cubic spline needs them
 _LONGEST_STEP = 1.5  # times the typical step; a longer one is a gap
 
@@ -138,28 +140,11 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
 
     Raises ConfigError where the file cannot be read or has none of the channels.
     """
-    try:
-        from asammdf import MDF
-    except ImportError:
-        raise ConfigError(
-            f"{path}: MDF files need the package asammdf, which is not installed; install the extra: "
-            "pip install 'rollerrig[mdf]'"
-        ) from None
-    _check_blocks(path)
-
-    repeated = []
     signals = {}
-    try:
-        with MDF(path, **_WITHOUT_FRAMES) as file:
-            _check_size(path, file.groups)
-            _refuse_code(file, path)
-            repeated = [name for name in names if len(file.channels_db.get(name, ())) > 1]
-            if not repeated:
-                signals = {name: file.get(name) for name in names if name in file.channels_db}
-    except ConfigError:
-        raise
-    except Exception as error:  # the parser of asammdf raises many types
-        raise ConfigError(f"{path}: cannot be read as MDF: {error}") from None
+    with _opened(path) as file:
+        repeated = [name for name in names if len(file.channels_db.get(name, ())) > 1]
+        if not repeated:
+            signals = {name: file.get(name) for name in names if name in file.channels_db}
     if repeated:
         raise ConfigError(
             f"{path}: channel '{repeated[0]}' is there more than once; give each channel a different "
@@ -171,6 +156,58 @@ def channels(path: Path, names: tuple[str, ...]) -> dict[str, Any]:
             "described in the README"
         )
     return signals
+
+
+class Listed(NamedTuple):
+    """A channel of a file: its name, its unit or "", and its first values, NaN if it is text."""
+
+    name: str
+    unit: str
+    numbers: np.ndarray
+
+
+def listed(path: Path) -> list[Listed]:
+    """Return the channels of a file that have a name of their own, without those of time.
+
+    Raises ConfigError where the file cannot be read.
+    """
+    with _opened(path) as file:
+        channels_of_file = []
+        for name, places in file.channels_db.items():
+            group, index = places[0]
+            if len(places) > 1 or file.masters_db.get(group) == index:
+                continue
+            signal = file.get(name, record_count=_LISTED_SAMPLES)
+            numbers = np.full(len(signal.samples), np.nan)
+            if signal.samples.ndim == 1 and signal.samples.dtype.kind in "biuf":
+                numbers = np.asarray(signal.samples, float)
+            channels_of_file.append(Listed(name, str(signal.unit or "").strip(), numbers))
+    return channels_of_file
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[Any]:
+    """Yield a file of asammdf after all checks.
+
+    Raises ConfigError if the file cannot be read, also inside the block.
+    """
+    try:
+        from asammdf import MDF
+    except ImportError:
+        raise ConfigError(
+            f"{path}: MDF files need the package asammdf, which is not installed; install the extra: "
+            "pip install 'rollerrig[mdf]'"
+        ) from None
+    _check_blocks(path)
+    try:
+        with MDF(path, **_WITHOUT_FRAMES) as file:
+            _check_size(path, file.groups)
+            _refuse_code(file, path)
+            yield file
+    except ConfigError:
+        raise
+    except Exception as error:  # the parser of asammdf raises many types
+        raise ConfigError(f"{path}: cannot be read as MDF: {error}") from None
 
 
 def _check_blocks(path: Path) -> None:

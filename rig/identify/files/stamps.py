@@ -177,6 +177,25 @@ def even_stamps(path: Path, stamps: Stamps, name: str) -> Stamps:
 # --- text ---
 
 
+def holds_dates(values: pa.ChunkedArray) -> bool:
+    """Return whether a column has date and time, as a type or as text in all its values."""
+    types = pa.types
+    if types.is_timestamp(values.type) or types.is_time(values.type):
+        return True
+    if not (types.is_string(values.type) or types.is_large_string(values.type)):
+        return False
+    texts = [text for text in values.to_pylist() if text]
+    return bool(texts) and all(map(is_text_stamp, texts))
+
+
+def numbers_or_nan(values: pa.ChunkedArray) -> np.ndarray:
+    """Return a column as numbers (n,); all are NaN if it is text."""
+    try:
+        return np.asarray(values.cast(pa.float64(), safe=False).to_numpy(), float)
+    except (pa.ArrowInvalid, pa.ArrowNotImplementedError):
+        return np.full(len(values), np.nan)
+
+
 def is_text_stamp(text: str) -> bool:
     """Return whether a text has one of the forms of stamps with a time."""
     text = text.strip()

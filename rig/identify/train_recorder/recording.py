@@ -294,6 +294,11 @@ def _read_runs(place: Path, path: Path, run_tables: Any) -> list[dict[str, Any]]
     return rows
 
 
+def is_key(key: str) -> bool:
+    """Return whether a channel of a recorder can have this key."""
+    return _parse_key(key) is not None
+
+
 def _parse_key(key: str) -> _Key | None:
     """Return the parts of a channel's key; None for any other key."""
     for kind in KEYS:
