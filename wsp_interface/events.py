@@ -228,8 +228,8 @@ TABLE: dict[Code, Row] = {
         {"axle": int, "sliding_m_s": float, "speed_m_s": float},
         "the dump valve of axle {axle} vents at {speed_m_s:km/h}, although the axle does not slide "
         "(sliding {sliding_m_s:.2f} m/s)",
-        "check the speed sensor of the axle, the wheel diameters in the unit and its thresholds; "
-        "further vents of this axle are counted by the measure vents_without_sliding",
+        "check the sensor of the axle, and diameters and thresholds in the unit; further vents are "
+        "only counted (vents_without_sliding)",
     ),
     Code.WSP_AXLES_SWAPPED: Row(
         WARNING,

@@ -217,8 +217,11 @@ class Parts:
             self._check_master(self.bus)
 
     def diagnose(self) -> None:
-        """Look at what the run shows of the unit; call it once a bus cycle."""
-        if self.options.unit == "none":
+        """Look at what the run shows of the unit; call it once a bus cycle.
+
+        Events of a sealed rig do not show what it hides, for example swapped axles.
+        """
+        if self.options.unit == "none" or self.plan["sealed"]:
             return
         mailbox.fetch(self.data.published, self.row)
         self.diagnosis.look(_sample(self.row))

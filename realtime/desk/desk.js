@@ -25,6 +25,12 @@ const SLOW_MOTION = 20;
 const LANES_LEFT = 56;
 const LANES_RIGHT = 14;
 const LANE_GAP = 4;
+
+// the names of fault marks: rows, and their height
+const MARK_ROWS = 5;
+const MARK_ROW_PX = 14;
+
+// the height of a lane by the state of its valve: fill, hold, vent
 const LANE_SHARES = [0.25, 0.6, 1];
 
 // the picture of the coach, in units of its view box
@@ -44,10 +50,10 @@ function kilometresPerHour(speed_m_s) {
   return 3.6 * speed_m_s;
 }
 
-// Returns a number that is not less, of the form 1, 2, 2.5 or 5 times a power of ten.
+// Returns a round number that is not less.
 function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));
-  const step = [1, 2, 2.5, 5, 10].find((candidate) => candidate * power >= value * (1 - 1e-9));
+  const step = [1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10].find((candidate) => candidate * power >= value * (1 - 1e-9));
   return step * power;
 }
 
@@ -189,15 +195,21 @@ window.desk = {
   // Returns the vertical lines where faults began (dashed) and were lifted (dotted).
   faultLines(begin, end, named) {
     const shown = this.marks.filter(([time]) => time >= begin && time <= end);
-    const data = shown.map(([time, name, begins]) => ({
+    const data = shown.map(([time, name, begins], index) => ({
       xAxis: time,
       lineStyle: { color: this.settings.mark, type: begins ? "dashed" : "dotted", width: 1.5 },
       label: {
         show: named,
         formatter: begins ? name : `${name} lifted`,
-        position: "insideEndTop",
+        // beside the line; the names of neighbours are on different heights
+        position: "insideEnd",
+        rotate: 0,
+        align: time > (begin + end) / 2 ? "right" : "left",
+        verticalAlign: "top",
+        offset: [time > (begin + end) / 2 ? -4 : 4, MARK_ROW_PX * (index % MARK_ROWS)],
         color: this.settings.mark,
-        fontSize: 10,
+        backgroundColor: "#181b1fcc",
+        fontSize: 11,
       },
     }));
     return { symbol: "none", silent: true, animation: false, data };

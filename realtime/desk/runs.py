@@ -98,7 +98,7 @@ class _RunTable:
             selection="multiple",
             pagination=15,
         )
-        self.table.classes("w-full").mark("runs")
+        self.table.classes("w-full").props("dense wrap-cells").mark("runs")
         self.table.bind_filter_from(self.filter, "value")
         self.table.add_slot("body-cell-verdict", _VERDICT_CELL)
         self.table.on_select(self.show_note)

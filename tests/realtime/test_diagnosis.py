@@ -4,15 +4,17 @@ the reference unit on the stops of the paper.
 
 import asyncio
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from rollerrig.configs import store
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.bench.bench import Bench
 from rollerrig.realtime.bench.options import Options
-from rollerrig.realtime.record import records
+from rollerrig.realtime.record import records, seal
 from rollerrig.wsp_interface import diagnosis, signals
 from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
 from rollerrig.wsp_interface.events import Code
@@ -112,3 +114,18 @@ def test_a_run_records_each_finding_once(tmp_path, pacing):
     assert (swap.fields["axle"], swap.fields["other"]) == (1, 2)
     assert "swapped" in swap.text
     assert np.isfinite(swap.fields["for_s"])
+
+
+def test_the_events_of_a_sealed_rig_do_not_show_its_swapped_axles(tmp_path):
+    hidden = {"fault": [{"kind": "swapped_axles", "axle": 1, "other": 2}]}
+    file = tmp_path / "sealed.toml"
+    base = Path(store.find("scenarios", "velim_a1")).read_text(encoding="utf-8")
+    sealed = seal.encode(hidden).replace("\n", "")
+    file.write_text(f'sealed = "{sealed}"\n{base}', encoding="utf-8")
+    options = Options(out=tmp_path / "run", pacing="free")
+    asyncio.run(Bench(scenario.load(str(file)), options, lambda progress: None).run())
+    run = records.load(tmp_path / "run")
+    assert [event for event in run.events if event.code in WSP_CODES] == []
+    # the axles are swapped all the same
+    one, _ = diagnosed(records.rows(run.table))
+    assert one.wrong_axle_s > 10.0

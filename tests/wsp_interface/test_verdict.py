@@ -155,3 +155,51 @@ def test_the_worst_verdict_decides_and_no_verdict_is_an_error():
     assert verdict.worst([Result.PASS, Result.ABSENT]) is Result.PASS
     assert verdict.worst([]) is Result.ERROR
     assert verdict.worst([Result.ABSENT]) is Result.ERROR
+
+
+# --- the unit under diagnosis ---
+
+
+def vents_axle_3_in_place_of_axle_2():
+    """Return a stop in which axle 2 slides with its valve on fill, and axle 3 is vented."""
+    record = stop.record()
+    columns = dict(record.columns)
+    columns["valve_3"] = columns["valve_2"]
+    columns["valve_2"] = np.zeros(len(columns["time_s"]))
+    return replace(record, columns=columns)
+
+
+def test_a_vent_of_an_axle_that_slides_is_none_without_sliding():
+    assert of("vents_without_sliding") == 0.0
+    assert of("vented_wrong_axle") == 0.0
+
+
+def test_a_vent_of_a_rolling_axle_counts_and_so_does_its_time_beside_a_sliding_one():
+    record = vents_axle_3_in_place_of_axle_2()
+    assert of("vents_without_sliding", record) == 1.0
+    assert of("vented_wrong_axle", record) == pytest.approx(stop.LOCK_S, abs=0.011)
+
+
+def test_a_reference_speed_drifts_for_the_time_that_it_is_off():
+    assert of("reference_speed_drift") == 0.0
+    record = stop.record()
+    time_s = record.columns["time_s"]
+    off_m_s = np.where((time_s > 4.0) & (time_s < 6.5), 5.0, 0.0)
+    reference_m_s = record.columns["vehicle_speed_m_s"] - off_m_s
+    columns = dict(record.columns) | {"wsp_reference_speed_m_s": reference_m_s}
+    drifting = replace(record, columns=columns)
+    assert of("reference_speed_drift", drifting) == pytest.approx(2.5, abs=0.03)
+
+
+def test_without_a_reference_speed_its_drift_is_not_applicable():
+    record = stop.record(sends_reference=False)
+    assert judged(limit("reference_speed_drift", high=0.0), record).result is Result.ABSENT
+
+
+def test_the_profile_of_the_wiring_passes_a_right_unit_and_fails_a_swapped_one():
+    profile = verdict.load("wiring")
+    right = verdict.judge(profile, stop.record())
+    assert {one.result for one in right} == {Result.PASS}
+    swapped = verdict.judge(profile, vents_axle_3_in_place_of_axle_2())
+    failed = [one.what for one in swapped if one.result is Result.FAIL]
+    assert "vents_without_sliding" in failed
