@@ -13,6 +13,18 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 
 ROOT = Path(__file__).parent
+# what one configuration of a kind is called in messages
+_SINGULAR = {
+    "buses": "bus",
+    "campaigns": "campaign",
+    "criteria": "profile of criteria",
+    "models": "extended model",
+    "rigs": "rig",
+    "scenarios": "scenario",
+    "sequences": "sequence",
+    "vehicles": "vehicle",
+    "wsp": "WSP configuration",
+}
 
 
 def names(kind: str) -> list[str]:
@@ -36,13 +48,15 @@ def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
             # os.path, because Path raises an error for a name that is too long or contains NUL
             if os.path.isfile(candidate):
                 return candidate
-        raise ConfigError(
-            f"{name}: no such file; give a path to a TOML file or one of: {', '.join(names(kind))}"
-        )
+        packaged_names = names(kind)
+        if not packaged_names:
+            raise ConfigError(f"{name}: no such file; give the path of a TOML file")
+        hint = nearest(path.stem, packaged_names, "Packaged")
+        raise ConfigError(f"{name}: no such file{hint}; or give the path of a TOML file")
     packaged = ROOT / kind / f"{name}.toml"
     if not os.path.isfile(packaged):
         raise ConfigError(
-            f"no {kind.rstrip('s')} is called '{name}'{nearest(name, names(kind))}; "
+            f"no {_SINGULAR.get(kind, kind)} is called '{name}'{nearest(name, names(kind))}; "
             "or give the path of a TOML file"
         )
     return packaged

@@ -7,10 +7,16 @@ program is checked like a value from a person.
 
 import difflib
 import math
+import re
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
+
+# least ratio of difflib at which a name is similar to another
+_SIMILAR = 0.6
+# names that a message suggests at most
+_MOST_SIMILAR = 3
 
 
 class Row(NamedTuple):
@@ -71,14 +77,50 @@ def known(given: Any, allowed: Collection[str], where: Callable[[str], str]) -> 
             raise ConfigError(f"{where(key)}: unknown key '{key}'{nearest(key, allowed)}")
 
 
-def nearest(key: str, allowed: Iterable[str]) -> str:
-    """Return the end of a message about an unknown name: the most similar name, and the allowed
-    names.
+def nearest(
+    key: str, allowed: Iterable[str], title: str = "Allowed", others: Iterable[str] = ()
+) -> str:
+    """Return the end of a message about an unknown name: similar names, and the allowed names.
+
+    `title` says what the list of names is. `others` are names that may be meant but are not
+    listed, because there are too many of them.
     """
     names = sorted(allowed)
-    similar = difflib.get_close_matches(key, names, n=1, cutoff=0.6)
-    hint = f"; did you mean '{similar[0]}'?" if similar else "."
-    return f"{hint} Allowed: {', '.join(names)}"
+    meant = similar(key, [*names, *others])
+    hint = "."
+    if meant:
+        quoted = [f"'{name}'" for name in meant]
+        hint = f"; did you mean {' or '.join(quoted)}?"
+    return f"{hint} {title}: {', '.join(names) or 'none'}"
+
+
+def similar(key: str, names: Iterable[str]) -> list[str]:
+    """Return the names that are probably meant by an unknown one, the most probable first.
+
+    A name that differs only in upper and lower case is meant alone. Otherwise the names that
+    contain the key as a word are meant, at most three. Without one, the most similar name is.
+    """
+    candidates = list(names)
+    wanted = key.casefold()
+    equal = [name for name in candidates if name.casefold() == wanted]
+    if equal:
+        return equal[:1]
+
+    # "speed" is in initial_speed_m_s, and "mass_kg" in vehicle.mass_kg
+    as_word = re.compile(rf"(?:^|[._]){re.escape(wanted)}(?:$|[._])")
+    containing = [name for name in candidates if wanted and as_word.search(name.casefold())]
+    if containing:
+        # first the names without a table, then the keys of tables that are the word as a whole
+        by_place = sorted(
+            containing, key=lambda name: ("." in name, not name.casefold().endswith(f".{wanted}"))
+        )
+        return by_place[:_MOST_SIMILAR]
+
+    by_spelling: dict[str, str] = {}
+    for name in candidates:
+        by_spelling.setdefault(name.casefold(), name)
+    close = difflib.get_close_matches(wanted, by_spelling, n=1, cutoff=_SIMILAR)
+    return [by_spelling[name] for name in close]
 
 
 def check(row: Row, value: Any, where: str) -> Any:

@@ -11,14 +11,16 @@ import contextlib
 import importlib
 import json
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from importlib import metadata
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
+from rollerrig.configs.table import similar
 from rollerrig.realtime import standard_streams
 from rollerrig.realtime.commands import (
     bench,
@@ -48,6 +50,39 @@ INVALID = 4  # a run is not valid, or was interrupted
 # characters of a message that are printed
 MESSAGE_BEGIN = 4000
 MESSAGE_END = 1000
+
+
+# option of `rollerrig` for Python: errors are printed as JSON only, and messages name its arguments
+FROM_PYTHON = "--from-python"
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose messages suggest the word that was probably meant.
+
+    raises: whether a wrong command line raises ConfigError instead of ending the process.
+    """
+
+    def __init__(self, *arguments: Any, raises: bool = False, **named: Any) -> None:
+        super().__init__(*arguments, **named)
+        self.raises = raises
+
+    def error(self, message: str) -> NoReturn:
+        """Report a wrong command line: print the usage and exit, or raise ConfigError."""
+        text = message + _suggestion(message)
+        if self.raises:
+            raise ConfigError(text)
+        super().error(text)
+
+
+def _suggestion(message: str) -> str:
+    """Return which choice was probably meant, as the end of a message of argparse."""
+    match = re.search(r"invalid choice: '(.*)' \(choose from (.*)\)$", message)
+    if not match:
+        return ""
+    # newer versions of Python write the choices without quotes
+    choices = [name.strip(" '") for name in match[2].split(",")]
+    meant = similar(match[1], choices)
+    return f"; did you mean '{meant[0]}'?" if meant else ""
 
 
 class Verb(NamedTuple):
@@ -225,12 +260,13 @@ VERBS = (
 )
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the parser of the whole command line."""
-    top = argparse.ArgumentParser(
+def parser(raises: bool = False) -> argparse.ArgumentParser:
+    """Return the parser of the whole command line; `raises` as in `Parser`."""
+    top = Parser(
         prog="rollerrig",
         description="Hardware-in-the-loop roller-rig emulator for railway wheel slide protection.",
         epilog="example: rollerrig run velim_a1 --out runs/a1",
+        raises=raises,
     )
     version = metadata.version("rollerrig")
     top.add_argument("--version", action="version", version=f"rollerrig {version}")
@@ -244,6 +280,7 @@ def parser() -> argparse.ArgumentParser:
             help=verb.summary,
             description=sentence,
             epilog=f"example: {verb.example}",
+            raises=raises,
         )
         verb.arguments(sub)
         sub.add_argument(
@@ -251,6 +288,7 @@ def parser() -> argparse.ArgumentParser:
             action="store_true",
             help="print one JSON object, and nothing else, on standard output",
         )
+        sub.add_argument(FROM_PYTHON, action="store_true", help=argparse.SUPPRESS)
         sub.set_defaults(call=verb.call)
     return top
 
@@ -284,19 +322,30 @@ def _check_names(options: argparse.Namespace) -> None:
                 ) from None
 
 
+def _error_object(error: RollerrigError) -> dict[str, str]:
+    """Return an error for --json: its message, and its kind, which is the name of its class."""
+    return {"error": _shortened(str(error)), "kind": type(error).__name__}
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status."""
     standard_streams.make_harmless()
     if argv is None:
         # this process is the program `rollerrig`, and not a function call in another program
         children.keep_working_folder_out()
-    top = parser()
+    words = sys.argv[1:] if argv is None else list(argv)
+    from_python = FROM_PYTHON in words
+    top = parser(raises=from_python)
 
     # a shell sets this variable when the user presses Tab; argcomplete then exits the process
     if "_ARGCOMPLETE" in os.environ:
         with contextlib.suppress(ImportError):
             importlib.import_module("argcomplete").autocomplete(top)
-    options = top.parse_args(argv)
+    try:
+        options = top.parse_args(words)
+    except ConfigError as error:
+        print(json.dumps(_error_object(error)))
+        return USAGE
 
     # python-can is imported here, before any verb does it, to leave out the slow import of asammdf
     with without("asammdf"):
@@ -306,10 +355,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         _check_names(options)
         return options.call(options)
     except RollerrigError as error:
-        message = _shortened(str(error))
-        print(f"rollerrig {options.verb}: {message}", file=sys.stderr)
+        if not from_python:
+            print(f"rollerrig {options.verb}: {_shortened(str(error))}", file=sys.stderr)
         if options.json:
-            print(json.dumps({"error": message}))
+            print(json.dumps(_error_object(error)))
         return USAGE
     except KeyboardInterrupt:
         print(f"rollerrig {options.verb}: interrupted", file=sys.stderr)

@@ -8,7 +8,6 @@ bench that does not exit is terminated.
 
 import contextlib
 import json
-import shlex
 import subprocess
 import tempfile
 import time
@@ -22,6 +21,7 @@ import tomli_w
 from rollerrig.configs import output_files, store, user_files
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError, UnitError
 from rollerrig.configs.processes import children, exits
+from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.harness_client import Harness
 
@@ -81,6 +81,7 @@ def start(
     scenario: str = "",
     *,
     wsp: str = "reference",
+    unit: str = "",
     pacing: str = "lockstep",
     seed: int = 0,
     arguments: Sequence[str] = (),
@@ -92,12 +93,15 @@ def start(
     folder: for the record of the run.
     scenario: a packaged scenario or a file.
     wsp, pacing, seed: as the options of `rollerrig run`.
+    unit: the command that starts a WSP unit, as in "./unit {host} {port}"; it wins over `wsp`.
     arguments: further options of `rollerrig run`.
     companions: programs that run as long as the bench, such as a unit under test.
     requirements: see `scenario_of`.
 
     Raises RollerrigError.
     """
+    if unit:
+        wsp = unit_choice.check(f"{unit_choice.COMMAND}{unit}")
     # not in the folder of the run: the bench clears that when it begins
     with (
         tempfile.TemporaryDirectory(prefix="rollerrig-") as place,
@@ -228,9 +232,7 @@ def program(command: str, log: Path) -> Companion:
     @contextlib.contextmanager
     def run_program(address: str) -> Iterator[Program]:
         host, port, _ = plugin.parse_address(address)
-        words = [
-            word.format(address=address, host=host, port=port) for word in shlex.split(command)
-        ]
+        words = unit_choice.command_words(command, address, host, port)
         with output_files.create(log) as output:
             process = subprocess.Popen(
                 children.command(*words),

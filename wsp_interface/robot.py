@@ -61,9 +61,10 @@ class Rig:
         wsp: str = "reference",
         pacing: str = "lockstep",
         seed: int = 0,
+        unit: str = "",
     ) -> None:
         """Starts a bench at a speed on an adhesion of configs/adhesion; ``wsp``: reference, none or
-        fmu:FILE.
+        fmu:FILE; ``unit``: the command that starts your unit, as in ``./unit {host} {port}``.
         """
         self.end_bench()
         self._folder = _new_folder()
@@ -72,6 +73,7 @@ class Rig:
             self._folder,
             scenario,
             wsp=wsp,
+            unit=unit,
             pacing=pacing,
             seed=seed,
             initial_speed_m_s=speed_m_s,

@@ -201,12 +201,20 @@ def _exit_if_orphaned() -> None:
 
 def last_line(log: Path) -> str:
     """Return the last line that is not empty in the log of a process, or an empty string."""
+    return last_lines(log, 1)
+
+
+def last_lines(log: Path, most: int = 5) -> str:
+    """Return the last lines that are not empty in the log of a process, in one line of text.
+
+    They are separated by " | ". The text is empty if there are none.
+    """
     with open(log, "rb") as file:
         # a log may be long, and only its end is needed
         file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_LINE))
         lines = file.read(_LONGEST_LINE).decode("utf-8", errors="replace").splitlines()
-    written = [line for line in lines if line.strip()]
-    return written[-1] if written else ""
+    written = [line if most == 1 else line.strip() for line in lines if line.strip()]
+    return " | ".join(written[-most:])
 
 
 def last_words(log: Path) -> str:

@@ -274,6 +274,8 @@ CATALOGUE: tuple[Kind, ...] = (
 )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
 BY_NUMBER = {kind.number: kind for kind in CATALOGUE}
+# the option of the command line that gives a fault
+OPTION = "--fault"
 _SHORT = {"at": "at_s", "for": "for_s"}
 
 
@@ -288,7 +290,7 @@ def make(given: Mapping[str, Any], where: str) -> Fault:
     name = given.pop("kind", None)
     if name not in BY_NAME:
         raise ConfigError(
-            f"{where}: kind = {name!r} is not a fault{table.nearest(str(name), BY_NAME)}"
+            f"{where}: {_missing_kind(name)}{table.nearest(str(name or ''), BY_NAME)}"
         )
     kind = BY_NAME[name]
     read = table.read((*WHEN, *kind.parameters), given, f"{where} {name}")
@@ -297,9 +299,17 @@ def make(given: Mapping[str, Any], where: str) -> Fault:
     return fault
 
 
-def parse(text: str) -> Fault:
-    """A fault from the command line: 'speed_sensor_stuck axle=2 at=5 for=3'. Raises ConfigError."""
-    where = f"--fault '{text}'"
+def _missing_kind(name: Any) -> str:
+    """Return what is wrong with the name of a fault; None or "" if there is no name."""
+    return f"kind = {name!r} is not a fault" if name else "kind, the name of the fault, is missing"
+
+
+def parse(text: str, source: str = OPTION) -> Fault:
+    """A fault from a text: 'speed_sensor_stuck axle=2 at=5 for=3'.
+
+    `source` is what gave the text, for messages. Raises ConfigError.
+    """
+    where = f"{source} '{text}'"
     name, *pairs = text.split() or [""]
     given: dict[str, Any] = {"kind": name}
     for pair in pairs:

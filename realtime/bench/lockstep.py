@@ -118,14 +118,15 @@ async def _await_answer(
     if answer is _Answer.HERE:
         return
     at = f"at {parts.simulated_ns() / clock.SECOND_NS:.3f} s"
+    output = parts.processes.unit_words() if partner is bus.unit_partner else ""
     if answer is _Answer.GONE:
         raise UnitError(
             f"the {name} has closed its connection {at}, before it answered SYNC: its program has "
-            "perhaps failed, look at its output, correct it and run again"
+            f"perhaps failed, look at its output, correct it and run again{output}"
         )
     raise UnitError(
         f"the {name} has not answered SYNC within {wait_s:g} s {at}: in lockstep {rule}; give a "
-        "slower partner more time with --answer-wait"
+        f"slower partner more time with --answer-wait{output}"
     )
 
 
@@ -154,7 +155,7 @@ async def _wait(parts: Parts, bus: RigBus, partner: Partner, wait_s: float) -> _
         if partner.gone and not parts.stopping:
             looks_after_end += 1
             # the exit of a process tells more than the end of its connection
-            may_exit = bus.own_unit and partner is bus.unit_partner
+            may_exit = parts.options.starts_unit and partner is bus.unit_partner
             if not may_exit or looks_after_end > _LOOKS_AFTER_END:
                 return _Answer.GONE
     return _Answer.MISSING

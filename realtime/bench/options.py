@@ -25,7 +25,8 @@ _LOG_OF_RERUN = "warn,re_log_encoding=error"
 class Options(NamedTuple):
     """How a run is run; the scenario says what is run.
 
-    `unit` is reference, external, none, or fmu:FILE with its mapping, several as fmu:FILE,fmu:FILE.
+    `unit` is reference, external, none, or fmu:FILE with its mapping, several as fmu:FILE,fmu:FILE,
+    or command:LINE for a program of the user.
     `recorder` and `waiting_unit` are processes that wait for their arguments.
     """
 
@@ -49,9 +50,19 @@ class Options(NamedTuple):
         return unit_choice.fmus_of(self.unit)
 
     @property
+    def command(self) -> str:
+        """The command line that starts the unit; "" if the unit is no program of the user."""
+        return unit_choice.command_of(self.unit)
+
+    @property
     def own_unit(self) -> bool:
+        """Whether the unit is one of this project's programs, which the bench starts."""
+        return self.unit == "reference" or bool(self.fmus)
+
+    @property
+    def starts_unit(self) -> bool:
         """Whether the bench starts the unit."""
-        return self.unit not in ("external", "none")
+        return self.own_unit or bool(self.command)
 
 
 class Progress(NamedTuple):

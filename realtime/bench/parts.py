@@ -342,7 +342,9 @@ class Parts:
 
         Returns when the recorder is ready, too. Raises UnitError.
         """
-        if self.options.own_unit:
+        if self.options.command:
+            self.processes.start_command(self.place)
+        elif self.options.own_unit:
             self._start_own_unit()
         elif self.options.unit == "external":
             self._report_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")
@@ -390,7 +392,7 @@ class Parts:
             bus,
             is_there,
             f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
-            f"start one ('rollerrig wsp --bus {shlex.quote(self.place)}') or wait longer with --wait",
+            self._remedy_without_unit,
         )
         if not self.stopping:
             self.event(Code.UNIT_READY)
@@ -401,7 +403,20 @@ class Parts:
             bus,
             lambda: bus.harness.joined,
             f"no harness on {self.place}",
-            f"start one ('rollerrig sequence ... --bus {shlex.quote(self.place)}') or run without --harness",
+            lambda: (
+                f"start one ('rollerrig sequence ... --bus {shlex.quote(self.place)}') or run "
+                "without --harness"
+            ),
+        )
+
+    def _remedy_without_unit(self) -> str:
+        """Return what helps if no unit has appeared, as the end of a message."""
+        if not self.options.command:
+            start = f"start one ('rollerrig wsp --bus {shlex.quote(self.place)}')"
+            return f"{start} or wait longer with --wait"
+        return (
+            f"correct the unit '{self.options.command}', or wait longer with --wait"
+            f"{self.processes.unit_words()}"
         )
 
     def _report_waiting(self, awaited: str) -> None:
@@ -410,7 +425,11 @@ class Parts:
             self.report(json.dumps({"waiting_for": awaited, "address": self.place}))
 
     async def _await(
-        self, bus: rig_bus.RigBus, is_there: Callable[[], bool], missing: str, remedy: str
+        self,
+        bus: rig_bus.RigBus,
+        is_there: Callable[[], bool],
+        missing: str,
+        remedy: Callable[[], str],
     ) -> None:
         """Poll the bus until `is_there()`. Raises UnitError when the time for it is over."""
         starting = bus.own_unit and bus.master.unit.state is None
@@ -421,6 +440,6 @@ class Parts:
             if is_there():
                 return
             if time.monotonic() > deadline_s:
-                raise UnitError(f"{missing} within {self.options.unit_wait_s:g} s; {remedy}")
+                raise UnitError(f"{missing} within {self.options.unit_wait_s:g} s; {remedy()}")
             self.processes.watch(starting=True)
             await asyncio.sleep(_POLL_S)

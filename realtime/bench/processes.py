@@ -1,6 +1,7 @@
 """The processes of a run besides the bench: recorder, live view and WSP unit, and how they exit."""
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -23,7 +24,8 @@ from rollerrig.realtime.bench.options import (
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import run_folder
-from rollerrig.wsp_interface import events
+from rollerrig.wsp_interface import events, unit_choice
+from rollerrig.wsp_interface.bus import plugin
 from rollerrig.wsp_interface.events import Code, OnEvent
 
 Process = subprocess.Popen[bytes]
@@ -122,6 +124,37 @@ class Processes:
                 env=environment,
             )
 
+    def start_command(self, place: str) -> None:
+        """Start the unit that is a program of the user, on the bus at an address.
+
+        Its output goes into the log of the unit. Raises ConfigError if the command is wrong.
+        """
+        host, port = "", 0
+        with contextlib.suppress(ValueError):  # a CAN interface has neither
+            host, port, _ = plugin.parse_address(place)
+        words = unit_choice.command_words(self.options.command, place, host, port)
+        with writing(self.options.out), create(self.options.out / run_folder.UNIT_LOG) as log:
+            self.unit = subprocess.Popen(
+                children.command(*words, by=signal.SIGKILL),
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
+                start_new_session=True,
+                env=children.users_environment(),
+            )
+
+    def unit_words(self) -> str:
+        """Return the last lines of a unit that is a program of the user, as the end of a message.
+
+        Empty for another unit.
+        """
+        if not self.options.command:
+            return ""
+        log = self.options.out / run_folder.UNIT_LOG
+        lines = children.last_lines(log)
+        output = f"its last lines: {lines}" if lines else "it has printed nothing"
+        return f"; {output} ({log})"
+
     def _fmu_arguments(self, sync_period_s: float, bitrate: int) -> list[str]:
         words = [
             "--step",
@@ -167,16 +200,25 @@ class Processes:
         if process is None:
             return
         log = self.options.out / run_folder.UNIT_LOG
-        names = ", ".join(fmu.name for fmu in self.options.fmus)
         exited = {
-            "unit": f"WSP unit {names}" if names else "reference WSP unit",
+            "unit": self._unit_name,
             "status": process.returncode,
-            "last_words": children.last_line(log) or None,
+            "last_words": children.last_lines(log) if self.options.command else None,
             "log": str(log),
         }
+        if not self.options.command:
+            exited["last_words"] = children.last_line(log) or None
         if starting:
             raise UnitError(events.text(Code.UNIT_ENDED, exited))
         self.on_event(Code.UNIT_ENDED, **exited)
+
+    @property
+    def _unit_name(self) -> str:
+        """What events call the unit."""
+        if self.options.command:
+            return f"WSP unit '{self.options.command}'"
+        names = ", ".join(fmu.name for fmu in self.options.fmus)
+        return f"WSP unit {names}" if names else "reference WSP unit"
 
     def _newly_exited(self, process: Process | None) -> Process | None:
         """Return the process if it has exited since the last call."""
@@ -186,8 +228,11 @@ class Processes:
         return process
 
     def freeze(self, on: bool) -> bool:
-        """Stop the process of the bench's unit, or let it continue; False where there is none."""
-        if self.unit is None or not _runs(self.unit):
+        """Stop the process of the bench's unit, or let it continue; False where there is none.
+
+        A program of the user is not stopped: it may consist of several processes.
+        """
+        if self.unit is None or not _runs(self.unit) or self.options.command:
             return False
         self.unit.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
         return True
@@ -196,7 +241,9 @@ class Processes:
         """Wait for the unit, which exits when its bus is gone; terminate it if it does not."""
         self.freeze(False)  # a stopped process would not notice the end of its bus
         await _wait_for_exit(self.unit, _UNIT_S)
-        if self.unit is not None and _runs(self.unit):
+        if self.options.command and self.unit is not None:
+            await _end_session(self.unit)
+        elif self.unit is not None and _runs(self.unit):
             self.unit.terminate()
             self.unit.wait(_KILL_S)
         if self._scratch:
@@ -216,6 +263,15 @@ class Processes:
 
 def _runs(process: Process | None) -> bool:
     return process is not None and process.poll() is None
+
+
+async def _end_session(process: Process) -> None:
+    """End a process and all others of its session that still run, such as those of a script."""
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        # the group has the number of its leader, and is gone when all its processes are
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        await _wait_for_exit(process, _KILL_S)
 
 
 async def _wait_for_exit(process: Process | None, patience_s: float) -> None:

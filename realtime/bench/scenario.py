@@ -113,6 +113,18 @@ SETS = {
     "bus": "buses",
     "pads": "pads",
 }
+
+
+class Sources(NamedTuple):
+    """What gave single values and further faults, for messages."""
+
+    settings: str
+    faults: str
+
+
+COMMAND_LINE = Sources(settings="--set", faults=catalogue.OPTION)
+PYTHON = Sources(settings="rollerrig.run(...)", faults="rollerrig.run(faults=...)")
+
 # one layer: the file or option that it is from, and its tables and keys
 Layer = tuple[str, Mapping[str, Any]]
 
@@ -143,15 +155,17 @@ def load(
     settings: tuple[str, ...] = (),
     tables: Mapping[str, Any] | None = None,
     faults: tuple[str, ...] = (),
+    sources: Sources = COMMAND_LINE,
 ) -> Scenario:
     """Load a scenario by name or path, with an extended model and `section.key=value` settings.
 
     `tables` are whole tables that win over those of the scenario, as a rig that is already running
     has them. `faults` are added to those of the scenario, as `faults.catalogue.parse` reads them.
-    Raises ConfigError, which says where, what, what is allowed and how to fix it.
+    `sources` are what gave settings and faults, for messages. Raises ConfigError, which says
+    where, what, what is allowed and how to fix it.
     """
     content, path = store.load("scenarios", name)
-    return read(content, path, model, settings, tables, faults)
+    return read(content, path, model, settings, tables, faults, sources)
 
 
 def read(
@@ -161,18 +175,22 @@ def read(
     settings: tuple[str, ...] = (),
     tables: Mapping[str, Any] | None = None,
     faults: tuple[str, ...] = (),
+    sources: Sources = COMMAND_LINE,
 ) -> Scenario:
     """Return a scenario, as `load` does, from the content of its file.
 
     `path` names the file; other files that it names are searched for in its folder.
     """
-    single = _settings(settings)
-    # single keys, among them the names of sets, apply before the sets are looked up
-    single_keys = {key: value for key, value in single.items() if not isinstance(value, dict)}
-    single_tables = {key: value for key, value in single.items() if isinstance(value, dict)}
-    given = {**_aliases(given, path), **_aliases(single_keys, Path("--set"))}
-
     defaults = {row.name: row.default for row in HEAD}
+    single = _settings(settings)
+    # single keys of the head, among them the names of sets, apply before the sets are looked up
+    single_head = {key: value for key, value in single.items() if key in defaults}
+    single_rest = {key: value for key, value in single.items() if key not in defaults}
+    # lists, such as the faults, replace those of the file; tables are merged with them
+    replaced = {key for key, value in single_rest.items() if not isinstance(value, dict)}
+    file_keys = {key: value for key, value in _aliases(given, path).items() if key not in replaced}
+    given = {**file_keys, **single_head}
+
     layers: list[Layer] = []
     for short, kind in SETS.items():
         key = f"{short}_set"
@@ -183,19 +201,21 @@ def read(
     if model:
         at = store.find("models", model)
         layers.append((str(at), store.parse(at)))
-    layers.append(("--set", single_tables))
+    layers.append((sources.settings, single_rest))
     layers.append(("the running rig", tables or {}))
-    layers.append(("--fault", {"fault": [_plain_fault(text) for text in faults]}))
+    plain_faults = [catalogue.plain(catalogue.parse(text, sources.faults)) for text in faults]
+    layers.append((sources.faults, {"fault": plain_faults}))
 
-    own_head = {key: value for key, value in given.items() if key in defaults}
-    head = table.read(HEAD, own_head, str(path))
+    table.read(_rows_of(single_head), single_head, sources.settings)
+    head = table.read(HEAD, {key: given[key] for key in defaults if key in given}, str(path))
     # the resolved scenario in a run's folder is named after the folder
     name = path.parent.name if path.name == "scenario.toml" else path.stem
     return resolve(name, head, layers)
 
 
-def _plain_fault(text: str) -> dict[str, Any]:
-    return catalogue.plain(catalogue.parse(text))
+def _rows_of(given: Mapping[str, Any]) -> list[table.Row]:
+    """Return the rows of the head that are given."""
+    return [row for row in HEAD if row.name in given]
 
 
 def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
@@ -290,7 +310,10 @@ def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
         merged.head |= table.read([heads[key]], {key: content}, where)
     else:
         allowed = [*SECTIONS, "demand", "friction", "fault", *heads]
-        raise ConfigError(f"{where}: unknown table or key '{key}'{table.nearest(key, allowed)}")
+        # a key of a table was perhaps written without its table
+        in_tables = [f"{section}.{row.name}" for section in SECTIONS for row in SECTIONS[section]]
+        hint = table.nearest(key, allowed, others=in_tables)
+        raise ConfigError(f"{where}: unknown table or key '{key}'{hint}")
 
 
 def _require(right: bool, where: str, key: str, content: Any, form: str) -> None:

@@ -26,8 +26,9 @@ from rollerrig.configs.output_files import make_folder, replaced, write_text, wr
 from rollerrig.configs.processes import children
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import design, four_stops, speed_steps
+from rollerrig.realtime.campaign import bench_runs, design, four_stops, speed_steps
 from rollerrig.realtime.record import figures, summary
+from rollerrig.wsp_interface import unit_choice
 
 # keys at the top of a plan
 ROWS = (
@@ -80,12 +81,13 @@ class Plan(NamedTuple):
 # --- the plan ---
 
 
-def load(name: str, allow_code: bool = False, **heads: Any) -> Plan:
+def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: Any) -> Plan:
     """Return a plan by name or path; `heads` replace values at its top. Raises ConfigError.
 
     A unit that is a Python function is refused without `allow_code`, because a plan is data, and
-    data runs no code. The first and the last run, and those with extreme values, are resolved, to
-    find bad values early.
+    data runs no code. `unit_command` is a command that starts a unit for each run, which the user
+    has given; it replaces the unit of the plan. The first and the last run, and those with extreme
+    values, are resolved, to find bad values early.
     """
     content, path = store.load("campaigns", name)
     content = content | heads
@@ -110,8 +112,11 @@ def load(name: str, allow_code: bool = False, **heads: Any) -> Plan:
         sources=drawn.sources,
         steps=steps,
     )
-    _check_unit(head["unit"], path, allow_code)
-    _unit(head["unit"])
+    if unit_command:
+        head["unit"] = unit_choice.check(f"{unit_choice.COMMAND}{unit_command}")
+    else:
+        _check_unit(head["unit"], path, allow_code)
+        _unit(head["unit"])
     _check_values(plan, path)
     return plan
 
@@ -136,6 +141,11 @@ def _check_unit(name: str, path: Path, allow_code: bool) -> None:
     """Raise ConfigError unless a unit is one of the named ones, or code that the user allows."""
     if name in _NAMED_UNITS:
         return
+    if name.startswith(unit_choice.COMMAND):
+        raise ConfigError(
+            f'{path}: unit = "{name}" is a program, and a plan starts no program; if you trust it, '
+            f"give the command on the command line: --unit {shlex.quote(unit_choice.command_of(name))}"
+        )
     if not _FUNCTION.fullmatch(name):
         raise ConfigError(
             f'{path}: unit = "{name}"; allowed are reference, none, and package.module:function'
@@ -164,7 +174,9 @@ def _unit(name: str) -> str | free.UnitCall:
 def resolve(plan: Plan, number: int) -> scenario.Scenario:
     """Return the scenario of run `number`. Raises ConfigError."""
     resolved = scenario.load(plan.head["scenario"], "", settings(plan, number))
-    free.check(resolved)
+    # a program of the user needs a bench with a bus, which refuses nothing that free pacing does
+    if not unit_choice.command_of(plan.head["unit"]):
+        free.check(resolved)
     return resolved
 
 
@@ -177,6 +189,10 @@ def settings(plan: Plan, number: int) -> tuple[str, ...]:
 def command(plan: Plan, number: int) -> str:
     """Return the command line that repeats a run and records it."""
     unit = plan.head["unit"]
+    unit_command = unit_choice.command_of(unit)
+    if unit_command:
+        given = (plan.head["scenario"], unit_command, settings(plan, number))
+        return shlex.join(["rollerrig", "run", *bench_runs.words_of(*given)])
     pacing = "free"
     if unit not in _NAMED_UNITS:
         unit = "external"
@@ -210,6 +226,22 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
         for number, point in enumerate(piece.points, start=piece.first)
     }
 
+    unit_command = unit_choice.command_of(plan.head["unit"])
+    if unit_command:
+        for number, row in rows.items():
+            done = bench_runs.run(
+                plan.head["scenario"],
+                unit_command,
+                settings(plan, number),
+                columns=speed_steps.CHANNELS if plan.steps is not None else (),
+            )
+            row["error"] = done.error
+            if done.error is None:
+                _fill(row, done.summary)
+                if plan.steps is not None:
+                    row |= speed_steps.decelerations(done.channels, plan.steps)
+        return list(rows.values())
+
     def resolved() -> Iterator[tuple[int, scenario.Scenario]]:
         for number, row in rows.items():
             try:
@@ -219,17 +251,21 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
 
     unit = _unit(plan.head["unit"])
     for finished in four_stops.together(resolved(), unit):
-        found = summarize(finished, plan.head["unit"])
         row = rows[finished.tag]
-        for figure in figures.FIGURES:
-            row[figure.name] = figure.of(found)
-        for key in ("stopped", "ended", "valid", "config_hash"):
-            row[key] = found[key]
-        for key in ("invalid_because", "warnings"):
-            row[key] = "; ".join(found[key]) or None
+        _fill(row, summarize(finished, plan.head["unit"]))
         if plan.steps is not None:
             row |= speed_steps.decelerations(finished.channels, plan.steps)
     return list(rows.values())
+
+
+def _fill(row: Row, found: Mapping[str, Any]) -> None:
+    """Write the results of a run into its row, from its summary."""
+    for figure in figures.FIGURES:
+        row[figure.name] = figure.of(found)
+    for key in ("stopped", "ended", "valid", "config_hash"):
+        row[key] = found[key]
+    for key in ("invalid_because", "warnings"):
+        row[key] = "; ".join(found[key]) or None
 
 
 def _empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:

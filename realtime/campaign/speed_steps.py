@@ -19,6 +19,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.wsp_interface import braking
 
 KM_H = 3.6
+# the channels of a run that `decelerations` needs
+CHANNELS = ("time_s", "brake_demand_Pa", "vehicle_speed_m_s", "position_m")
 # the part of a step that a stop must have, so that its deceleration stands for the step
 LEAST_PART = 0.5
 # keys of [etcs] in a plan

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.table import nearest
 from rollerrig.realtime.commands import output
 
 if TYPE_CHECKING:
@@ -41,6 +42,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "processes on this machine",
     )
     parser.add_argument(
+        "--unit",
+        default="",
+        metavar="COMMAND",
+        help="command that starts your unit for each run, as in './my_unit {host} {port}'; it "
+        "replaces the unit of the plan, and each run is a bench in lockstep with a separate bus",
+    )
+    parser.add_argument(
         "--allow-code",
         action="store_true",
         help="let the plan name a Python function as the unit (unit = package.module:function); it "
@@ -70,9 +78,10 @@ def call(options: argparse.Namespace) -> int:
     if options.pdf:
         pdf.check()
     about = output.about(options)
-    plan = campaign.load(options.plan, options.allow_code)
+    plan = campaign.load(options.plan, options.allow_code, options.unit)
     if options.worst not in figures.BY_NAME:
-        raise ConfigError(f"--worst {options.worst}: allowed are {', '.join(figures.BY_NAME)}")
+        hint = nearest(options.worst, figures.BY_NAME)
+        raise ConfigError(f"--worst {options.worst}: there is no such figure{hint}")
     if options.workers < 0:
         raise ConfigError(
             f"--workers {options.workers}: allowed are numbers from 1, or 0 for the number of cores"

@@ -9,20 +9,42 @@ from pathlib import Path
 from rollerrig.configs import store
 from rollerrig.realtime.commands import output
 
-KINDS = ("scenarios", "faults", "signals", "sequences", "datasets", "campaigns", "adhesion")
+# the kinds, with what they are
+TITLES = {
+    "scenarios": "a stop: vehicle, rig, adhesion, speed and brake demand",
+    "faults": "what can go wrong in sensors, devices and buses",
+    "signals": "what is recorded, with its unit",
+    "sequences": "a scripted test over the buses, with its limits",
+    "datasets": "measured or synthetic stops, to be explained",
+    "campaigns": "a plan of many runs",
+    "adhesion": "what is between wheel and roller",
+}
+KINDS = tuple(TITLES)
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `rollerrig list`."""
-    parser.add_argument("kind", choices=KINDS, metavar="KIND", help=", ".join(KINDS))
+    parser.add_argument(
+        "kind",
+        nargs="?",
+        choices=KINDS,
+        metavar="KIND",
+        help=f"{', '.join(KINDS)} (default: list these kinds)",
+    )
 
 
 def call(options: argparse.Namespace) -> int:
-    """Print the names and titles of a kind. Returns PASS."""
-    rows = names_and_titles(options.kind)
+    """Print the names and titles of a kind, or the kinds. Returns PASS."""
+    rows = names_and_titles(options.kind) if options.kind else list(TITLES.items())
     entries = [{"name": name, "title": title} for name, title in rows]
-    table = (None, ("name", "title"), rows)
-    return output.show(options, {options.kind: entries}, table)
+    if options.kind:
+        return output.show(options, {options.kind: entries}, (None, ("name", "title"), rows))
+    return output.show(
+        options,
+        {"kinds": entries},
+        (None, ("kind", "what it is"), rows),
+        "print one with: rollerrig list KIND",
+    )
 
 
 def names_and_titles(kind: str) -> list[tuple[str, str]]:

@@ -42,6 +42,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "separate process, may be repeated for FMUs that share the bus by CAN ports "
         "(FMI-LS-BUS); none: no unit (default: reference)",
     )
+    wsp.unit_argument(parser)
     wsp.map_argument(parser)
     parser.add_argument("--model", default="", metavar="FILE", help="load an extended model")
     parser.add_argument(
@@ -124,6 +125,7 @@ def call(options: argparse.Namespace) -> int:
     from rollerrig.configs.processes import children
     from rollerrig.realtime.bench.options import waiting_processes
 
+    options.wsp = wsp.with_command(options, default="reference")
     # the processes of the run load their libraries while this process prepares the run
     needs_reference_unit = options.wsp == "reference" and options.pacing != "free"
     unit = wsp.run_from_stdin if needs_reference_unit else None
@@ -141,6 +143,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         options.model,
         tuple(options.set),
         faults=tuple(options.fault),
+        sources=scenario.PYTHON if options.from_python else scenario.COMMAND_LINE,
     )
     out = options.out or free_folder(plan.name)
     bench_options = Options(

@@ -73,14 +73,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "CAN ports (default: the unit in the sequence, else reference)",
     )
     wsp.allow_argument(parser, "a sequence")
-    parser.add_argument(
-        "--unit",
-        default="",
-        metavar="COMMAND",
-        help="with --wsp external: command that starts your unit for each run; {address}, {host} "
-        "and {port} are replaced by those of the bus, as in "
-        "'python docs/examples/wsp_unit.py {host} {port}'",
-    )
+    wsp.unit_argument(parser)
     parser.add_argument(
         "--unit-map",
         type=Path,
@@ -116,6 +109,8 @@ def call(options: argparse.Namespace) -> int:
     from rollerrig.realtime.reports import pdf
     from rollerrig.realtime.reports import sequences as report
 
+    if options.unit and not options.wsp:
+        options.wsp = "external"
     sequences = load(options.sequences)
     if options.check:
         names = [sequence.name for sequence in sequences]
@@ -194,7 +189,8 @@ def load(names: list[str]) -> "list[Sequence]":
     errors: list[str] = []
     for path in _find(names):
         try:
-            sequences.append(sequence_file.load(path, catalogue.parse))
+            check_fault = partial(catalogue.parse, source="the fault")
+            sequences.append(sequence_file.load(path, check_fault))
         except ConfigError as error:
             errors.append(str(error))
 
@@ -271,7 +267,8 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
     maps_external_unit = options.unit_map and not fmus
     if (options.unit or maps_external_unit) and not is_external:
         raise ConfigError(
-            "--unit and --unit-map are for an external unit: give --wsp external as well"
+            f"--unit and --unit-map are for an external unit, and --wsp is {options.wsp or 'not given'}: "
+            "give --wsp external"
         )
     if fmus and options.bus:
         raise ConfigError(
@@ -293,6 +290,8 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
             "--wsp external: each run has a separate bus, on which your unit must be started; give "
             "the command that starts it with --unit COMMAND"
         )
+    if options.unit:
+        unit_choice.command_words(options.unit, "")
     if maps_external_unit:
         mapping.load(options.unit_map)
 

@@ -107,16 +107,42 @@ def parse_unit(text: str) -> str:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
+def unit_argument(parser: argparse.ArgumentParser) -> None:
+    """Declare --unit, which several verbs have; `with_command` applies it."""
+    parser.add_argument(
+        "--unit",
+        default="",
+        metavar="COMMAND",
+        help="command that starts your unit for each run; {address}, {host} and {port} are "
+        "replaced by those of the bus, as in "
+        "'python docs/examples/wsp_unit.py {host} {port}'; its output is in wsp.log of the run",
+    )
+
+
+def with_command(options: argparse.Namespace, default: str) -> str:
+    """Return the unit of the options --wsp and --unit, of which --unit wins over the `default`.
+
+    Raises ConfigError if both choose a unit, or if the command is wrong.
+    """
+    if not options.unit:
+        return str(options.wsp)
+    if options.wsp not in (default, "external"):
+        raise ConfigError(
+            f"--unit '{options.unit}' and --wsp {options.wsp} are two units; give one of them"
+        )
+    return unit_choice.check(f"{unit_choice.COMMAND}{options.unit}")
+
+
 def allow_argument(parser: argparse.ArgumentParser, what: str) -> None:
     """Declare --allow-unit for a verb; `what` may choose a unit, as in "a sequence"."""
     parser.add_argument(
         unit_choice.ALLOW_UNIT,
-        type=Path,
         action="append",
         default=[],
-        metavar="FILE",
-        help=f"an FMU that {what} may choose as the WSP unit; it runs with your rights, so allow "
-        "only files that you trust; may be repeated (default: none)",
+        metavar="UNIT",
+        help=f"an FMU, or a command as in 'command:./unit {{host}} {{port}}', that {what} may "
+        "choose as the WSP unit; it runs with your rights, so allow only programs that you trust; "
+        "may be repeated (default: none)",
     )
 
 

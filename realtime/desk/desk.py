@@ -67,8 +67,8 @@ class Desk:
     `own`: the desk follows only benches that it has started. Otherwise its first bench may be one
     that runs on this machine already, if it is the only one.
 
-    `allowed` are the FMUs that may be chosen as a unit. Scenario files may be in `folder`, and in
-    the folders `scenario_folders`.
+    `allowed` are the programs that may be chosen as a unit. Scenario files may be in `folder`, and
+    in the folders `scenario_folders`.
 
     `choices` are the running benches that the user may choose, empty while the desk follows a
     running one. `stops` counts the emergency stops that were requested here.
@@ -306,9 +306,10 @@ class Desk:
 
     @property
     def units(self) -> list[str]:
-        """The units that the page offers: those that run no foreign code, and the allowed FMUs."""
+        """The units that the page offers: those that run no foreign code, and the allowed ones."""
         fmus = [f"{unit_choice.FMU}{file}" for file in self.allowed.files]
-        return [*unit_choice.NAMES, *fmus]
+        commands = [f"{unit_choice.COMMAND}{command}" for command in self.allowed.commands]
+        return [*unit_choice.NAMES, *fmus, *commands]
 
     def checked(self, unit: str) -> str:
         """Return the text of a unit with absolute paths.

@@ -136,7 +136,8 @@ def tolerances(given: Sequence[str]) -> dict[str, float]:
         if name not in units and name not in signals.COLUMNS:
             raise ConfigError(
                 f"--tolerance {text}: no unit or channel is called '{name}'"
-                f"{nearest(name, [*units, *signals.COLUMNS])}"
+                f"{nearest(name, units, 'Units', others=signals.COLUMNS)}; or give a channel "
+                "from 'rollerrig list signals', with its unit, as in sliding_1_m_s"
             )
         try:
             found[name] = float(value)

@@ -19,6 +19,7 @@ import pyarrow as pa
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import write_text
+from rollerrig.configs.table import nearest
 from rollerrig.realtime.record import channels, validity
 from rollerrig.realtime.record.run_folder import CAN_LOG, EVENTS, SCENARIO, SUMMARY
 from rollerrig.wsp_interface import events as run_events
@@ -44,10 +45,8 @@ class Run(NamedTuple):
         Raises ConfigError, which lists the channels of the run.
         """
         if name not in self.table.column_names:
-            raise ConfigError(
-                f"{self.folder}: no channel is called '{name}'; there are "
-                f"{', '.join(self.table.column_names)}"
-            )
+            hint = nearest(name, self.table.column_names, "The run has")
+            raise ConfigError(f"{self.folder}: no channel is called '{name}'{hint}")
         return channels.values(self.table[name])
 
 

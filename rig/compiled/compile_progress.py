@@ -1,5 +1,7 @@
 """Log messages while numba compiles: the first start of an installation takes a minute or two.
 
+Kernels that only some commands use, such as those of campaigns, are compiled by the first of them.
+
 The first message appears before the first kernel is compiled, the next ones every few seconds, and
 the last one when no kernel has been compiled for as long.
 """
@@ -35,8 +37,8 @@ class _CompileListener(event.Listener):
         if not self._begin_s:
             self._begin_s = time.monotonic()
             log.warning(
-                "compiling the kernels, once after an installation or a change of them "
-                "(1 to 2 minutes) ..."
+                "compiling the kernels that no command here has used since the installation or a "
+                "change of them; they are kept for later commands (1 to 2 minutes) ..."
             )
             threading.Thread(target=self._log_progress, name="compiling", daemon=True).start()
 

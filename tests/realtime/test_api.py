@@ -96,6 +96,85 @@ def test_an_invalid_argument_raises_the_message_of_the_command_line(call, messag
         call()
 
 
+def test_an_error_is_reported_once_with_its_type_and_in_words_of_python(capfd):
+    with pytest.raises(ConfigError) as refused:
+        rollerrig.run("velim_a1", faults=["speed_sensor_stuk axle=2"])
+    assert str(refused.value).startswith(
+        "rollerrig.run(faults=...) 'speed_sensor_stuk axle=2': kind = 'speed_sensor_stuk' is not a "
+        "fault; did you mean 'speed_sensor_stuck'?"
+    )
+    with pytest.raises(ConfigError, match=r"rollerrig\.run\(\.\.\.\) \[vehicle\]: unknown key"):
+        rollerrig.run("velim_a1", vehicle={"mas_kg": 40000.0})
+    with pytest.raises(ConfigError, match="did you mean 'free'"):
+        rollerrig.run("velim_a1", pacing="fre")
+    shown = capfd.readouterr()
+    assert shown.out == shown.err == ""
+    assert ConfigError.__mro__[1] is rollerrig.RollerrigError is RollerrigError
+
+
+def test_the_package_shows_its_public_names_only():
+    assert python("import rollerrig; print(dir(rollerrig) == sorted(rollerrig.__all__))") == "True"
+    assert all(hasattr(rollerrig, name) for name in rollerrig.__all__)
+    assert not {"json", "sys", "Any", "Path", "NamedTuple"} & set(dir(rollerrig))
+
+
+def test_a_run_shows_itself_in_three_lines(free_stop):
+    stop = rollerrig.load(free_stop.out)
+    first, second, third = repr(stop).splitlines()
+    distance_m = stop.summary["stop_distance_m"]
+    assert first.startswith(f"<Run velim_a1: stopped after {distance_m:.1f} m in ")
+    assert first.endswith("free, unit reference, valid")
+    assert f"{stop.table.num_rows} samples of {stop.table.num_columns} channels" in second
+    assert third.strip() == f"{free_stop.out}>"
+    assert "in progress" in repr(stop._replace(summary={}))
+
+
+def test_a_frame_without_pandas_says_how_to_get_it(free_stop):
+    code = (
+        "import sys; sys.modules['pandas'] = None; import rollerrig\n"
+        "try: rollerrig.load(sys.argv[1]).frame()\n"
+        "except ImportError as error: print(error)"
+    )
+    assert "pip install pandas" in python(code, free_stop.out)
+
+
+def test_runs_are_compared_and_drawn(free_stop, stop_on_leaves, tmp_path):
+    result = rollerrig.compare(free_stop.out, stop_on_leaves.out, tolerances={"m_s": 0.1})
+    assert not result["passed"]
+    assert rollerrig.compare(free_stop.out, rollerrig.load(free_stop.out))["passed"]
+    with pytest.raises(ConfigError, match="did you mean 'm_s'"):
+        rollerrig.compare(free_stop.out, free_stop.out, tolerances={"M_S": 0.1})
+
+    picture = rollerrig.plot(free_stop.out, tmp_path / "stop.svg")
+    assert picture.path == tmp_path / "stop.svg"
+    assert picture._repr_svg_().lstrip().startswith(("<svg", "<?xml"))
+
+
+def test_a_campaign_returns_a_row_for_each_run(tmp_path):
+    plan = tmp_path / "two.toml"
+    plan.write_text(
+        'scenario = "dry_stop"\n[vary]\ninitial_speed_m_s = [4.0, 6.0]\n', encoding="utf-8"
+    )
+    done = rollerrig.campaign(plan, out=tmp_path / "result", workers=1)
+    assert done.table["initial_speed_m_s"].to_pylist() == [4.0, 6.0]
+    assert done.report.is_file()
+    assert repr(done).splitlines()[0] == "<Campaign 2 runs, 0 not valid, 0 with an error"
+    assert len(done.frame()) == 2
+
+
+def test_a_sequence_returns_its_verdict(tmp_path):
+    path = tmp_path / "short.toml"
+    path.write_text(
+        'title = "A stop from walking speed"\n[start]\nspeed = "5 km/h"\nadhesion = "dry"\n'
+        '[[step]]\nset = { brake_demand = "3 bar" }\nuntil = "vehicle_speed < 0.1 km/h"\n',
+        encoding="utf-8",
+    )
+    result = rollerrig.sequence(path, out=tmp_path / "report", about={"tested by": "A. Meier"})
+    assert result["result"] == "pass"
+    assert result["sequences"] == {"short": "pass"}
+    assert "A. Meier" in Path(result["report"]).read_text()
+
+
 def test_a_folder_that_holds_no_run_is_refused(tmp_path):
     with pytest.raises(ConfigError, match=r"scenario\.toml: no such file"):
         rollerrig.load(tmp_path)

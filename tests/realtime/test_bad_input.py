@@ -73,6 +73,18 @@ def refused(capsys, *arguments):
         ("demand=[{from_s=3.0}]", ["[[demand]] 1", "pressure_Pa is missing"]),
         ("wsp_config=nobody", ["'nobody'", "reference"]),
         ("mass_kg", ["--set mass_kg", "section.key=value"]),
+        (
+            "speed=120",
+            [
+                "--set: unknown table or key 'speed'",
+                "did you mean 'initial_speed_m_s' or 'rig.speed'",
+            ],
+        ),
+        ("mass_kg=40000", ["--set: unknown table or key 'mass_kg'", "mean 'vehicle.mass_kg'"]),
+        ("Adhesion=soap", ["--set: unknown table or key 'Adhesion'", "did you mean 'adhesion'"]),
+        ("initial_speed_m_s=fast", ["--set: initial_speed_m_s = 'fast'", "must be a number"]),
+        ("friction=3", ["--set: friction = 3", "[[friction]]"]),
+        ("bus_set=slow", ["no bus is called 'slow'", "default"]),
     ],
 )
 def test_a_wrong_setting_is_refused_with_what_is_allowed(setting, parts, tmp_path, capsys):
@@ -109,6 +121,10 @@ def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path, capsys)
     ("arguments", "parts"),
     [
         (["velim_a9"], ["'velim_a9'", "velim_a1"]),
+        (["Velim_A1"], ["'Velim_A1'", "did you mean 'velim_a1'?"]),
+        (["VELIM_B1.toml"], ["VELIM_B1.toml: no such file", "did you mean 'velim_b1'?"]),
+        (["velim_a1", "--fault", ""], ["--fault ''", "kind, the name of the fault, is missing"]),
+        (["velim_a1", "--fault", "Node_Off"], ["--fault 'Node_Off'", "did you mean 'node_off'?"]),
         (["no/such/file.toml"], ["no/such/file.toml: no such file"]),
         (["velim_a1", "--model", "no/model.toml"], ["no/model.toml: no such file"]),
         (["velim_a1", "--pacing", "free", "--wsp", "external"], ["--pacing free", "lockstep"]),

@@ -93,6 +93,33 @@ def test_a_list_names_everything_of_a_kind_with_its_title(kind, capsys):
         assert [one["name"] for one in named] == store.names(kind)
 
 
+def test_a_list_without_a_kind_lists_the_kinds(capsys):
+    assert cli.main(["list", "--json"]) == cli.PASS
+    kinds = json.loads(capsys.readouterr().out)["kinds"]
+    assert tuple(kind["name"] for kind in kinds) == listing.KINDS
+    assert all(kind["title"] for kind in kinds)
+
+
+@pytest.mark.parametrize(
+    ("words", "meant"),
+    [
+        (("rnu", "velim_a1"), "run"),
+        (("list", "scenario"), "scenarios"),
+        (("run", "velim_a1", "--pacing", "Free"), "free"),
+        (("campaign", "low_adhesion", "--worst", "stop_distance"), "stop_distance_m"),
+        (("export", "RUN", "--format", "MDF4"), "mdf4"),
+    ],
+)
+def test_a_misspelled_word_gets_a_suggestion(words, meant, free_stop, capsys):
+    given = [str(free_stop.out) if word == "RUN" else word for word in words]
+    try:
+        status = cli.main(given)
+    except SystemExit as exit_of_argparse:
+        status = exit_of_argparse.code
+    assert status == cli.USAGE
+    assert f"did you mean '{meant}'?" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     "words", [("list", kind) for kind in listing.KINDS] + [("check",)], ids=" ".join
 )

@@ -54,3 +54,35 @@ def test_any_other_text_is_not_a_unit(unit):
 def test_only_a_file_that_exists_can_be_allowed(tmp_path):
     with pytest.raises(ConfigError, match=r"--allow-unit .*there is no such file"):
         AllowList.of([tmp_path / "absent.fmu"])
+
+
+def test_a_command_in_data_is_refused_unless_exactly_this_one_is_allowed():
+    unit = "command:./unit {host} {port}"
+    with pytest.raises(ConfigError) as error:
+        NOTHING.check(unit, WHERE)
+    assert str(error.value).startswith(f"{WHERE}: {unit} is a program")
+    assert f"--allow-unit '{unit}'" in str(error.value)
+    allowed = AllowList.of([unit])
+    assert allowed.check(unit, WHERE) == unit
+    with pytest.raises(ConfigError, match="data starts no program"):
+        allowed.check(f"{unit}; rm -r x", WHERE)
+
+
+@pytest.mark.parametrize(
+    ("command", "message"),
+    [
+        ("", "is empty; write a command line"),
+        ("./unit {hots}", r"\{hots\} is not known; allowed are \{address\}, \{host\}, \{port\}"),
+        ("./unit 'a", "No closing quotation; write a command line"),
+        ("./unit {", "write a command line"),
+        ("./unit {host.x}", "write a command line"),
+    ],
+)
+def test_a_command_that_cannot_be_started_is_refused(command, message):
+    with pytest.raises(ConfigError, match=message):
+        unit_choice.check(f"command:{command}")
+
+
+def test_the_places_of_a_command_are_filled():
+    words = unit_choice.command_words("./unit '{host} x' {port} {{a}}", "ADDRESS", "here", 7)
+    assert words == ["./unit", "here x", "7", "{a}"]

@@ -63,6 +63,7 @@ _QUANTITY = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*([A-Za-z%][A
 _CONDITION = re.compile(r"\s*(?:(every|any)\s+)?([a-z_0-9]+)\s*(<=|>=|<|>)\s*(.+)$")
 # the signals that the harness receives
 _KNOWN = tuple(signal.name for signal in signals.SIGNALS if signals.columns(signal)[0] in COLUMNS)
+_NO_UNIT = "the unit is missing"
 _NO_RANGE = (-float("inf"), float("inf"))
 
 
@@ -107,8 +108,7 @@ def quantity(text: object, unit: str, where: str) -> float:
 
     Raises ConfigError.
     """
-    allowed = ", ".join(repr(name) for name, (base, _) in UNITS.items() if base == unit and name)
-    form = f"write a number with its unit ({allowed or 'none'}) in quotes"
+    form = f"write {_form(unit)} in quotes"
     match = _QUANTITY.match(text) if isinstance(text, str) else None
     if not match:
         raise ConfigError(f"{where} = {text!r}: {form}")
@@ -118,10 +118,17 @@ def quantity(text: object, unit: str, where: str) -> float:
         raise ConfigError(f"{where} = '{text}': no unit is called '{written_unit}'; {form}")
     base, factor = UNITS[written_unit]
     if base != unit:
-        raise ConfigError(
-            f"{where} = '{text}': the unit '{written_unit or 'none'}' does not belong here; {form}"
-        )
+        wrong = f"the unit '{written_unit}' does not belong here" if written_unit else _NO_UNIT
+        raise ConfigError(f"{where} = '{text}': {wrong}; {form}")
     return number * factor
+
+
+def _form(unit: str) -> str:
+    """Return how a quantity is written, as the end of a message; `unit` as in `quantity`."""
+    if not unit:
+        return "a number without a unit or with %, as in '0.5' or '50 %',"
+    allowed = ", ".join(repr(name) for name, (base, _) in UNITS.items() if base == unit)
+    return f"a number with its unit ({allowed})"
 
 
 def condition(text: object, where: str) -> Condition:

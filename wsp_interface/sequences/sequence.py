@@ -165,15 +165,32 @@ class _Source:
     def line(self, table: str = "", number: int = 0, key: str = "") -> int:
         """Return the line of a key, from 1: at the top, or in the number-th `[[table]]` (from 0).
 
-        Without a key, or if there is no such key, it is the first line of the table.
+        A key may also be a table of its own, such as [start.tables] or a wrong [[steps]]. Without a
+        key, or if there is no such key, it is the first line of the table.
         """
         begin, end = self._section(table, number)
-        if key:
-            pattern = re.compile(rf"\s*\"?{re.escape(key)}\"?\s*[=.]")
-            for index in range(begin, end):
-                if pattern.match(self.lines[index]):
-                    return index + 1
+        if not key:
+            return begin + 1
+        as_key = re.compile(rf"\s*\"?{re.escape(key)}\"?\s*[=.]")
+        for index in range(begin, end):
+            if as_key.match(self.lines[index]):
+                return index + 1
+
+        full_key = f"{table}.{key}" if table else key
+        as_head = re.compile(rf"\s*\[\[?\s*{re.escape(full_key)}\s*[].]")
+        for index in range(begin, self._end_of_subtables(table, begin)):
+            if as_head.match(self.lines[index]):
+                return index + 1
         return begin + 1
+
+    def _end_of_subtables(self, table: str, begin: int) -> int:
+        """Return the first line after a table that begins at a line, and after its sub-tables."""
+        if table:
+            same_head = re.compile(rf"\s*\[\[?\s*{re.escape(table)}\s*\]")
+            for index in range(begin + 1, len(self.lines)):
+                if same_head.match(self.lines[index]):
+                    return index
+        return len(self.lines)
 
     def _section(self, table: str, number: int) -> tuple[int, int]:
         """Return the first line of a table, and the first line after it."""
@@ -231,7 +248,8 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
         )
     )
     if not steps:
-        raise ConfigError(f"{path}: there is no [[step]]; a sequence has at least one")
+        place = in_head("step") if "step" in content else str(path)
+        raise ConfigError(f"{place}: there is no [[step]]; a sequence has at least one")
 
     unit = str(content.get("wsp", "reference"))
     try:

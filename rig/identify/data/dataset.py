@@ -192,11 +192,10 @@ def find(folder: Path | str) -> Path:
     for candidate in (Path(folder), packaged / str(folder)):
         if (candidate / "dataset.toml").is_file():
             return candidate
-    names = sorted(path.parent.name for path in packaged.glob("*/dataset.toml"))
-    raise ConfigError(
-        f"{folder}: this folder has no dataset.toml; give a folder that has one, or one of: "
-        f"{', '.join(names)}"
-    )
+    names = [path.parent.name for path in packaged.glob("*/dataset.toml")]
+    what = "this folder has no dataset.toml" if Path(folder).is_dir() else "there is no such folder"
+    hint = table.nearest(Path(folder).name, names, "Packaged")
+    raise ConfigError(f"{folder}: {what}{hint}; or give a folder that has a dataset.toml")
 
 
 def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[str, dict[str, Any]]:
