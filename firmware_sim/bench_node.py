@@ -93,6 +93,15 @@ def rows(pacing: str) -> list[Row]:
         Row(
             rig.NOTE, 0, "Operator note", "TEXT", "rw", "", text="is added to the events of the run"
         ),
+        Row(
+            rig.REFUSAL,
+            0,
+            "Reason of the last refusal",
+            "TEXT",
+            "ro",
+            "",
+            text="why the bench has refused a command with an SDO abort",
+        ),
     ]
 
 
@@ -118,11 +127,15 @@ def build(
 
 
 class BenchNode:
-    """The commands of a harness. `joined`: whether a harness takes part in the run."""
+    """The commands of a harness.
+
+    `joined`: whether a harness takes part in the run. `refusal`: why the last command was refused.
+    """
 
     def __init__(self, node: Node, friction: np.ndarray, on_command: Callable[[], None]) -> None:
         self.node = node
         self.joined = False
+        self.refusal = ""
         self._friction = friction
         self._on_command = on_command
         self._actions: Mapping[str, Callable[..., Any]] = {}
@@ -131,6 +144,7 @@ class BenchNode:
         attach(rig.HARNESS, rig.END, effect=self._end)
         attach(rig.FAULT, rig.INJECT, effect=partial(self._act, "inject"))
         attach(rig.FAULT, rig.LIFT, effect=partial(self._act, "lift"))
+        attach(rig.REFUSAL, read=lambda: self.refusal)
         attach(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
         for axle in range(1, AXLES + 1):
             attach(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
@@ -172,6 +186,7 @@ class BenchNode:
         try:
             self._actions[name](*arguments)
         except RollerrigError as error:
+            self.refusal = str(error).encode("ascii", "replace").decode()
             self.node.on_event(Code.HARNESS_REFUSED, reason=str(error))
             raise AbortError(Abort.INVALID_VALUE) from None
 

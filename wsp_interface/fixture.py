@@ -1,6 +1,6 @@
-"""The pytest fixture `rollerrig_bench`. Every pytest run loads this file if rollerrig is installed.
+"""The pytest fixtures `rollerrig_bench` and `rollerrig_module_bench`.
 
-Therefore it imports nothing but pytest until a test starts a bench. The report of a failed test
+Every pytest run loads this file if rollerrig is installed. Therefore it imports nothing but pytest until a test starts a bench. The report of a failed test
 shows the state of its benches, the folders of their runs, and where a picture of each will be.
 """
 
@@ -56,11 +56,29 @@ def rollerrig_bench(tmp_path: Any, request: Any) -> Iterator[Any]:
     benches end with the test. The test has an error if a run was not valid, for example because
     the unit was lost.
     """
+    yield from _benches(tmp_path, request.node)
+
+
+@pytest.fixture(scope="module")
+def rollerrig_module_bench(tmp_path_factory: Any, request: Any) -> Iterator[Any]:
+    """Start benches that all tests of a module share; they end with its last test.
+
+    It is called as `rollerrig_bench`. A module starts its bench in a fixture of its own:
+
+        @pytest.fixture(scope="module")
+        def rig(rollerrig_module_bench):
+            return rollerrig_module_bench(initial_speed_km_h=60.0, adhesion="soap")
+    """
+    yield from _benches(tmp_path_factory.mktemp("rollerrig"), request.node)
+
+
+def _benches(folder: Path, node: Any) -> Iterator[Benches]:
+    """Yield the benches of a test or module, its node in pytest; end and check them afterwards."""
     from rollerrig.wsp_interface import own_bench
 
     with contextlib.ExitStack() as stack:
-        benches = Benches(tmp_path, stack)
-        request.node.stash[_BENCHES] = benches
+        benches = Benches(folder, stack)
+        node.stash[_BENCHES] = benches
         yield benches
     for _, folder in benches.begun:
         if benches.failed:
@@ -72,8 +90,13 @@ def rollerrig_bench(tmp_path: Any, request: Any) -> Iterator[Any]:
 def pytest_runtest_makereport(item: Any, call: Any) -> Generator[None, Any, Any]:
     """Add the state of the benches and the folders of their runs to the report of a failed test."""
     report = yield
-    benches = item.stash.get(_BENCHES, None)
-    if benches and call.when == "call" and report.failed:
+    if call.when != "call" or not report.failed:
+        return report
+    # those of the module, and those of the test
+    for node in item.listchain():
+        benches = node.stash.get(_BENCHES, None)
+        if benches is None:
+            continue
         benches.failed = True
         for rig, folder in benches.begun:
             text = f"{rig!r}\nrun: {folder}\nplot: {folder / 'stop.svg'}"

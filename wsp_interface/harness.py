@@ -26,9 +26,18 @@ from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError, connect
 
 with contextlib.suppress(ImportError):  # a bench runs without pytest
-    from rollerrig.wsp_interface.fixture import rollerrig_bench
+    from rollerrig.wsp_interface.fixture import rollerrig_bench, rollerrig_module_bench
 
-__all__ = ["COLUMNS", "Event", "Harness", "TimeOutError", "bench", "connect", "rollerrig_bench"]
+__all__ = [
+    "COLUMNS",
+    "Event",
+    "Harness",
+    "TimeOutError",
+    "bench",
+    "connect",
+    "rollerrig_bench",
+    "rollerrig_module_bench",
+]
 
 
 @contextlib.contextmanager

@@ -9,19 +9,22 @@ repeats bit for bit. In real time the harness follows the bench.
 """
 
 import contextlib
+import linecache
 import struct
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Self
 
 import can
 
-from rollerrig.configs.errors import BusError, RollerrigError
+from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
+from rollerrig.configs.table import nearest
 from rollerrig.wsp_interface import events, magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, RPDO, TPDO
-from rollerrig.wsp_interface.bus.sdo_client import SdoClient
+from rollerrig.wsp_interface.bus.sdo_client import RefusedError, SdoClient
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import layout
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE
@@ -71,6 +74,39 @@ COLUMNS: tuple[str, ...] = (
 )
 
 
+# the signals that the harness receives in each cycle, and those that it can read
+_RECEIVED = tuple(
+    signal.name for signal in signals.SIGNALS if set(signals.columns(signal)) <= set(COLUMNS)
+)
+_READABLE = tuple(
+    signal.name
+    for signal in signals.SIGNALS
+    if any(place.node == BENCH_NODE for place in signal.places)
+)
+
+
+class Values(dict[str, float]):
+    """Values by the names of their columns; a wrong name gets a message with the right ones."""
+
+    def __missing__(self, name: str) -> float:
+        raise ConfigError(f"the harness has no value '{name}'{nearest(name, self)}")
+
+
+def _check_name(name: str, allowed: tuple[str, ...]) -> None:
+    """Raise ConfigError if a name is not one of the allowed signals."""
+    if name not in allowed:
+        raise ConfigError(f"no signal is called '{name}'{nearest(name, allowed)}")
+
+
+def _source_of(condition: Callable[[], bool]) -> str:
+    """Return where a condition is in the source, and its line, for a message."""
+    code = getattr(condition, "__code__", None)
+    if code is None:
+        return repr(condition)
+    line = linecache.getline(code.co_filename, code.co_firstlineno).strip()
+    return f"({Path(code.co_filename).name}, line {code.co_firstlineno}: {line})"
+
+
 @dataclass(frozen=True)
 class Event:
     """An event of the rig or an action of the harness.
@@ -110,7 +146,7 @@ class Harness:
     def __init__(self, bus: can.BusABC, ends: bool = True) -> None:
         self.bus = bus
         self.ends = ends
-        self.values = dict.fromkeys(COLUMNS, float("nan"))
+        self.values = Values.fromkeys(COLUMNS, float("nan"))
         self.trace: list[tuple[float, ...]] = []
         self.events: list[Event] = []
         self.demands: list[tuple[float, float]] = []
@@ -221,13 +257,16 @@ class Harness:
         self.record("harness", Code.TEST_SAND_ON if on else Code.TEST_SAND_OFF)
 
     def inject(self, fault: str) -> None:
-        """Start a fault of the catalogue: `inject("speed_sensor_stuck axle=2 for=3")`."""
-        self._write(rig_objects.FAULT, rig_objects.INJECT, fault.encode())
+        """Start a fault of the catalogue: `inject("speed_sensor_stuck axle=2 for=3")`.
+
+        Raises RefusedError, which lists the faults if there is none of this name.
+        """
+        self._write_fault(rig_objects.INJECT, fault)
         self.record("harness", Code.TEST_FAULT, fault=fault)
 
     def lift(self, fault: str) -> None:
         """End the faults of a name (and its values): `lift("speed_sensor_stuck axle=2")`."""
-        self._write(rig_objects.FAULT, rig_objects.LIFT, fault.encode())
+        self._write_fault(rig_objects.LIFT, fault)
         self.record("harness", Code.TEST_FAULT_LIFTED, fault=fault)
 
     def note(self, text: str) -> None:
@@ -267,9 +306,18 @@ class Harness:
             self.step()
 
     def until(
-        self, reached: Callable[[], bool], timeout_s: float = 300.0, hold_s: float = 0.0
+        self,
+        reached: Callable[[], bool],
+        timeout_s: float = 300.0,
+        hold_s: float = 0.0,
+        name: str = "",
+        readings: Callable[[], str] | None = None,
     ) -> None:
-        """Let time pass until a condition has held for `hold_s`. Raises TimeOutError."""
+        """Let time pass until a condition has held for `hold_s`. Raises TimeOutError.
+
+        The message of a time-out has the `name` of the condition (default: its place in the source)
+        and the last values, which `readings()` returns (default: the state of the bench).
+        """
         begin_s = self.time_s
         since_s: float | None = None  # when the condition became true
         while True:
@@ -280,14 +328,21 @@ class Harness:
             if since_s is not None and self.time_s >= since_s + hold_s - _TINY_S:
                 return
             if self.time_s > begin_s + timeout_s:
+                last_values = readings() if readings else repr(self)
+                held = f" and held for {hold_s:g} s" if hold_s else ""
                 raise TimeOutError(
-                    f"at {self.time_s:.2f} s: the condition has not come true in {timeout_s:g} s"
+                    f"at {self.time_s:.2f} s: the condition {name or _source_of(reached)} has not "
+                    f"come true{held} in {timeout_s:g} s; last values: {last_values}"
                 )
             self.step()
 
     def stop(self, timeout_s: float = 300.0) -> None:
         """Let time pass until the vehicle stands. Raises TimeOutError."""
-        self.until(lambda: self.vehicle_speed_m_s < _STANDSTILL_M_S, timeout_s)
+        self.until(
+            lambda: self.vehicle_speed_m_s < _STANDSTILL_M_S,
+            timeout_s,
+            name=f"vehicle_speed < {_STANDSTILL_M_S} m/s",
+        )
 
     # -- values
 
@@ -313,14 +368,19 @@ class Harness:
         return max(self.read("longest_lock"))
 
     def axles(self, name: str) -> tuple[float, ...]:
-        """Return the newest values of a signal for all axles, such as "cylinder_pressure"."""
+        """Return the newest values of a signal for all axles, such as "cylinder_pressure".
+
+        Raises ConfigError for a signal that the harness does not receive.
+        """
+        _check_name(name, _RECEIVED)
         return tuple(self.values[column] for column in signals.columns(signals.BY_NAME[name]))
 
     def read(self, name: str) -> tuple[float, ...]:
         """Read a signal of the bench by SDO; return the values of all its axles.
 
-        Raises KeyError for an unknown signal, and BusError.
+        Raises ConfigError for an unknown signal, and BusError.
         """
+        _check_name(name, _READABLE)
         signal = signals.BY_NAME[name]
         try:
             place = signals.place(name, BENCH_NODE)
@@ -345,6 +405,14 @@ class Harness:
 
     def _write(self, index: int, sub: int, data: bytes, node: int = BENCH_NODE) -> None:
         self._call(self._sdo.write, node, index, sub, data)
+
+    def _write_fault(self, sub: int, fault: str) -> None:
+        """Command a fault. Raises RefusedError with the reason that the bench gives."""
+        try:
+            self._write(rig_objects.FAULT, sub, fault.encode())
+        except RefusedError as error:
+            reason = self._call(self._sdo.read, BENCH_NODE, rig_objects.REFUSAL, 0)
+            raise RefusedError(reason.decode("ascii", "replace") or str(error)) from None
 
     def _cycle(self) -> None:
         """Take all frames of a cycle, and add a row to the trace."""

@@ -23,6 +23,7 @@ from rollerrig.configs.errors import BusError, ConfigError, RollerrigError, Unit
 from rollerrig.configs.processes import children, exits
 from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.bus import buses, plugin
+from rollerrig.wsp_interface.bus.sdo_client import RefusedError
 from rollerrig.wsp_interface.harness_client import Harness
 
 START_S = 900.0  # patience until the bench waits for the harness
@@ -153,6 +154,8 @@ def start(
                             harness.log("unit", helper.failure)
                         for text in helper.notes():
                             harness.log("gateway", text)
+                except RefusedError:
+                    raise
                 except BusError as error:
                     causes = _last_words(process, Path(log.name))
                     for program in programs:

@@ -142,3 +142,5 @@ FRICTION = 0x2020  # 2020h, one sub-index for each axle
 FRICTION_SCALE = 1e-4  # friction coefficient of one count
 
 NOTE = 0x2030  # 2030h
+
+REFUSAL = 0x2040  # 2040h, why the last command was refused

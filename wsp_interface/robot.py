@@ -11,7 +11,15 @@
         Wait Until Standstill
         Longest Lock Should Be Below    0.4 s
 
-A bench ends with its test at the latest. Values are written with their units.
+A bench that a test starts ends with this test at the latest. A bench that a Suite Setup starts is
+there for all tests of the suite, and of the suites in it, and ends with the suite:
+
+    *** Settings ***
+    Library          rollerrig.wsp_interface.robot
+    Suite Setup      Start Bench    speed=60 km/h    adhesion=soap
+    Suite Teardown   End Bench
+
+Values are written with their units.
 
 Source: Robot Framework 7.
 """
@@ -19,7 +27,6 @@ Source: Robot Framework 7.
 import contextlib
 import itertools
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,14 +44,18 @@ from rollerrig.wsp_interface.signals import AXLES
 _AXLES = range(1, AXLES + 1)
 
 
-@library(scope="TEST", listener="SELF")
+@library(scope="GLOBAL", listener="SELF")
 class Rig:
-    """The keywords, and the bench of the current test."""
+    """The keywords, and the present bench.
+
+    There is one bench at a time. Its owner is the test or the suite that has started it.
+    """
 
     def __init__(self) -> None:
         self._stack = contextlib.ExitStack()
         self._bench: Harness | None = None
         self._folder = Path()
+        self._owner = ""
 
     @property
     def _rig(self) -> Harness:
@@ -67,7 +78,8 @@ class Rig:
         fmu:FILE; ``unit``: the command that starts your unit, as in ``./unit {host} {port}``.
         """
         self.end_bench()
-        self._folder = _new_folder()
+        self._owner, name = _running()
+        self._folder = _new_folder(name)
         speed_m_s = conditions.quantity(speed, "m_s", "speed") if speed else None
         started = own_bench.start(
             self._folder,
@@ -155,13 +167,22 @@ class Rig:
         ``Wait Until    every cylinder_pressure > 3 bar    timeout=5 s``
         """
         wanted = conditions.condition(condition, "condition")
-        self._until(lambda: wanted.holds(self._rig.values), timeout)
+        self._rig.until(
+            lambda: wanted.holds(self._rig.values),
+            conditions.quantity(timeout, "s", "timeout"),
+            name=f"'{condition}'",
+            readings=lambda: wanted.readings(self._rig.values),
+        )
 
     @keyword
     def wait_until_speed_below(self, speed: str, timeout: str = "300 s") -> None:
         """Waits until the vehicle is slower: ``Wait Until Speed Below    30 km/h``."""
         limit_m_s = conditions.quantity(speed, "m_s", "speed")
-        self._until(lambda: self._rig.vehicle_speed_m_s < limit_m_s, timeout)
+        self._rig.until(
+            lambda: self._rig.vehicle_speed_m_s < limit_m_s,
+            conditions.quantity(timeout, "s", "timeout"),
+            name=f"'speed below {speed}'",
+        )
 
     @keyword
     def wait_until_standstill(self, timeout: str = "300 s") -> None:
@@ -198,11 +219,17 @@ class Rig:
             raise AssertionError(missed)
 
     def _end_test(self, data: Any, result: Any) -> None:
-        """End the bench and draw its plot; Robot Framework calls this at the end of each test."""
-        self.end_bench()
+        """End the bench of a test; Robot Framework calls this at the end of each test."""
+        self._end_of(result.full_name)
 
-    def _until(self, reached: Callable[[], bool], timeout: str) -> None:
-        self._rig.until(reached, conditions.quantity(timeout, "s", "timeout"))
+    def _end_suite(self, data: Any, result: Any) -> None:
+        """End the bench of a Suite Setup; Robot Framework calls this at the end of each suite."""
+        self._end_of(result.full_name)
+
+    def _end_of(self, name: str) -> None:
+        """End the bench if the test or suite of this name has started it."""
+        if self._owner == name:
+            self.end_bench()
 
     @staticmethod
     def _below(name: str, value: float, limit: str, unit: str) -> None:
@@ -212,13 +239,22 @@ class Rig:
             raise AssertionError(text)
 
 
-def _new_folder() -> Path:
-    """Return an unused folder in Robot Framework's output, for a run of the current test."""
+def _running() -> tuple[str, str]:
+    """Return the full name and the name of the running test, or of the suite whose setup runs."""
     robot_variables = BuiltIn()
-    out = Path(robot_variables.get_variable_value("${OUTPUT DIR}"))
-    test_name = re.sub(r"\W+", "_", robot_variables.get_variable_value("${TEST NAME}"))
+    suite = str(robot_variables.get_variable_value("${SUITE NAME}"))
+    test = robot_variables.get_variable_value("${TEST NAME}")
+    if test:
+        return f"{suite}.{test}", str(test)
+    return suite, suite.rpartition(".")[2]
+
+
+def _new_folder(name: str) -> Path:
+    """Return an unused folder in Robot Framework's output, for a run of a test or suite."""
+    out = Path(BuiltIn().get_variable_value("${OUTPUT DIR}"))
+    safe_name = re.sub(r"\W+", "_", name)
     for number in itertools.count(1):
-        folder = out / "rollerrig" / f"{test_name}-{number}"
+        folder = out / "rollerrig" / f"{safe_name}-{number}"
         if not folder.exists():
             break
     return folder

@@ -288,20 +288,22 @@ def make(given: Mapping[str, Any], where: str) -> Fault:
         raise ConfigError(f"{where}: {given!r}: it must be a table with kind, at_s and for_s")
     given = {_SHORT.get(key, key): value for key, value in given.items()}
     name = given.pop("kind", None)
-    if name not in BY_NAME:
-        raise ConfigError(
-            f"{where}: {_missing_kind(name)}{table.nearest(str(name or ''), BY_NAME)}"
-        )
-    kind = BY_NAME[name]
+    kind = kind_of(name, where)
     read = table.read((*WHEN, *kind.parameters), given, f"{where} {name}")
     fault = Fault(kind, read.pop("at_s"), read.pop("for_s"), read)
     _check_target(fault, where)
     return fault
 
 
-def _missing_kind(name: Any) -> str:
-    """Return what is wrong with the name of a fault; None or "" if there is no name."""
-    return f"kind = {name!r} is not a fault" if name else "kind, the name of the fault, is missing"
+def kind_of(name: Any, where: str) -> Kind:
+    """Return the kind of fault with a name.
+
+    Raises ConfigError, whose message begins with `where`.
+    """
+    if name in BY_NAME:
+        return BY_NAME[name]
+    wrong = f"kind = {name!r} is not a fault" if name else "kind, the name of the fault, is missing"
+    raise ConfigError(f"{where}: {wrong}{table.nearest(str(name or ''), BY_NAME)}")
 
 
 def parse(text: str, source: str = OPTION) -> Fault:

@@ -321,7 +321,7 @@ class Parts:
         self.data.control[DONE] = 1
 
     def _inject(self, text: str) -> None:
-        fault = catalogue.parse(text)
+        fault = catalogue.parse(text, "fault")
         at_s = max(fault.at_s, self.faults.now_s)
         self.faults.inject(fault.kind.name, at_s=at_s, for_s=fault.for_s, **fault.values)
 
@@ -329,10 +329,12 @@ class Parts:
         """Lift the faults of a name, and of the parameters that the text gives."""
         name, *aims = text.split() or [""]
         if not aims:
+            if name:  # an empty text lifts all faults
+                catalogue.kind_of(name, f"fault '{text}'")
             self.faults.clear(name)
             return
         given = {aim.partition("=")[0] for aim in aims}
-        values = catalogue.parse(text).values
+        values = catalogue.parse(text, "fault").values
         self.faults.clear(name, **{key: value for key, value in values.items() if key in given})
 
     # --- waiting for the unit and the harness ---

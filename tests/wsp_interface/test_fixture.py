@@ -27,6 +27,25 @@ def test_no_wheel_locks(rollerrig_bench):
     rig.stop(timeout_s=90.0)
     rollerrig_bench.judge(rig)
 """
+SHARED = """
+import pytest
+
+@pytest.fixture(scope="module")
+def rig(rollerrig_module_bench):
+    unit = "{python} {unit} {{host}} {{port}}"
+    return rollerrig_module_bench(initial_speed_km_h=9.0, adhesion="dry", unit=unit)
+
+def test_it_brakes(rig):
+    rig.brake(bar=3.0)
+    rig.wait(0.5)
+
+def test_it_still_brakes(rig):
+    assert rig.axles("cylinder_pressure")[0] > 1e5
+    rig.stop()
+
+def test_it_fails(rig):
+    rig.until(lambda: rig.vehicle_speed_m_s > 9.0, timeout_s=0.1)
+"""
 WAITS = """
 import time
 def test_waits(rollerrig_bench, tmp_path):
@@ -119,6 +138,17 @@ def test_a_failed_test_shows_the_figure_with_its_limit_and_where_run_and_plot_ar
     assert plot.read_text().startswith("<svg")
     assert "1 failed" in text  # and no error in its teardown
     assert "error" not in text.splitlines()[-1]
+
+
+def test_the_tests_of_a_module_share_a_bench_with_a_unit_of_the_user(session, tmp_path):
+    unit = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
+    text = SHARED.format(python=sys.executable, unit=unit)
+    assert session({"test_shared.py": text}).wait(600) == 1
+    printed = output_of(tmp_path)
+    assert "1 failed, 2 passed" in printed
+    assert "test_shared.py, line 19: rig.until(lambda: rig.vehicle_speed_m_s > 9.0" in printed
+    (run,) = set(re.findall(r"^run: (.+)$", printed, re.MULTILINE))
+    assert Path(run, "stop.svg").is_file()
 
 
 @pytest.mark.parametrize("workers", [(), ("-n", "1")])

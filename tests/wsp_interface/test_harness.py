@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.wsp_interface import own_bench
@@ -71,9 +72,23 @@ def test_the_commands_of_a_harness_take_effect_on_the_rig(tmp_path):
             timeout_s=5.0,
         )
 
-        with pytest.raises(RefusedError):
+        with pytest.raises(RefusedError, match="axle = 9 is out of range; allowed 1 to 4"):
             rig.inject("speed_sensor_dropout axle=9")
-        with pytest.raises(TimeOutError):
+        with pytest.raises(RefusedError, match=r"did you mean 'speed_sensor_dropout'\?.*node_off"):
+            rig.inject("Speed_sensor_dropout axle=1")
+        with pytest.raises(RefusedError, match="'stuck' is not a fault"):
+            rig.lift("stuck")
+        with pytest.raises(ConfigError, match="did you mean 'cylinder_pressure'"):
+            rig.axles("cylinder_presure")
+        with pytest.raises(ConfigError, match="did you mean 'longest_lock'"):
+            rig.read("longest_locks")
+        with pytest.raises(ConfigError, match="did you mean 'vehicle_speed_m_s'"):
+            _ = rig.values["vehicle_speed_ms"]
+        with pytest.raises(
+            TimeOutError,
+            match=r"test_harness\.py, line \d+: rig\.until\(lambda: rig\.vehicle_speed_m_s > 50\.0.*"
+            r"not come true in 0\.1 s; last values: <Harness at",
+        ):
             rig.until(lambda: rig.vehicle_speed_m_s > 50.0, timeout_s=0.1)
         assert len(rig.trace[0]) == len(COLUMNS)
 

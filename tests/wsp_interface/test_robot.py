@@ -3,8 +3,11 @@
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import pytest
+
+EXAMPLE = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
 
 SUITE = """*** Settings ***
 Library          rollerrig.wsp_interface.robot
@@ -41,11 +44,42 @@ A wrong unit
 """
 
 
-@pytest.fixture(scope="module")
-def played(tmp_path_factory):
-    """The folder of the suite, and (status, message) of each test by name."""
-    folder = tmp_path_factory.mktemp("suite")
-    (folder / "suite.robot").write_text(SUITE)
+SHARED = """*** Settings ***
+Library           rollerrig.wsp_interface.robot
+Suite Setup       Start Bench    speed=36 km/h    adhesion=soap    unit={unit}
+Suite Teardown    End Bench
+
+*** Test Cases ***
+The train brakes
+    Brake    3.8 bar
+    Let Pass    1 s
+
+It is the same train
+    Wait Until Speed Below    34 km/h    timeout=10 s
+
+A misspelled fault
+    Inject    speed_sensor_stuk    axle=2
+
+A misspelled fault that is lifted
+    Lift    Speed_Sensor_Stuck
+
+A misspelled signal
+    Wait Until    every cylinder_presure > 1 bar
+
+A wait that ends
+    Wait Until    every cylinder_pressure > 9 bar    timeout=0.2 s
+
+A test with its own train
+    Start Bench    speed=9 km/h    adhesion=dry
+    Brake    1 bar
+
+The train of the suite is gone
+    Brake    1 bar
+"""
+
+
+def results_of(folder, expected_status):
+    """Run suite.robot in a folder; return (status, message) of each test by its name."""
     done = subprocess.run(
         [sys.executable, "-m", "robot", "--outputdir", folder, folder / "suite.robot"],
         capture_output=True,
@@ -53,12 +87,68 @@ def played(tmp_path_factory):
         timeout=900,
         check=False,
     )
-    assert done.returncode == 2, done.stdout + done.stderr
+    assert done.returncode == expected_status, done.stdout + done.stderr
     results = {}
     for test in ET.parse(folder / "output.xml").getroot().iter("test"):
         status = test.find("status")
         results[test.get("name")] = (status.get("status"), status.text or "")
+    return results
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """The results of SHARED, whose bench is started by its Suite Setup with a unit of the user."""
+    folder = tmp_path_factory.mktemp("shared")
+    unit = f"{sys.executable} {EXAMPLE} {{host}} {{port}}"
+    (folder / "suite.robot").write_text(SHARED.format(unit=unit))
+    results = results_of(folder, 5)
     return folder, results
+
+
+def test_a_bench_of_a_suite_setup_is_there_for_all_tests_of_the_suite(shared):
+    folder, results = shared
+    assert results["The train brakes"] == ("PASS", "")
+    assert results["It is the same train"] == ("PASS", "")
+    assert results["A test with its own train"] == ("PASS", "")
+    status, message = results["The train of the suite is gone"]
+    assert status == "FAIL"
+    assert "no bench runs" in message
+    assert sorted(run.name for run in (folder / "rollerrig").iterdir()) == [
+        "A_test_with_its_own_train-1",
+        "Suite-1",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("test", "parts"),
+    [
+        (
+            "A misspelled fault",
+            ("kind = 'speed_sensor_stuk' is not a fault; did you mean 'speed_sensor_stuck'?",),
+        ),
+        ("A misspelled fault that is lifted", ("did you mean 'speed_sensor_stuck'?", "node_off")),
+        ("A misspelled signal", ("did you mean 'cylinder_pressure'?", "vehicle_speed")),
+        (
+            "A wait that ends",
+            ("'every cylinder_pressure > 9 bar' has not come true in 0.2 s; last values: ", " bar"),
+        ),
+    ],
+)
+def test_a_wrong_name_and_a_time_out_say_what_helps(test, parts, shared):
+    _, results = shared
+    status, message = results[test]
+    assert status == "FAIL"
+    assert "abort" not in message
+    for part in parts:
+        assert part in message
+
+
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """The folder of the suite, and (status, message) of each test by name."""
+    folder = tmp_path_factory.mktemp("suite")
+    (folder / "suite.robot").write_text(SUITE)
+    return folder, results_of(folder, 2)
 
 
 def test_a_suite_of_keywords_brakes_the_train(played):

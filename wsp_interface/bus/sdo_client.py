@@ -24,11 +24,13 @@ SEGMENT_MAX = 7  # bytes
 _DOWNLOAD_EXPEDITED = 0x23  # bits 2 and 3 hold the number of unused bytes
 _DOWNLOAD_SEGMENTED = 0x21
 _UPLOAD = 0x40
+_UPLOAD_SEGMENT = 0x60
 # command bytes of the answers, without their size bits
 _ABORTED = 0x80
 _DOWNLOAD_ACCEPTED = 0x60
 _SEGMENT_ACCEPTED = 0x20
 _UPLOADED = 0x40
+_SEGMENT_UPLOADED = 0x00
 _COMMAND_MASK = 0xE0
 
 
@@ -75,17 +77,31 @@ class SdoClient:
             self._request(node, command + segment.ljust(SEGMENT_MAX, b"\0"), _SEGMENT_ACCEPTED)
 
     def read(self, node: int, index: int, sub: int) -> bytes:
-        """Upload an object of up to four bytes. Raises RefusedError, or BusError."""
+        """Upload an object. Raises RefusedError, or BusError without an answer."""
         place = struct.pack("<HB", index, sub)
         reply = self._request(node, bytes([_UPLOAD]) + place + bytes(4), _UPLOADED)
         is_expedited = reply[0] & 2
         if not is_expedited:
-            raise BusError(f"node {node}, object {index:04X}h:{sub}: longer than four bytes")
+            return self._read_segments(node)
         size = EXPEDITED_MAX
         has_size = reply[0] & 1
         if has_size:
             size -= reply[0] >> 2 & 3
         return reply[4 : 4 + size]
+
+    def _read_segments(self, node: int) -> bytes:
+        """Return the data of an upload that has begun, segment by segment."""
+        content = b""
+        toggle = 0
+        while True:
+            command = bytes([_UPLOAD_SEGMENT | toggle << 4])
+            reply = self._request(node, command + bytes(7), _SEGMENT_UPLOADED)
+            unused = reply[0] >> 1 & 7
+            content += reply[1 : 1 + SEGMENT_MAX - unused]
+            is_last = reply[0] & 1
+            if is_last:
+                return content
+            toggle ^= 1
 
     def _request(self, node: int, data: bytes, wanted: int) -> bytes:
         """Send a request and return the answer whose command byte is `wanted`."""

@@ -19,6 +19,7 @@ import numpy as np
 from rollerrig.configs import output_files, store
 from rollerrig.configs.errors import BusError, RollerrigError, UnitError
 from rollerrig.wsp_interface import braking, events, own_bench, unit_choice
+from rollerrig.wsp_interface.bus.sdo_client import RefusedError
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import verdict
@@ -121,6 +122,8 @@ def on_own_bench(
             play(sequence, harness, outcome)
         outcome.summary = own_bench.summary(folder)
         own_bench.check_valid(outcome.summary)
+    except RefusedError as error:
+        outcome.error = str(error)
     except BusError as error:
         outcome.error = _why_lost(error, harness, "let the sequence end sooner")
     except (RollerrigError, OSError) as error:
@@ -150,6 +153,8 @@ def on_running_bench(
             _check_start(sequence, harness)
             play(sequence, harness, outcome)
         _check_unit(harness)
+    except RefusedError as error:
+        outcome.error = str(error)
     except BusError as error:
         remedy = "start it with --set stand_s=60, which is the longest time, or let the sequence end sooner"
         outcome.error = _why_lost(error, harness, remedy)
@@ -280,7 +285,10 @@ def _play_steps(sequence: Sequence, harness: Harness, verdicts: list[Verdict]) -
         except TimeOutError:
             text = step.until.text if step.until else ""
             wanted = f"{text} within {step.timeout_s:g} s"
-            why = f"not reached at {harness.time_s:.2f} s; the sequence ends here"
+            values = step.until.readings(harness.values) if step.until else "-"
+            why = (
+                f"not reached at {harness.time_s:.2f} s, last values {values}; the sequence ends here"
+            )
             verdicts.append(_line(name, wanted, Result.FAIL, why))
             return False
         if step.until:

@@ -221,8 +221,8 @@ def check_column(path: Path, name: str, names: list[str]) -> None:
     count = names.count(name)
     if count == 0:
         raise ConfigError(
-            f"{path}: column '{name}' is missing{table.nearest(name, names, 'The file has')}; name it in "
-            "dataset.toml as `column` in [channels], the column of the stamps under time_s"
+            f"{path}: column '{name}' is missing{table.nearest(name, names, 'The file has')}; name "
+            "it in dataset.toml as `column` in [channels], the column of the stamps under time_s"
         )
     if count > 1:
         raise ConfigError(
