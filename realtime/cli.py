@@ -39,6 +39,7 @@ from rollerrig.realtime.commands import (
 )
 from rollerrig.realtime.commands.datasets import importing
 from rollerrig.realtime.commands.evidence import etcs, programme
+from rollerrig.realtime.commands.shell import completion, manual
 
 # exit statuses
 PASS = 0
@@ -257,6 +258,20 @@ VERBS = (
         "compute Table 6 on runs that are not fitted: measured, with and without recovery",
         "rollerrig validate velim_synthetic --out reports/validate",
     ),
+    Verb(
+        "completion",
+        completion.arguments,
+        completion.call,
+        "print the lines that make a shell complete command lines of rollerrig",
+        "rollerrig completion bash",
+    ),
+    Verb(
+        "manual",
+        manual.arguments,
+        manual.call,
+        "print the manual page, generated from the parser",
+        "rollerrig manual",
+    ),
 )
 
 
@@ -290,6 +305,9 @@ def parser(raises: bool = False) -> argparse.ArgumentParser:
         )
         sub.add_argument(FROM_PYTHON, action="store_true", help=argparse.SUPPRESS)
         sub.set_defaults(call=verb.call)
+        # not for all verbs, because some send their options to other processes
+        if verb.call is manual.call:
+            sub.set_defaults(top=top)
     return top
 
 

@@ -110,6 +110,7 @@ OUTSIDE = {
     "realtime/desk": "numpy nicegui fastapi pymodbus",
     "realtime/pictures": "numpy",
     "realtime/commands": "numpy rich tomli_w",
+    "realtime/commands/shell": "argcomplete argparse_manpage",
 }
 # Files that may call importlib.import_module: for benchmarks by name, modules of a clone, the unit
 # of a campaign, and packages that only some commands need.

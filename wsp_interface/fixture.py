@@ -1,7 +1,8 @@
 """The pytest fixtures `rollerrig_bench` and `rollerrig_module_bench`.
 
-Every pytest run loads this file if rollerrig is installed. Therefore it imports nothing but pytest until a test starts a bench. The report of a failed test
-shows the state of its benches, the folders of their runs, and where a picture of each will be.
+Every pytest run loads this file if rollerrig is installed. Therefore it imports nothing but pytest
+until a test starts a bench. The report of a failed test shows the state of its benches, the folders
+of their runs, and where a picture of each will be.
 """
 
 import contextlib

@@ -9,7 +9,9 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output, wsp
+from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
     from rollerrig.realtime.bench.options import Progress
@@ -50,6 +52,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         help="folder of the run (default: runs/SCENARIO, with a number if it exists)",
+    )
+    parser.add_argument(
+        "--replace",
+        action="store_true",
+        help="replace the run in --out without a question on the terminal; other files there are "
+        "kept",
     )
     parser.add_argument(
         "--live",
@@ -146,6 +154,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         sources=scenario.PYTHON if options.from_python else scenario.COMMAND_LINE,
     )
     out = options.out or free_folder(plan.name)
+    _announce_replacement(out, options)
     bench_options = Options(
         pacing=options.pacing,
         unit=options.wsp,
@@ -178,6 +187,24 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
     if options.strict and summary["loop"]["missed"]:
         return LATE
     return output.PASS
+
+
+def _announce_replacement(out: Path, options: argparse.Namespace) -> None:
+    """Print which run the new one replaces; on a terminal, ask the user before.
+
+    Raises ConfigError if the user does not want that.
+    """
+    earlier = run_folder.earlier_run(out)
+    if not earlier:
+        return
+    output.print_message(f"{out} holds {earlier}")
+    asks = sys.stdin.isatty() and sys.stderr.isatty() and not (options.json or options.replace)
+    if not asks:
+        output.print_message("these files are replaced by the new run")
+        return
+    print("replace these files by the new run? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise ConfigError(f"{out} is kept; give a new folder with --out")
 
 
 def _items(result: dict[str, Any], out: Path) -> list[Any]:

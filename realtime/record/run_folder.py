@@ -5,6 +5,7 @@ name, and everything else is kept: notes, exports, folders. A folder without MAR
 is empty.
 """
 
+import time
 from pathlib import Path
 
 from rollerrig.configs import user_files
@@ -39,6 +40,23 @@ def begin(folder: Path) -> None:
         )
         for name in FILES:
             (folder / name).unlink(missing_ok=True)
+
+
+def earlier_run(folder: Path) -> str:
+    """Return what the run in a folder is, and which files a new run replaces, as a phrase.
+
+    "" if the folder holds no run.
+    """
+    files = [name for name in FILES if (folder / name).is_file()]
+    if not files or not _is_run(folder):
+        return ""
+    try:
+        summary = user_files.read_json(folder / SUMMARY, within=folder)
+        what = f"a run of {summary['scenario']} ({summary['pacing']}, {summary['ended']})"
+    except (ConfigError, KeyError, TypeError):
+        what = "a run that has no summary"
+    begun = time.strftime("%Y-%m-%d %H:%M", time.localtime((folder / files[0]).stat().st_mtime))
+    return f"{what}, begun at {begun}: {', '.join(files)}"
 
 
 def _is_run(folder: Path) -> bool:

@@ -37,7 +37,7 @@ def rig(rollerrig_module_bench):
 
 def test_it_brakes(rig):
     rig.brake(bar=3.0)
-    rig.wait(0.5)
+    rig.until(lambda: rig.axles("cylinder_pressure")[0] > 1e5, timeout_s=5.0)
 
 def test_it_still_brakes(rig):
     assert rig.axles("cylinder_pressure")[0] > 1e5
@@ -146,7 +146,7 @@ def test_the_tests_of_a_module_share_a_bench_with_a_unit_of_the_user(session, tm
     assert session({"test_shared.py": text}).wait(600) == 1
     printed = output_of(tmp_path)
     assert "1 failed, 2 passed" in printed
-    assert "test_shared.py, line 19: rig.until(lambda: rig.vehicle_speed_m_s > 9.0" in printed
+    assert "test_shared.py, line 18: rig.until(lambda: rig.vehicle_speed_m_s > 9.0" in printed
     (run,) = set(re.findall(r"^run: (.+)$", printed, re.MULTILINE))
     assert Path(run, "stop.svg").is_file()
 

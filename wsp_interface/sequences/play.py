@@ -286,9 +286,7 @@ def _play_steps(sequence: Sequence, harness: Harness, verdicts: list[Verdict]) -
             text = step.until.text if step.until else ""
             wanted = f"{text} within {step.timeout_s:g} s"
             values = step.until.readings(harness.values) if step.until else "-"
-            why = (
-                f"not reached at {harness.time_s:.2f} s, last values {values}; the sequence ends here"
-            )
+            why = f"not reached at {harness.time_s:.2f} s, last values {values}; the sequence ends here"
             verdicts.append(_line(name, wanted, Result.FAIL, why))
             return False
         if step.until:

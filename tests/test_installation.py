@@ -1,0 +1,270 @@
+"""Other ways to install: the wheel in a fresh environment, the Containerfile, what shells get."""
+
+import contextlib
+import json
+import os
+import pty
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+from rollerrig.configs import store
+from rollerrig.realtime import cli
+
+ROOT = Path(__file__).parents[1]
+CONTAINERFILE = ROOT / "Containerfile"
+
+
+# --- the wheel ---
+
+
+def tracked_files():
+    """Return the files of the repository by their paths in it, without what is ignored."""
+    listed = subprocess.run(
+        ["git", "ls-files", "--cached", "--others", "--exclude-standard", "-z"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=True,
+    ).stdout
+    return [name for name in listed.split("\0") if name and (ROOT / name).is_file()]
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory):
+    """The program `rollerrig` of a wheel in a fresh environment.
+
+    The environment finds the dependencies in that of this test, so that nothing is downloaded.
+    """
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    rooms = ("configs/", "firmware_sim/", "realtime/", "rig/", "wsp_interface/")
+    for name in tracked_files():
+        if name.startswith(rooms) or name in ("pyproject.toml", "README.md", "LICENSE"):
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(ROOT / name, source / name)
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), source]
+    subprocess.run(build, check=True)
+    (wheel,) = folder.glob("rollerrig-*.whl")
+
+    venv.create(folder / "venv", with_pip=False)
+    python = folder / "venv/bin/python"
+    install = [*pip, "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run(install, check=True)
+    (packages,) = (folder / "venv/lib").glob("python*/site-packages")
+    # a path in such a file is only searched; the editable rollerrig there is not installed by it
+    (packages / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return folder / "venv/bin/rollerrig"
+
+
+def output_of(program, folder, *words):
+    """Run the installed program in a folder, and return its standard output."""
+    done = subprocess.run(
+        [program, *words], cwd=folder, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_the_wheel_runs_without_the_repository(program, tmp_path):
+    version = re.search(r'^version = "(.+)"', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
+    assert output_of(program, tmp_path, "--version") == f"rollerrig {version[1]}\n"
+    where = [program.parent / "python", "-c", "import rollerrig; print(rollerrig.__file__)"]
+    path = subprocess.run(where, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
+    assert Path(path.strip()).is_relative_to(program.parents[1])
+
+
+@pytest.mark.parametrize("kind", ["scenarios", "sequences", "campaigns", "adhesion", "datasets"])
+def test_the_wheel_holds_every_packaged_file_of_a_kind(kind, program, tmp_path):
+    listed = json.loads(output_of(program, tmp_path, "list", kind, "--json"))[kind]
+    names = [entry["name"] for entry in listed]
+    if kind == "datasets":
+        assert names == sorted(path.parent.name for path in store.ROOT.glob("datasets/*/*.toml"))
+    else:
+        assert names == store.names(kind)
+
+
+def test_the_wheel_reads_its_packaged_sequences(program, tmp_path):
+    checked = json.loads(output_of(program, tmp_path, "sequence", "--check", "--json"))["checked"]
+    assert checked == store.names("sequences")
+
+
+# the kernels of the fresh environment are compiled for it
+@pytest.mark.long
+def test_the_wheel_brakes_a_packaged_scenario(program, tmp_path):
+    words = ("run", "velim_a1", "--pacing", "free", "--set", "initial_speed_m_s=3", "--json")
+    result = json.loads(output_of(program, tmp_path, *words))
+    assert result["valid"]
+    assert (tmp_path / "runs/velim_a1/channels.parquet").is_file()
+
+
+# --- the container ---
+
+
+def instructions():
+    """Return the instructions of the Containerfile as (keyword, arguments)."""
+    text = re.sub(r"^#.*\n", "", CONTAINERFILE.read_text(), flags=re.MULTILINE)
+    lines = [line for line in text.replace("\\\n", " ").splitlines() if line.strip()]
+    return [tuple(line.split(maxsplit=1)) for line in lines]
+
+
+def test_the_container_has_a_supported_python_and_does_not_run_as_root():
+    found = instructions()
+    assert {keyword for keyword, _ in found} <= {
+        *("FROM", "RUN", "USER", "WORKDIR", "COPY", "EXPOSE", "ENTRYPOINT", "CMD")
+    }
+    (image,) = [arguments for keyword, arguments in found if keyword == "FROM"]
+    minor = int(re.search(r"python:3\.(\d+)-slim", image)[1])
+    lowest, below = re.search(
+        r'requires-python = ">=3\.(\d+),<3\.(\d+)"', (ROOT / "pyproject.toml").read_text()
+    ).groups()
+    assert int(lowest) <= minor < int(below)
+    keywords = [keyword for keyword, _ in found]
+    assert dict(found)["USER"] != "root"
+    # what is copied belongs to the user who runs it
+    assert keywords.index("USER") < keywords.index("COPY")
+    assert f"--chown={dict(found)['USER']}" in dict(found)["COPY"]
+
+
+def test_every_command_of_the_container_exists(tmp_path):
+    """Makes a dry run of the Makefile's targets in a fresh folder; parses rollerrig's words."""
+    shutil.copyfile(ROOT / "Makefile", tmp_path / "Makefile")
+    for name in ("pyproject.toml", "constraints.txt"):
+        shutil.copyfile(ROOT / name, tmp_path / name)
+    commands = []
+    for keyword, arguments in instructions():
+        if keyword == "RUN":
+            commands += [shlex.split(part) for part in arguments.split("&&")]
+    made = [words for words in commands if words[0] == "make"]
+    run = [words for words in commands if words[0] == ".venv/bin/rollerrig"]
+    assert made
+    for words in [*made, ["make", "test"]]:
+        planned = subprocess.run(
+            ["make", "--dry-run", *words[1:]],
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert planned.returncode == 0, planned.stderr
+        assert "pip install" in planned.stdout
+    by_keyword = dict(instructions())
+    entry = json.loads(by_keyword["ENTRYPOINT"])
+    assert entry == [".venv/bin/rollerrig"]
+    desk = "desk --host 0.0.0.0"
+    assert f"rollerrig {desk}" in (ROOT / "docs/containers.md").read_text()
+    for words in [*(words[1:] for words in run), json.loads(by_keyword["CMD"]), desk.split()]:
+        cli.parser().parse_args(words)
+    assert by_keyword["EXPOSE"] == str(cli.parser().parse_args(["desk"]).port)
+
+
+def test_the_container_does_not_get_what_git_ignores():
+    ignored = (ROOT / ".containerignore").read_text().split()
+    kept_out = {name.strip("/") for name in (ROOT / ".gitignore").read_text().split()}
+    assert {"runs", "report", "build", "campaigns", "devices", ".venv"} <= kept_out
+    assert {"runs", "report", "build", "campaigns", "devices", ".venv", ".git"} <= set(ignored)
+    assert not {"tests", "docs", "configs", "Makefile", "constraints.txt"} & set(ignored)
+
+
+# --- what a shell gets ---
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_the_completion_of_a_shell_names_the_program(shell, capsys):
+    pytest.importorskip("argcomplete")
+    assert cli.main(["completion", shell]) == 0
+    lines = capsys.readouterr().out
+    assert "rollerrig" in lines
+    assert "_ARGCOMPLETE" in lines
+    if shell != "fish":
+        program = shutil.which(shell)
+        if program:
+            subprocess.run([program, "-n"], input=lines, text=True, check=True)
+
+
+def test_bash_completes_an_option_with_the_printed_lines(tmp_path):
+    pytest.importorskip("argcomplete")
+    (tmp_path / "rollerrig").write_text(
+        f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m rollerrig.realtime.cli "$@"\n'
+    )
+    (tmp_path / "rollerrig").chmod(0o755)
+    script = (
+        'eval "$(rollerrig completion bash)"\n'
+        "COMP_LINE='rollerrig run velim_a1 --also' COMP_POINT=29 COMP_TYPE=9\n"
+        "COMP_WORDS=(rollerrig run velim_a1 --also) COMP_CWORD=3\n"
+        "_python_argcomplete rollerrig\n"
+        'echo "${COMPREPLY[@]}"\n'
+    )
+    done = subprocess.run(
+        ["bash", "-c", script],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=os.environ | {"PATH": f"{tmp_path}:{os.environ['PATH']}"},
+    )
+    assert done.stdout.strip() == "--also-without-wsp", done.stderr
+
+
+def test_the_manual_page_has_every_verb_and_its_options(capsys):
+    pytest.importorskip("argparse_manpage")
+    assert cli.main(["manual"]) == 0
+    page = capsys.readouterr().out
+    assert page.startswith(".TH ROLLERRIG")
+    plain = page.replace("\\-", "-")
+    for verb in cli.VERBS:
+        assert f"COMMAND \\fI\\,'rollerrig {verb.name}'" in plain
+    assert "--also-without-wsp" in plain
+    assert "--from-python" not in plain
+
+
+# --- a run that replaces another ---
+
+RUN = ("run", "dry_stop", "--pacing", "free", "--wsp", "none", "--set", "initial_speed_m_s=2")
+
+
+def test_a_run_reports_which_run_it_replaces(tmp_path, capfd):
+    out = tmp_path / "stop"
+    assert cli.main([*RUN, "--out", str(out)]) == 0
+    assert "replaced" not in capfd.readouterr().err
+    (out / "note.txt").write_text("mine")
+    assert cli.main([*RUN, "--out", str(out)]) == 0
+    messages = capfd.readouterr().err
+    assert f"{out} holds a run of dry_stop (free, finished), begun at 20" in messages
+    assert "scenario.toml, channels.parquet" in messages
+    assert "these files are replaced by the new run" in messages
+    assert (out / "note.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize(("answer", "status"), [("n\n", 2), ("\n", 2), ("y\n", 0)])
+def test_a_run_on_a_terminal_asks_before_it_replaces_another(answer, status, tmp_path):
+    out = tmp_path / "stop"
+    assert cli.main([*RUN, "--out", str(out)]) == 0
+    before = (out / "summary.json").stat().st_mtime_ns
+
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        [sys.executable, "-m", "rollerrig.realtime.cli", *RUN, "--out", str(out)],
+        stdin=theirs,
+        stdout=subprocess.DEVNULL,
+        stderr=theirs,
+    ) as process:
+        os.close(theirs)
+        shown = ""
+        while "[y/N]" not in shown:
+            shown += os.read(ours, 4096).decode()
+        os.write(ours, answer.encode())
+        with contextlib.suppress(OSError):  # raised when the terminal is closed
+            while True:
+                shown += os.read(ours, 4096).decode()
+    os.close(ours)
+    assert process.returncode == status, shown
+    assert ("is kept; give a new folder with --out" in shown) == (status == 2)
+    assert ((out / "summary.json").stat().st_mtime_ns == before) == (status == 2)
