@@ -258,7 +258,7 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
     return list(rows.values())
 
 
-def _fill(row: Row, found: Mapping[str, Any]) -> None:
+def _fill(row: Row, found: Row) -> None:
     """Write the results of a run into its row, from its summary."""
     for figure in figures.FIGURES:
         row[figure.name] = figure.of(found)
