@@ -5,8 +5,10 @@
     `wsp.vents_without_sliding`   a dump valve begins to vent, and its axle has not slid by
                                   `SLIDES_M_S` within the last `MEMORY_S`
     `wsp.axles_swapped`           a dump valve vents although its axle does not slide, while another
-                                  axle slides by more than `SLIDES_FAR_M_S` and its valve fills;
-                                  together for `SWAPPED_S`, and clearly with one other axle
+                                  axle slides by more than `SLIDES_FAR_M_S` and more than
+                                  `SLIDES_FAR_SHARE` of the speed, which no protection allows, and
+                                  its valve fills; together for `SWAPPED_S`, and clearly with one
+                                  other axle
     `wsp.reference_drifts`        the reference speed of the unit is off by more than `DRIFT_M_S`
                                   and by more than `DRIFT_SHARE` of the speed, for `DRIFT_S`
 
@@ -32,6 +34,7 @@ SLOWEST_M_S = 2.0
 SLIDES_M_S = 0.4
 MEMORY_S = 0.5
 SLIDES_FAR_M_S = 1.0
+SLIDES_FAR_SHARE = 0.35  # a unit may let wheels slide by a fifth of the speed on purpose
 SWAPPED_S = 1.0
 CLEARLY = 1.5  # so many times longer than beside any third axle
 DRIFT_M_S = 3.0
@@ -119,8 +122,9 @@ class Diagnosis:
     def _compare_with_others(self, axle: int, sample: Sample, lasts_s: float) -> None:
         """Count for how long other axles slide, unprotected, while the valve of `axle` vents."""
         beside_s = self.beside_s[axle]
+        far_m_s = max(SLIDES_FAR_M_S, SLIDES_FAR_SHARE * sample.speed_m_s)
         for other in range(AXLES):
-            slides = sample.sliding_m_s[other] > SLIDES_FAR_M_S
+            slides = sample.sliding_m_s[other] > far_m_s
             fills = sample.valves[other] < FILLS
             if other != axle and slides and fills:
                 beside_s[other] += lasts_s

@@ -78,6 +78,23 @@ def test_swapped_axles_are_found_and_named():
     assert one.wrong_axle_s > 10.0
 
 
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "speed_sensor_stuck axle=1 at=9",
+        "speed_sensor_stuck axle=3 at=4",
+        "speed_sensor_dropout axle=2 at=5",
+        "vent_magnet_dead axle=2 at=3",
+        "vent_magnet_stuck axle=4 at=3",
+        "missing_tooth axle=1",
+    ],
+)
+def test_another_fault_of_one_axle_is_not_called_swapped_axles(fault):
+    plan = scenario.load("velim_a1", faults=[fault])
+    _, found = diagnosed(free.simulate(plan))
+    assert Code.WSP_AXLES_SWAPPED not in codes(found)
+
+
 def test_a_reference_speed_that_falls_with_the_wheels_is_found():
     usual = logic.load("reference")
     falls = usual._replace(

@@ -466,3 +466,23 @@ def test_each_axle_has_a_kind_of_line_besides_its_colour(reported):
 def test_a_picture_of_an_unknown_kind_is_refused_with_the_kinds_that_there_are(reported, tmp_path):
     with pytest.raises(ConfigError, match=r"allowed are .png, .svg, .pdf"):
         run_stop.write_runs([records.load(reported)], tmp_path / "run.gif", (800, 600))
+
+
+def test_view_png_writes_the_picture_for_a_report_without_a_viewer(reported, tmp_path):
+    # no graphics driver is found, and none is needed
+    no_driver = {"VK_DRIVER_FILES": os.devnull, "VK_ICD_FILENAMES": os.devnull}
+    for name in ("two.png", "two.svg"):
+        command = [sys.executable, "-m", "rollerrig.realtime.cli", "view", str(reported)]
+        command += [str(other_run(reported, tmp_path / name.replace(".", "_")))]
+        done = subprocess.run(
+            [*command, "--png", str(tmp_path / name), "--size", "1000x800"],
+            capture_output=True,
+            text=True,
+            env=os.environ | no_driver,
+            timeout=300,
+        )
+        assert done.returncode == 0, done.stderr
+    assert Image.open(tmp_path / "two.png").size == (1000, 800)
+    svg = (tmp_path / "two.svg").read_text()
+    assert "first (" in svg
+    assert "second (" in svg
