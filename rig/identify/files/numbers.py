@@ -13,6 +13,7 @@ assumption is refused, and the message shows both readings.
 """
 
 import re
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,11 +30,9 @@ COMMA = ","
 _EXPONENT = r"([eEdD][-+]?\d+)?"
 _INFINITY = r"^[-+]?inf(inity)?$"
 _READINGS = {
-    POINT: rf"^[-+]?(\d+|[1-9]\d{{0,2}}(,\d{{3}})+)?(\.\d*)?{_EXPONENT}$|{_INFINITY}",
-    COMMA: rf"^[-+]?(\d+|[1-9]\d{{0,2}}(\.\d{{3}})+)?(,\d*)?{_EXPONENT}$|{_INFINITY}",
+    POINT: rf"^[-+]?((\d+|[1-9]\d{{0,2}}(,\d{{3}})+)(\.\d*)?|\.\d+){_EXPONENT}$|{_INFINITY}",
+    COMMA: rf"^[-+]?((\d+|[1-9]\d{{0,2}}(\.\d{{3}})+)(,\d*)?|,\d+){_EXPONENT}$|{_INFINITY}",
 }
-# a value needs one of these, which the patterns of the readings do not require
-_CONTENT = r"\d|inf"
 # thousands with blanks or apostrophes, in a value with any decimal mark
 _GROUPED = r"^[-+]?\d{1,3}(['\x{2019}\x{a0}\x{202f} ]\d{3})+([.,]\d*)?$"
 _GROUP_MARKS = r"['\x{2019}\x{a0}\x{202f} ]"
@@ -102,8 +101,7 @@ def _judge(text: pa.ChunkedArray) -> _Text:
             return _Text(values, frozenset({POINT}))
         except pa.ArrowInvalid:
             pass
-    if fitting:
-        fitting = _fitting(values)
+    fitting = _fitting(values, fitting)
     if not fitting:
         grouped = pc.fill_null(pc.match_substring_regex(values, _GROUPED), False)
         if pc.any(grouped).as_py():
@@ -113,14 +111,12 @@ def _judge(text: pa.ChunkedArray) -> _Text:
     return _Text(values, frozenset(fitting))
 
 
-def _fitting(values: pa.ChunkedArray) -> set[str]:
-    """Return the readings that fit all values."""
+def _fitting(values: pa.ChunkedArray, readings: Iterable[str] = _READINGS) -> set[str]:
+    """Return those of the readings that fit all values."""
     fitting = set()
-    for mark, pattern in _READINGS.items():
-        if pc.all(pc.match_substring_regex(values, pattern)).as_py() is not False:
+    for mark in readings:
+        if pc.all(pc.match_substring_regex(values, _READINGS[mark])).as_py() is not False:
             fitting.add(mark)
-    if fitting and pc.all(pc.match_substring_regex(values, _CONTENT)).as_py() is False:
-        return set()
     return fitting
 
 
@@ -190,6 +186,6 @@ def _first_text(values: Any) -> str:
     """Return the first value of a column of text that is not a number, in words; else ""."""
     pattern = re.compile("|".join(_READINGS.values()))
     for place, value in enumerate(values.to_pylist(), start=1):
-        if isinstance(value, str) and not (pattern.match(value) and re.search(_CONTENT, value)):
+        if isinstance(value, str) and not pattern.match(value):
             return f"sample {place} is {value[:_SHOWN]!r}"
     return ""

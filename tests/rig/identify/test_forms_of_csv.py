@@ -215,9 +215,11 @@ def test_a_file_in_no_form_is_refused_with_the_reason(content: bytes, message: s
         parsed(content)
 
 
-def test_text_among_numbers_is_shown_where_it_is() -> None:
-    with pytest.raises(ConfigError, match="'v' is not all numbers: sample 2 is 'broken'"):
-        column(parsed(three("1.5", "broken", "2.5")), "v")
+@pytest.mark.parametrize("text", ["broken", "e5", "+", ".", "1.2.3", "0x1F"])
+def test_text_among_numbers_is_shown_where_it_is(text: str) -> None:
+    with pytest.raises(ConfigError, match="'v' is not all numbers: sample 2 is") as error:
+        column(parsed(three("1.5", text, "2.5", "3.5")), "v")
+    assert repr(text) in str(error.value)
 
 
 # --- units ---
