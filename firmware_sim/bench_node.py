@@ -94,6 +94,15 @@ def rows(pacing: str) -> list[Row]:
             rig.NOTE, 0, "Operator note", "TEXT", "rw", "", text="is added to the events of the run"
         ),
         Row(
+            rig.FAILURE,
+            0,
+            "Failure of the test",
+            "TEXT",
+            "rw",
+            "",
+            text="ends the run, which is not valid, with this reason",
+        ),
+        Row(
             rig.REFUSAL,
             0,
             "Reason of the last refusal",
@@ -146,13 +155,14 @@ class BenchNode:
         attach(rig.FAULT, rig.LIFT, effect=partial(self._act, "lift"))
         attach(rig.REFUSAL, read=lambda: self.refusal)
         attach(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
+        attach(rig.FAILURE, effect=partial(self._act, "fail"))
         for axle in range(1, AXLES + 1):
             attach(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
         node.on_reset.append(lambda: self._join(0))
         node.on_poll.append(lambda _: self._start())
 
     def wire(self, **actions: Callable[..., Any]) -> None:
-        """Set the calls of commands: end(), inject(text), lift(text).
+        """Set the calls of commands: end(), fail(reason), inject(text), lift(text).
 
         And of a harness that comes and goes: joined(), left().
         """

@@ -144,11 +144,11 @@ def start(
                 started = [stack.enter_context(companion(address)) for companion in companions]
                 programs = [one for one in started if isinstance(one, Program)]
                 helpers = [one for one in started if isinstance(one, Helper)]
-                harness.on_silence = partial(_check, programs, helpers, harness)
-                harness.on_cycle = partial(_check_helpers, helpers, harness)
+                harness.on_silence = partial(_check, programs, helpers)
+                harness.on_cycle = partial(_check_helpers, helpers)
                 try:
                     yield harness.join()
-                    _check_helpers(helpers, harness)
+                    _check_helpers(helpers)
                     for helper in helpers:
                         if helper.failure:
                             harness.log("unit", helper.failure)
@@ -157,6 +157,8 @@ def start(
                 except RefusedError:
                     raise
                 except BusError as error:
+                    # a helper that has failed has ended the bench
+                    _check_helpers(helpers)
                     causes = _last_words(process, Path(log.name))
                     for program in programs:
                         causes += program.exit_text()
@@ -206,23 +208,21 @@ class Program(NamedTuple):
         )
 
 
-def _check(programs: Iterable[Program], helpers: Iterable[Helper], harness: Harness) -> None:
+def _check(programs: Iterable[Program], helpers: Iterable[Helper]) -> None:
     """Raise RollerrigError when a helper has failed, and UnitError when a program has.
 
     A program that has exited with status 0 may have started another process.
     """
-    _check_helpers(helpers, harness)
+    _check_helpers(helpers)
     failed = [program.exit_text() for program in programs if program.process.poll()]
     if failed:
         raise UnitError("".join(failed).removeprefix("; "))
 
 
-def _check_helpers(helpers: Iterable[Helper], harness: Harness) -> None:
-    """Raise RollerrigError when a helper has failed; the reason is also noted in the run."""
+def _check_helpers(helpers: Iterable[Helper]) -> None:
+    """Raise RollerrigError when a helper has failed; it has ended the run with the reason."""
     for helper in helpers:
         if helper.breakdown:
-            with contextlib.suppress(RollerrigError):  # the bench may have exited
-                harness.note(helper.breakdown)
             raise RollerrigError(helper.breakdown)
 
 

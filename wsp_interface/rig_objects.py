@@ -142,5 +142,6 @@ FRICTION = 0x2020  # 2020h, one sub-index for each axle
 FRICTION_SCALE = 1e-4  # friction coefficient of one count
 
 NOTE = 0x2030  # 2030h
+FAILURE = 0x2031  # 2031h: why the test cannot go on; ends the run as a failure
 
 REFUSAL = 0x2040  # 2040h, why the last command was refused

@@ -180,9 +180,12 @@ class Parts:
         if not self.ended_by:
             self.ended_by = ENDED_BY[code]
             self.event(code, **fields)
+        self._halt()
+
+    def _halt(self) -> None:
+        """Let the loop end at the next tick, and whatever waits for an answer notice it."""
         self.data.control[STOP] = 1
         if self.bus:
-            # the code that waits for an answer must notice
             self.bus.unit_partner.answered.set()
             self.bus.harness_partner.answered.set()
 
@@ -276,6 +279,7 @@ class Parts:
         )
         bus.harness.wire(
             end=self._end_by_harness,
+            fail=self._fail,
             inject=self._inject,
             lift=self._lift,
             joined=bus.seat_harness,
@@ -315,6 +319,11 @@ class Parts:
         """End the run as a failure because the bus is gone; its record is kept."""
         self.failure = self.failure or error
         self.stop(Code.RUN_BUS_LOST)
+
+    def _fail(self, reason: str) -> None:
+        """End the run as a failure of something beside it, such as a gateway to the unit."""
+        self.failure = self.failure or RollerrigError(reason)
+        self._halt()
 
     def _end_by_harness(self) -> None:
         self.event(Code.RUN_ENDED_BY_HARNESS)

@@ -7,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import own_bench
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 from rollerrig.wsp_interface.unit_map import fields, gateway
@@ -53,4 +55,10 @@ def test_a_gateway_that_fails_ends_the_run_with_its_reason_and_without_blame_for
         "the gateway between rig and unit has failed (RuntimeError: no such page" in outcome.error
     )
     assert "has not answered" not in outcome.error
-    assert not any("WSP unit" in event.text for event in outcome.events)
+
+    run = records.load(tmp_path / "stop" / "run")
+    assert run.summary["valid"] is False
+    (reason,) = run.summary["invalid_because"]
+    assert "the gateway between rig and unit has failed" in reason
+    blaming = (Code.UNIT_LOST, Code.UNIT_FAILED, Code.UNIT_ENDED, Code.UNIT_UNANSWERED)
+    assert [event for event in run.events if event.code in blaming] == []

@@ -26,10 +26,13 @@ from typing import Any
 import can
 import cantools
 
+from rollerrig.configs.errors import BusError
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import SYNC
+from rollerrig.wsp_interface.bus.sdo_client import SdoClient
 from rollerrig.wsp_interface.rig_objects import (
+    FAILURE,
     GENERIC_ERROR,
     MAGNETS_ID,
     PRESSURES,
@@ -39,7 +42,7 @@ from rollerrig.wsp_interface.rig_objects import (
     UNIT_HAS_FAILED,
     UNIT_HEARTBEAT_ID,
 )
-from rollerrig.wsp_interface.signals import WSP_NODE
+from rollerrig.wsp_interface.signals import BENCH_NODE, WSP_NODE
 from rollerrig.wsp_interface.unit_map import fields
 from rollerrig.wsp_interface.unit_map.mapping import (
     SOURCE_OF_COLUMN,
@@ -108,6 +111,13 @@ class Gateway:
                 "this is a fault of rollerrig and not of the unit: please report it with the "
                 "mapping and the DBC"
             )
+            self._end_run()
+
+    def _end_run(self) -> None:
+        """End the run with the reason, so that the bench does not wait for the unit."""
+        client = SdoClient(self.bus.send, self.bus.recv, lambda message: None)
+        with contextlib.suppress(can.CanError, BusError):  # the bench may have exited
+            client.write(BENCH_NODE, FAILURE, 0, self.breakdown.encode("ascii", "replace"))
 
     def notes(self) -> Iterator[str]:
         """Yield what is remarkable about the messages so far, a sentence each."""

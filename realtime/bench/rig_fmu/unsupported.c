@@ -1,4 +1,4 @@
-/* The functions of FMI 3.0 whose features the FMU of a rig does not have: each refuses with fmi3Error.
+/* The functions of FMI 3.0 whose features the FMU of a rig does not have: each returns fmi3Error.
 
 An importing tool may look for all functions of the standard when it loads the library. */
 
@@ -6,8 +6,10 @@ An importing tool may look for all functions of the standard when it loads the l
 
 fmi3Status rig_unsupported(void *instance, const char *function);
 
-#define REFUSED(name, ...) \
-    fmi3Status name(fmi3Instance instance, ##__VA_ARGS__) { return rig_unsupported(instance, #name); }
+#define REFUSED(name, ...)                                  \
+    fmi3Status name(fmi3Instance instance, ##__VA_ARGS__) { \
+        return rig_unsupported(instance, #name);            \
+    }
 
 fmi3Instance fmi3InstantiateModelExchange(fmi3String instanceName, fmi3String
     instantiationToken, fmi3String resourcePath, fmi3Boolean visible, fmi3Boolean loggingOn,
