@@ -25,7 +25,7 @@ from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.identify.decide.gain import RunGain
 from rollerrig.rig.identify.decide.thresholds import BLOCK_S, SLOWEST_M_S
-from rollerrig.rig.mechanisms.mechanism import COVARIATES, VEHICLE, arguments
+from rollerrig.rig.mechanisms.mechanism import COVARIATES, TORQUE, VEHICLE, arguments
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 BINS = 12
@@ -36,6 +36,8 @@ MOST_PANELS = 3
 BAR_HEIGHT = 0.36  # of a horizontal bar of the gains; bars of one run are BAR_PITCH apart
 BAR_PITCH = 0.38
 BLOCKS_OF_WHEEL = 10_000  # more than a run has
+# measured adhesion is drawn for both models where they read it this far apart
+LEAST_APART = 0.001
 
 # axis titles of covariates
 _TITLES = {c.name: f"{c.word.replace('_', ' ')}, {c.unit}" for c in COVARIATES if c.word} | {
@@ -97,8 +99,9 @@ def where(diagnosis: Diagnosis, against: list[str]) -> list[Panel]:
     block = _blocks(design)
     axle_of = np.repeat(design.axle, np.diff(design.start))
 
-    panels = []
-    for name in _covariates_to_show(against):
+    # a vehicle whose speed is wrong shows in no adhesion, so its speed is drawn
+    panels = [_speed_panel(diagnosis, word) for word in against if word.startswith("vehicle ")]
+    for name in _covariates_to_show(against)[: MOST_PANELS - len(panels)]:
         x = covariate(design, name)
         edges = _edges(x)
         series = []
@@ -122,6 +125,26 @@ def where(diagnosis: Diagnosis, against: list[str]) -> list[Panel]:
     return panels
 
 
+def _speed_panel(diagnosis: Diagnosis, word: str) -> Panel:
+    """Return the panel of the error of the vehicle's speed along a covariate of the vehicle."""
+    design = diagnosis.design
+    name = _COVARIATE_OF_WORD[word]
+    x = vehicle_samples(design, covariate(design, name))
+    block = vehicle_samples(design, _blocks(design))
+    of_base = binned(x, gain.free_running(design, diagnosis.base), block, _edges(x))
+    series = [Series("base, vehicle", colours.MEASURED, *of_base)]
+    if diagnosis.final is not diagnosis.base:
+        left = gain.free_running(design, diagnosis.final)
+        of_final = binned(x, left, block, _edges(x))
+        series.append(Series("extended", colours.EXTENDED, of_final.x, of_final.mean, None))
+    return Panel(
+        title=f"speed of the vehicle, along {_TITLES[name].partition(',')[0]}",
+        x_label=_TITLES[name],
+        y_label="error of the speed 5 s ahead, m/s",
+        series=tuple(series),
+    )
+
+
 def _covariates_to_show(against: list[str]) -> list[str]:
     """Return the covariates that show a remainder, and others of interest, each once."""
     names = []
@@ -139,7 +162,8 @@ def cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> Panel:
     others = tuple(c for c in diagnosis.final.causes if c.name != identified.cause.name)
     without = diagnosis.final._replace(causes=others)
 
-    is_of_vehicle = mechanism.acts_on == VEHICLE
+    # a wrong torque hides in the friction level of each run, but not from the vehicle
+    is_of_vehicle = mechanism.acts_on in (VEHICLE, TORQUE)
     left = gain.free_running if is_of_vehicle else _left
     left_without = left(design, without)
     left_with = left(design, diagnosis.final)
@@ -203,17 +227,21 @@ def _blocks(design: Design) -> np.ndarray:
 
 
 def draw(figure: Figure, panels: list[Panel]) -> None:
-    """Draw panels next to each other, with the same vertical axis."""
-    all_axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=True))
+    """Draw panels next to each other, with the same vertical axis if they show the same."""
+    is_shared = len({panel.y_label for panel in panels}) == 1
+    all_axes = np.atleast_1d(figure.subplots(1, len(panels), sharey=is_shared))
     for axes, panel in zip(all_axes, panels, strict=True):
         for series in panel.series:
             _draw_series(axes, series)
         axes.axhline(0.0, color=GREY)
         axes.set_xlabel(panel.x_label)
+        if not is_shared:
+            axes.set_ylabel(panel.y_label)
     all_axes[0].set_ylabel(panels[0].y_label)
     if len(panels) == 1:
         all_axes[0].set_title(panels[0].title, fontsize="medium")
-    all_axes[-1].legend()
+    for axes in all_axes if not is_shared else all_axes[-1:]:
+        axes.legend()
 
 
 def _draw_series(axes: Axes, series: Series) -> None:
@@ -237,14 +265,27 @@ def _draw_series(axes: Axes, series: Series) -> None:
 
 
 def stretch(figure: Figure, diagnosis: Diagnosis) -> None:
-    """Draw measured, base and extended adhesion where the models differ most, on one axle."""
+    """Draw measured, base and extended adhesion where the models differ most, on one axle.
+
+    Measured adhesion follows from inertia, torque, radius and load. Where a cause changes these,
+    each model has its measured curve.
+    """
     design = diagnosis.design
-    measured, base, sliding = gain.adhesion(design, diagnosis.base)
-    _, extended, _ = gain.adhesion(design, diagnosis.final)
-    segment, at = _where_they_differ(design, base, extended)
+    measured_by_base, base, sliding = gain.adhesion(design, diagnosis.base)
+    measured, extended, _ = gain.adhesion(design, diagnosis.final)
+    segment, at = _where_they_differ(design, base - measured_by_base, extended - measured)
 
     top, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
     top.plot(design.time_s[at], measured[at], color=MEASURED, label="measured", lw=0.8)
+    apart = float(np.abs(measured - measured_by_base)[at].max())
+    if apart > LEAST_APART:
+        top.plot(
+            design.time_s[at],
+            measured_by_base[at],
+            color=GREY,
+            label="measured, as the base reads it",
+            lw=0.8,
+        )
     top.plot(design.time_s[at], base[at], color=BASE, label="base", lw=1.6)
     top.plot(design.time_s[at], extended[at], color=EXTENDED, label="extended", lw=1.6)
     run = design.names[int(design.run[segment])]
@@ -258,7 +299,7 @@ def stretch(figure: Figure, diagnosis: Diagnosis) -> None:
 
 
 def _where_they_differ(design: Design, base: np.ndarray, extended: np.ndarray) -> tuple[int, slice]:
-    """Return the segment and the STRETCH_S in which two courses of adhesion differ most."""
+    """Return the segment and the STRETCH_S in which two courses of an error differ most."""
     length = int(STRETCH_S / design.step_s)
     best_segment = 0
     best = slice(0, length)

@@ -15,7 +15,7 @@ from rollerrig.realtime.reports import cause_sentences as sentences
 from rollerrig.realtime.reports import page as html
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
-from rollerrig.rig.identify.decide import estimates, gain, simulate
+from rollerrig.rig.identify.decide import estimates, gain, simulate, stopping
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.estimates import Estimate
@@ -53,6 +53,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "misfit": _misfit(diagnosis),
         "causes": [_cause(diagnosis, identified) for identified in diagnosis.causes],
         "gain": gain_as_json(diagnosis.gain),
+        "stopping_distance": _stopping_distance(diagnosis),
         "unknown": unknown,
         "remainder": remainder,
         "screened": [_screened(diagnosis, name) for name in not_reported],
@@ -75,6 +76,16 @@ def _misfit(diagnosis: Diagnosis) -> dict[str, Any]:
         "p_value": diagnosis.p_value,
         "worst_against": sentences.worst_covariates(diagnosis),
     }
+
+
+def _stopping_distance(diagnosis: Diagnosis) -> dict[str, float] | None:
+    """Return the entry on what the causes cost in metres, None where they cost none."""
+    if not diagnosis.causes:
+        return None
+    distance = stopping.costs(diagnosis.design, diagnosis.base, diagnosis.final)
+    if distance is None:
+        return None
+    return distance._asdict() | {"longer_m": distance.longer_m}
 
 
 def _set_aside(identified: IdentifiedCause) -> dict[str, Any]:
@@ -181,9 +192,10 @@ def _screened(diagnosis: Diagnosis, name: str) -> dict[str, Any]:
     why = sentences.rejected_because(diagnosis, name)
     test = sentences.score_test_of(diagnosis, name)
     if test is None:
-        return {"name": name, "delta_bic": None, "rejected_because": why}
+        return {"name": name, "judged": False, "delta_bic": None, "rejected_because": why}
     return {
         "name": name,
+        "judged": True,
         "delta_bic": _delta_bic(diagnosis, test.statistic, len(test.estimate)),
         "p_value": test.p_value,
         "detectability": sentences.detectability(test.deviation[0]),
@@ -283,10 +295,13 @@ def as_markdown(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
 
 
 def adhesion_courses(diagnosis: Diagnosis) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Return by Rerun path (time in s, adhesion (n, 3): measured, base, extended model)."""
+    """Return by Rerun path (time in s, adhesion (n, 3): measured, base, extended model).
+
+    The measured adhesion is that of the extended model, with its inertia and torque.
+    """
     design = diagnosis.design
-    measured, base, _ = gain.adhesion(design, diagnosis.base)
-    _, extended, _ = gain.adhesion(design, diagnosis.final)
+    _, base, _ = gain.adhesion(design, diagnosis.base)
+    measured, extended, _ = gain.adhesion(design, diagnosis.final)
     courses = {}
     for s in range(design.segments):
         at = design.span(s)

@@ -6,10 +6,12 @@ The words for causes come from the table of mechanisms.
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from rollerrig.realtime.reports.hints import first_screen, sizes
 from rollerrig.rig.identify.decide import decision, estimates, evidence, thresholds
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
+from rollerrig.rig.identify.decide.estimates import Estimate
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
@@ -115,6 +117,12 @@ def note_sentence(note: Note) -> str:
                 f"with {causes} in the model a large remainder is left along {remainder}: the "
                 "cause, or its form, is not in the library"
             )
+        case NoteCode.IMMATERIAL:
+            return (
+                f"{causes} is significant but immaterial: it changes the torque by "
+                f"{number(100.0 * note.share, 2)} %, inside your {number(100.0 * note.tolerance, 2)} % "
+                "(calibration_fraction)"
+            )
         case NoteCode.SMALL_REMAINDER:
             return f"a small remainder is left along {remainder}"
 
@@ -166,19 +174,26 @@ def rejected_because(diagnosis: Diagnosis, name: str) -> str:
     """Return why a cause is not reported."""
     test = score_test_of(diagnosis, name)
     if test is None:
-        return "these runs cannot show it"
+        return not_judged_because(name)
     if not evidence.is_significant(test):
-        # the size of a cause is its first parameter; the source of a mechanism's row is its unit
-        row = BY_NAME[name].parameters[0]
-        smallest = number(detectability(test.deviation[0]), 2)
+        smallest = sizes.in_words(name, detectability(test.deviation[0]))
         return (
             f"not statistically significant (p = {test.p_value:.2g}); these runs would have shown "
-            f"{row.name} = {smallest}{unit(row.source)} or more"
+            f"{smallest}, or more"
         )
     if diagnosis.causes:
         return f"explained by {diagnosis.causes[0].cause.name}, which fits better"
     # significant by its score, but no cause was good enough after the fit
     return "the remainder does not have the form of this cause"
+
+
+def not_judged_because(name: str) -> str:
+    """Return why these runs could not show a cause."""
+    if name == "sanding":
+        return "not judged: friction was higher for some seconds in no run"
+    if name == "contaminated_patch":
+        return "not judged: friction was lower at no place, or the runs are too short for places"
+    return "not judged: these runs cannot show it"
 
 
 # --- the story ---
@@ -192,6 +207,7 @@ def story(diagnosis: Diagnosis) -> list[str]:
             "Nothing is statistically significant: the base model is consistent with this data "
             f"(p = {diagnosis.p_value:.2g})."
         )
+    worst = worst_covariates(diagnosis)
     for identified in diagnosis.causes:
         lines += _cause_sentences(identified)
     if diagnosis.verdict == Verdict.PARTLY:
@@ -203,12 +219,22 @@ def story(diagnosis: Diagnosis) -> list[str]:
     if diagnosis.verdict == Verdict.UNEXPLAINED:
         lines.append(
             "The base model is wrong, and no mechanism of the library explains the error. The error "
-            f"depends most significantly on {', '.join(worst_covariates(diagnosis))}."
+            f"depends most significantly on {', '.join(worst)}."
         )
+        nearest = first_screen.nearest(diagnosis)
+        if nearest:
+            lines.append(nearest)
         if diagnosis.formula is None:
             lines.append("No formula was found that improves the runs that were never fitted.")
         else:
             lines.append(f"Empirical: {formula_text(diagnosis.formula)}.")
+    screen = [
+        first_screen.how_sure(diagnosis),
+        first_screen.cost(diagnosis),
+        first_screen.not_judged(diagnosis),
+        *first_screen.what_next(diagnosis, worst),
+    ]
+    lines += [line for line in screen if line]
     if diagnosis.gain is not None:
         lines.append(_gain_sentence(diagnosis.gain))
     return lines + [f"Note: {note}." for note in notes(diagnosis)]
@@ -220,10 +246,18 @@ def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
     row = BY_NAME[cause.name]
 
     values = []
+    windows: dict[str, list[float]] = {}
     for name, estimate in estimates.parameters(identified).items():
-        if name != ALONE.name:
-            interval = f"{number(estimate.low)} to {number(estimate.high)}"
-            values.append(f"{name} = {number(estimate.value)} ({interval}){unit(estimate.unit)}")
+        kind, _, run = name.partition(" ")
+        if run:
+            # the start or the duration in one run: the headline has the range of all runs
+            windows.setdefault(kind, []).append(estimate.value)
+        elif name != ALONE.name:
+            values.append(_value_in_words(name, estimate))
+    for kind, of_runs in windows.items():
+        span = f"{number(min(of_runs))} to {number(max(of_runs))}"
+        runs = "1 run" if len(of_runs) == 1 else f"{len(of_runs)} runs"
+        values.append(f"{kind} = {span} in {runs} (each is in report.json)")
 
     place = f" on wheelset {cause.axle}" if cause.axle else ""
     if cause.shape.get(ALONE.name):
@@ -241,6 +275,15 @@ def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
         yield (
             f"  These runs cannot distinguish it from {', '.join(alike)}; separating_test.toml would."
         )
+
+
+def _value_in_words(name: str, estimate: Estimate) -> str:
+    """Return a parameter with its interval; a constant of the form has none."""
+    value = f"{name} = {number(estimate.value)}"
+    if estimate.low == estimate.high:
+        return f"{value}{unit(estimate.unit)}"
+    interval = f"{number(estimate.low)} to {number(estimate.high)}"
+    return f"{value} ({interval}){unit(estimate.unit)}"
 
 
 def _gain_sentence(gain: Gain) -> str:

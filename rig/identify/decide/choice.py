@@ -438,6 +438,9 @@ def _try_second_cause(
     if not more:
         return first_alone
     second = more[0]
+    is_sand = second.cause.name == "sanding"
+    if is_sand and second.cause.values[0] < thresholds.LEAST_SAND_AS_SECOND:
+        return first_alone
     net_ratio = _net_likelihood(
         first, second.score_test, second.likelihood_ratio, np.array(second.ratio_by_filter)
     )

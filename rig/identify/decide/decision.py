@@ -26,6 +26,7 @@ from rollerrig.rig.identify.decide import (
     gain,
     goodness,
     null_simulations,
+    stopping,
     thresholds,
 )
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
@@ -35,6 +36,7 @@ from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
 from rollerrig.rig.identify.decide.null_simulations import Workspace
 from rollerrig.rig.identify.replay import sensitivity
+from rollerrig.rig.mechanisms.mechanism import TORQUE
 
 _MEDIAN_OF_CHI_SQUARED = 0.455  # of one degree of freedom
 
@@ -99,14 +101,16 @@ def explain_braking_runs(
         goodness.check_deviance(design, base_fit.deviance)
         _check_accuracy(design, base)
         search = _search_causes(workspace, base_fit, seed)
+        search, immaterial = _without_immaterial(design, search)
 
         held_out = None
         if data.group("validate"):
             held_out = prepare(data, data.group("validate"))
-        notes = _notes_on_gain(held_out, search.causes)
+        notes = immaterial + _notes_on_gain(held_out, search.causes)
         measured_gain = None
-        if held_out is not None and search.causes and not notes:
-            measured_gain = gain.measure(held_out, base, search.explanation, seed)
+        can_judge_gain = not any(note.code is NoteCode.GAIN_NOT_JUDGED for note in notes)
+        if held_out is not None and search.causes and can_judge_gain:
+            measured_gain = gain.measure(held_out, base, search.explanation, seed, fitted=design)
         verdict, more_notes = decide_verdict(search.causes, search.remainder, measured_gain)
         notes += more_notes
         if verdict == Verdict.CONSISTENT:
@@ -202,6 +206,37 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
         remainder=remainder,
         smoother_base=smoother_base,
     )
+
+
+def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[Note]]:
+    """Return the search without causes that lie inside the declared calibration, and their notes.
+
+    Such a cause changes the torque by less than the dataset declares as its error. It is no error
+    of the model, however significant it is.
+    """
+    kept = []
+    notes = []
+    for place, found in enumerate(search.causes):
+        mechanism = table.BY_NAME[found.cause.name].mechanism
+        share = 0.0
+        if mechanism.acts_on == TORQUE:
+            share = stopping.torque_share(design, search.explanation, place)
+        if 0.0 < share <= design.calibration:
+            notes.append(
+                Note(
+                    NoteCode.IMMATERIAL,
+                    causes=(found.cause.name,),
+                    share=share,
+                    tolerance=design.calibration,
+                )
+            )
+        else:
+            kept.append(found)
+    if not notes:
+        return search, []
+    unbiased = tuple(found.unbiased for found in kept)
+    explanation = search.explanation._replace(causes=unbiased)
+    return search._replace(explanation=explanation, causes=kept), notes
 
 
 def _smooth_functions(tests: list[ScoreTest]) -> list[ScoreTest]:

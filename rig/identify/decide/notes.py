@@ -20,6 +20,8 @@ class NoteCode(Enum):
     WORSE_ON_HELD_OUT_RUNS = "causes.worse_on_held_out_runs"
     # these causes leave a large remainder: they are not reported
     LARGE_REMAINDER = "remainder.large"
+    # this cause changes the torque by less than its declared calibration: it is not reported
+    IMMATERIAL = "cause.immaterial"
     # the reported causes leave a small remainder
     SMALL_REMAINDER = "remainder.small"
 
@@ -30,3 +32,5 @@ class Note(NamedTuple):
     code: NoteCode
     causes: tuple[str, ...] = ()
     remainder: ScoreTest | None = None
+    share: float = 0.0  # of an immaterial cause: how much it changes the torque
+    tolerance: float = 0.0  # the declared calibration, as a share

@@ -184,6 +184,10 @@ SCORE_SHARE_OF_RATIO = 0.3
 # Chosen.
 CONFUSABLE_SECOND_SHARE = 0.3
 
+# Least size of sand as a second cause: what a first cause of a wrong shape leaves looked like sand
+# of 0.02 to 0.03 in 3 of 44 sets of a judge. Chosen.
+LEAST_SAND_AS_SECOND = 0.04
+
 # --- shapes ---
 
 # Share of the base's irregularity with which windows are searched first: what they explain has

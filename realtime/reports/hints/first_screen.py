@@ -1,0 +1,107 @@
+"""Makes the sentences of the first screen: how sure, what it costs, what was not judged, what next.
+
+The verdict and the causes come before them.
+"""
+
+from rollerrig.realtime.reports.hints import sizes, suspects
+from rollerrig.rig.identify.causes import table
+from rollerrig.rig.identify.decide import evidence, stopping, thresholds
+from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
+from rollerrig.rig.identify.decide.evidence import ScoreTest
+
+MOST_SUSPECTS = 3
+MOST_NAMES = 6
+
+
+def smallest_in_words(test: ScoreTest) -> str:
+    """Return the smallest size of a cause that these runs would have shown, in words."""
+    return sizes.in_words(test.name, thresholds.DETECTABLE_DEVIATIONS * test.deviation[0])
+
+
+def how_sure(diagnosis: Diagnosis) -> str:
+    """Return how sure the verdict is."""
+    p_value = f"{max(diagnosis.p_value, 1e-12):.1g}"
+    if diagnosis.verdict == Verdict.CONSISTENT:
+        return (
+            f"How sure: chance alone makes a cause look this significant with p = {p_value}; about "
+            "2 % of fault-free datasets are not called consistent. Consistent means that no cause is "
+            "larger than the sizes that these runs can show."
+        )
+    sure = f"How sure: chance alone would do this with p = {p_value}"
+    rivals = [name for cause in diagnosis.causes for name in cause.confusable]
+    if rivals:
+        return f"{sure}, but which cause it is stays open between {len(rivals) + 1} causes."
+    if diagnosis.causes:
+        return f"{sure}, and no other cause of the library fits nearly as well."
+    return f"{sure}; what it is stays open."
+
+
+def cost(diagnosis: Diagnosis) -> str:
+    """Return what the causes cost in metres of stopping distance, empty where nothing is known."""
+    if not diagnosis.causes:
+        return ""
+    distance = stopping.costs(diagnosis.design, diagnosis.base, diagnosis.final)
+    if distance is None:
+        return "Cost: none in stopping distance; the causes change what sensors show or how wheels turn."
+    how = "longer" if distance.longer_m > 0.0 else "shorter"
+    return (
+        f"Cost: a stop of this vehicle from {distance.from_m_s:.3g} m/s is "
+        f"{abs(distance.longer_m):.0f} m {how} than the base model predicts "
+        f"({distance.extended_m:.0f} m instead of {distance.base_m:.0f} m, at the mean deceleration of "
+        "the runs)."
+    )
+
+
+def not_judged(diagnosis: Diagnosis) -> str:
+    """Return which causes these runs could not show, empty if all were judged."""
+    judged = {test.name for test in diagnosis.score_tests}
+    judged |= {cause.cause.name for cause in diagnosis.causes}
+    names = [row.name for row in table.TABLE if row.name not in judged and row.name != "empirical"]
+    if not names:
+        return ""
+    return f"Not judged: {', '.join(names)} (these runs cannot show them; see what was ruled out)."
+
+
+def what_next(diagnosis: Diagnosis, worst: list[str]) -> list[str]:
+    """Return what to measure next. `worst` are the covariates along which the base is wrong."""
+    if diagnosis.verdict == Verdict.CONSISTENT:
+        weak = _hardest_to_see(diagnosis)
+        if not weak:
+            return []
+        return [
+            f"Measure next: to see less than {weak}, add stops from other initial speeds "
+            "(--next 2 proposes them)."
+        ]
+    if diagnosis.causes:
+        if any(cause.confusable for cause in diagnosis.causes):
+            return ["Measure next: run the separating test of this report."]
+        return [
+            "Measure next: repeat one stop after the cause is corrected (--next 1 proposes one)."
+        ]
+    lines = []
+    for covariate in worst[:MOST_SUSPECTS]:
+        one = suspects.suspect(covariate)
+        lines.append(f"Suspect along {covariate}: {one.suspects}. Measure next: {one.measure}.")
+    # two covariates may have the same suspects
+    return list(dict.fromkeys(lines))
+
+
+def _hardest_to_see(diagnosis: Diagnosis) -> str:
+    """Return the smallest visible sizes of the most usual causes of friction and brake."""
+    usual = ("brake_gain", "rail_cleaning", "wheel_radius")
+    found = {test.name: test for test in diagnosis.score_tests}
+    return " or ".join(smallest_in_words(found[name]) for name in usual if name in found)
+
+
+def nearest(diagnosis: Diagnosis) -> str:
+    """Return the causes of the library that come nearest to an unexplained error."""
+    tests = [
+        test
+        for test in diagnosis.score_tests
+        if not evidence.is_smooth_function(test.name) and evidence.is_significant(test)
+    ]
+    tests = sorted(tests, key=lambda test: -test.statistic)[:MOST_SUSPECTS]
+    if not tests:
+        return ""
+    names = [f"{sizes.in_words(test.name, test.estimate[0])} ({test.name})" for test in tests]
+    return f"Nearest in the library, though none fits well enough: {'; '.join(names)}."

@@ -1,0 +1,221 @@
+"""What a reader of `explain` learns first: cause, certainty, metres, limits, what to do next."""
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from rollerrig.realtime.reports import cause_pictures, cause_report, cause_sentences
+from rollerrig.realtime.reports.hints import first_screen, sizes, suspects
+from rollerrig.rig.identify.causes import candidates, columns, table
+from rollerrig.rig.identify.causes.candidates import Cause
+from rollerrig.rig.identify.data import dataset, preparation
+from rollerrig.rig.identify.decide import decision, gain, stopping
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
+from rollerrig.rig.identify.decide.evidence import ScoreTest
+from rollerrig.rig.identify.decide.notes import Note, NoteCode
+
+
+def score_test(name: str, size: float = 0.1, p_value: float = 0.5, statistic: float = 2.0):
+    return ScoreTest(
+        name=name,
+        axle=0,
+        shape={},
+        estimate=(size,),
+        bias=(0.0,),
+        deviation=(0.01,),
+        statistic=statistic,
+        p_value=p_value,
+        expected=1.0,
+        spread=1.0,
+    )
+
+
+def diagnosis(*causes: Cause, verdict: Verdict = Verdict.EXPLAINED, tests=()) -> Diagnosis:
+    """The diagnosis of one run, as if these causes had been found."""
+    packaged = dataset.load("open_none")
+    data = packaged._replace(runs=packaged.runs[:1])
+    design = preparation.prepare(data, data.runs)
+    base = candidates.untuned(design)
+    identified = [
+        IdentifiedCause(
+            score_test=score_test(cause.name, cause.values[0], 1e-9, 99.0),
+            cause=cause,
+            likelihood_ratio=99.0,
+            ratio_by_filter=(99.0,) * 5,
+            deviation=(1e-6,),
+            confusable=(),
+            rivals=(),
+        )
+        for cause in causes
+    ]
+    return Diagnosis(
+        data=data,
+        design=design,
+        held_out=None,
+        base=base,
+        final=base._replace(causes=causes) if causes else base,
+        verdict=verdict,
+        causes=identified,
+        set_aside=[],
+        score_tests=list(tests),
+        remainder=[],
+        gain=None,
+        p_value=1e-9,
+        notes=[],
+        formula=None,
+        elapsed_s=1.0,
+    )
+
+
+def test_a_stronger_brake_costs_metres_in_proportion_to_its_share() -> None:
+    found = diagnosis(Cause("brake_gain", 0, {}, (-0.05,)))
+    distance = stopping.costs(found.design, found.base, found.final)
+    assert distance is not None
+    # the torque takes nearly all of the momentum, so the stop is about 5 % longer than predicted
+    assert distance.extended_m / distance.base_m == pytest.approx(1.05, abs=0.006)
+    assert distance.from_m_s == pytest.approx(42.3, abs=0.3)
+    story = " ".join(cause_sentences.story(found))
+    assert f"{distance.longer_m:.0f} m longer than the base model predicts" in story
+    assert "How sure:" in story
+
+
+def test_less_friction_makes_a_stop_longer_and_a_late_sensor_costs_no_metres() -> None:
+    less = diagnosis(Cause("rail_cleaning", 0, {"energy_J_m": 150.0}, (0.2,)))
+    distance = stopping.costs(less.design, less.base, less.final)
+    assert distance is not None
+    assert distance.longer_m < 0.0
+
+    late = diagnosis(Cause("speed_sensor_delay", 0, {}, (0.01,)))
+    assert stopping.costs(late.design, late.base, late.final) is None
+    assert "none in stopping distance" in first_screen.cost(late)
+
+
+def test_a_constant_of_the_form_has_no_interval() -> None:
+    found = diagnosis(Cause("falling_friction", 0, {"height": 1.0}, (0.3,)))
+    headline = cause_sentences.story(found)[0]
+    assert "height = 1" in headline
+    assert "1 to 1" not in headline
+
+
+def test_the_headline_of_sand_has_a_range_of_times_and_no_time_of_each_run() -> None:
+    shape = {"contaminant_alone": 1.0}
+    for k, run in enumerate(("a1", "a2", "a3", "a4")):
+        shape[f"start_s {run}"] = 4.0 + k
+        shape[f"duration_s {run}"] = 5.0
+    headline = cause_sentences.story(diagnosis(Cause("sanding", 0, shape, (0.2,))))[0]
+    assert "start_s = 4 to 7 in 4 runs" in headline
+    assert "a2" not in headline
+
+
+def test_what_was_ruled_out_says_in_words_which_size_would_have_shown() -> None:
+    found = diagnosis(verdict=Verdict.CONSISTENT, tests=[score_test("brake_gain")])
+    why = cause_sentences.rejected_because(found, "brake_gain")
+    assert "a brake torque that is 5 % off" in why
+    assert cause_sentences.rejected_because(found, "sanding").startswith("not judged")
+    entries = {entry["name"]: entry for entry in cause_report.as_json(found)["screened"]}
+    assert entries["brake_gain"]["judged"]
+    assert not entries["sanding"]["judged"]
+    assert "sanding" in first_screen.not_judged(found)
+
+
+@pytest.mark.parametrize("name", [row.name for row in table.TABLE if row.name != "empirical"])
+def test_every_cause_has_a_size_in_words(name: str) -> None:
+    assert name in sizes.WORDS
+    text = sizes.in_words(name, -0.0123)
+    assert any(letter.isdigit() for letter in text)
+    assert "-" not in text
+
+
+@pytest.mark.parametrize("name", [*columns.ALONG, "axle", "vehicle time", "wheel_angle"])
+def test_every_covariate_has_suspects_and_what_to_measure_next(name: str) -> None:
+    one = suspects.suspect(name)
+    assert one is suspects.SUSPECTS[name]
+    assert one.measure
+    assert suspects.suspect("time of axle 2") is suspects.SUSPECTS["axle"]
+
+
+def test_an_unexplained_speed_of_the_vehicle_is_drawn_as_speed_with_its_suspects() -> None:
+    tests = [
+        score_test("along vehicle speed", 5.0, 1e-12, 90.0),
+        score_test("along sliding", 0.1, 1e-6, 40.0),
+        score_test("running_resistance", 900.0, 1e-9, 80.0),
+    ]
+    found = diagnosis(verdict=Verdict.UNEXPLAINED, tests=tests)
+    panels = cause_pictures.where(found, cause_sentences.worst_covariates(found))
+    assert panels[0].y_label == "error of the speed 5 s ahead, m/s"
+    assert panels[1].y_label == "measured less base model, adhesion"
+    assert len(panels) == cause_pictures.MOST_PANELS
+    figure = Figure()
+    cause_pictures.draw(figure, panels)
+    assert figure.axes[1].get_ylabel() == panels[1].y_label
+
+    story = " ".join(cause_sentences.story(found))
+    assert "gradient" in story
+    assert "Measure next: let the vehicle coast" in story
+    assert "Nearest in the library" in story
+    assert "a resistance that is 900 N off (running_resistance)" in story
+
+
+def test_the_measured_adhesion_of_another_inertia_is_that_of_the_extended_model() -> None:
+    found = diagnosis(Cause("wheel_inertia", 0, {}, (0.5,)))
+    courses = cause_report.adhesion_courses(found)
+    measured, _, _ = gain.adhesion(found.design, found.final)
+    by_base, _, _ = gain.adhesion(found.design, found.base)
+    first = found.design.span(0)
+    _, values = next(iter(courses.values()))
+    assert np.array_equal(values[:, 0], measured[first])
+    assert np.abs(measured - by_base).max() > 0.01
+
+    figure = Figure()
+    cause_pictures.stretch(figure, found)
+    labels = [line.get_label() for line in figure.axes[0].get_lines()]
+    assert "measured, as the base reads it" in labels
+
+
+# --- materiality, and the metric of the gain ---
+
+
+@pytest.mark.parametrize(("fade", "is_reported"), [(1e-5, False), (0.02, True)])
+def test_a_cause_inside_the_declared_calibration_is_a_note_and_no_cause(
+    fade: float, is_reported: bool
+) -> None:
+    found = diagnosis(Cause("pad_fade", 0, {}, (fade,)))
+    search = decision._Search(
+        explanation=found.final,
+        causes=found.causes,
+        score_tests=[],
+        remainder=[],
+        smoother_base=found.base,
+    )
+    left, notes = decision._without_immaterial(found.design, search)
+    assert bool(left.causes) == is_reported
+    assert bool(left.explanation.causes) == is_reported
+    assert bool(notes) != is_reported
+    verdict, _ = decision.decide_verdict(left.causes, left.remainder, None)
+    assert (verdict == Verdict.CONSISTENT) != is_reported
+    for note in notes:
+        text = cause_sentences.note_sentence(note)
+        assert "pad_fade is significant but immaterial" in text
+        assert "inside your 0.3 %" in text
+
+
+def test_an_immaterial_cause_is_reported_with_its_size() -> None:
+    note = Note(NoteCode.IMMATERIAL, causes=("pad_fade",), share=0.001, tolerance=0.003)
+    assert "changes the torque by 0.1 %, inside your 0.3 %" in cause_sentences.note_sentence(note)
+
+
+def test_the_metric_of_a_gain_shows_what_its_causes_act_on() -> None:
+    brake = Cause("brake_gain", 0, {}, (-0.05,))
+    inertia = Cause("wheel_inertia", 0, {}, (1e-6,))
+    alone = diagnosis(brake)
+    assert gain.metric_of(alone.design, alone.base, alone.final) == gain.FREE_RUN
+    friction = diagnosis(Cause("rail_cleaning", 0, {"energy_J_m": 150.0}, (0.2,)))
+    assert gain.metric_of(friction.design, friction.base, friction.final) == gain.ADHESION
+
+    # torques that really are 8 % too large, beside a cause that changes nothing
+    both = diagnosis(Cause("brake_gain", 0, {}, (-0.08,)), inertia)
+    torque_Nm = both.design.torque_Nm / 0.92
+    design = both.design._replace(torque_Nm=torque_Nm)
+    assert gain.metric_of(design, both.base, both.final) == gain.FREE_RUN
+    assert gain.metric_of(None, both.base, both.final) == gain.ADHESION
