@@ -250,7 +250,8 @@ def _explain(folders: Sequence[Path], out: Path, seed: int, progress: Progress) 
         if faults:
             message = f"the stops show {', '.join(faults)}, and cannot be explained: {error}"
         raise ConfigError(message) from None
-    diagnosis.notes.extend(f"the stops show a fault: {fault}" for fault in faults)
+    # the report repeats the warnings of the data among its notes
+    diagnosis.data.warnings.extend(f"the stops show a fault: {fault}" for fault in faults)
     return diagnosis
 
 
