@@ -1,6 +1,6 @@
 """`rollerrig bench` runs the project's benchmarks by name; `rollerrig score` judges answers.
 
-Four benchmarks belong to the installed package, because users want their figures of a new machine.
+Five benchmarks belong to the installed package, because users want their figures of a new machine.
 The others judge the project itself. They are in `tests/` and run from a clone only.
 """
 
@@ -37,6 +37,9 @@ BENCHMARKS = {
     "bus": _installed("bus", "TPDO to valve, SYNC to last TPDO, round trips, on a running bench"),
     "vehicle": _installed("vehicle", "45 s of four axles without deadlines; the start of a run"),
     "campaign": _installed("campaign", "stops per minute and core, two workers, memory, Dask"),
+    "evidence": _installed(
+        "evidence", "what of the rig is verified against what, and where that is valid"
+    ),
     "contact": _in_clone(
         "benchmarks.contact",
         "time of a contact; four contact models in the coach (Table 8 of the paper)",

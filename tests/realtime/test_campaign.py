@@ -270,6 +270,31 @@ def test_a_campaign_that_was_killed_continues_where_it_stopped(plan_file, tmp_pa
     assert_unchanged(before)
 
 
+def test_a_campaign_that_is_killed_again_and_again_gives_the_same_result_to_the_byte(
+    plan_file, tmp_path
+):
+    plan = plan_file("random", RANGES)
+    run_serially(campaign.load(plan), tmp_path / "whole")
+    out = tmp_path / "killed"
+    for chunks in (1, 2, 4):
+        process = subprocess.Popen(
+            campaign_command(plan, out), stderr=subprocess.DEVNULL, start_new_session=True
+        )
+        until_s = time.monotonic() + 120.0
+        while len(write_times_ns(out)) < chunks and time.monotonic() < until_s:
+            time.sleep(0.01)
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        assert len(write_times_ns(out)) >= chunks
+    assert subprocess.run(campaign_command(plan, out), capture_output=True).returncode == 0
+
+    names = sorted(path.name for path in (tmp_path / "whole" / "results").iterdir())
+    assert sorted(path.name for path in (out / "results").iterdir()) == names
+    for name in names:
+        whole = tmp_path / "whole" / "results" / name
+        assert (out / "results" / name).read_bytes() == whole.read_bytes()
+
+
 def test_a_full_disk_stops_a_campaign_with_status_2_and_finished_chunks_are_kept(
     plan_file, tmp_path
 ):
