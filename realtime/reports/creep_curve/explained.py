@@ -335,13 +335,14 @@ def explain_json(data: Dataset, judged: Judgement) -> dict[str, Any]:
 
 
 def _check_json(check: Check) -> dict[str, Any]:
+    """Return a check in the form that recordings have, too."""
+    smallest = _finite(check.smallest)
     return {
         "name": check.name,
         "judged": not check.why_not,
-        "why_not": check.why_not or None,
+        "reason": check.why_not or None,
         "found": check.found,
-        "smallest": _finite(check.smallest),
-        "unit": check.unit,
+        "smallest": None if smallest is None else {"value": smallest, "unit": check.unit},
         "text": check.text,
     }
 

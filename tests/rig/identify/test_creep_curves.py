@@ -142,12 +142,12 @@ def test_every_check_reports_whether_it_could_judge_why_not_and_the_smallest_siz
     assert names[-1] == "law"
     for check in result["checks"]:
         if check["judged"]:
-            assert check["smallest"] > 0.0
-            assert check["why_not"] is None
+            assert check["smallest"]["value"] > 0.0
+            assert check["reason"] is None
         else:
-            assert check["why_not"]
+            assert check["reason"]
             assert check["smallest"] is None
-            assert check["why_not"] in check["text"]
+            assert check["reason"] in check["text"]
 
 
 def test_the_drawn_law_is_the_one_that_was_judged():
