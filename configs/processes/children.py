@@ -204,7 +204,7 @@ def last_line(log: Path) -> str:
     return last_lines(log, 1)
 
 
-def last_lines(log: Path, most: int = 5) -> str:
+def last_lines(log: Path, most: int) -> str:
     """Return the last lines that are not empty in the log of a process, in one line of text.
 
     They are separated by " | ". The text is empty if there are none.

@@ -31,6 +31,8 @@ from rollerrig.wsp_interface.events import Code, OnEvent
 Process = subprocess.Popen[bytes]
 # how long a recorder may take to complete its files: long, on a busy machine
 _RECORDER_S = 300.0
+# lines of a unit's output in a message
+_LINES_OF_COMMAND = 5
 # how long a unit may take to exit after its bus is gone
 _UNIT_S = 2.0
 _KILL_S = 5.0
@@ -151,7 +153,7 @@ class Processes:
         if not self.options.command:
             return ""
         log = self.options.out / run_folder.UNIT_LOG
-        lines = children.last_lines(log)
+        lines = children.last_lines(log, _LINES_OF_COMMAND)
         output = f"its last lines: {lines}" if lines else "it has printed nothing"
         return f"; {output} ({log})"
 
@@ -200,14 +202,14 @@ class Processes:
         if process is None:
             return
         log = self.options.out / run_folder.UNIT_LOG
+        # a program of the user may explain its failure in several lines
+        lines = _LINES_OF_COMMAND if self.options.command else 1
         exited = {
             "unit": self._unit_name,
             "status": process.returncode,
-            "last_words": children.last_lines(log) if self.options.command else None,
+            "last_words": children.last_lines(log, lines) or None,
             "log": str(log),
         }
-        if not self.options.command:
-            exited["last_words"] = children.last_line(log) or None
         if starting:
             raise UnitError(events.text(Code.UNIT_ENDED, exited))
         self.on_event(Code.UNIT_ENDED, **exited)

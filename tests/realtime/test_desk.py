@@ -415,6 +415,18 @@ def test_an_allowed_unit_is_started_by_its_absolute_path(tmp_path, fmu, unit):
     assert f"--wsp=fmu:{fmu}" in prepared(one, unit=unit.format(fmu=fmu))
 
 
+def test_a_command_is_started_only_if_the_command_line_allows_exactly_this_one(tmp_path):
+    unit = "command:./unit {host} {port}"
+    with pytest.raises(ConfigError, match="data starts no program"):
+        prepared(desk.Desk(tmp_path, own=True), unit=unit)
+    one = desk.Desk(tmp_path, own=True, allowed=AllowList.of([unit]))
+    with pytest.raises(ConfigError, match="data starts no program"):
+        prepared(one, unit=f"{unit} --more")
+    assert one.programs == []
+    assert unit in one.units
+    assert f"--wsp={unit}" in prepared(one, unit=unit)
+
+
 def test_scenario_files_are_in_the_folder_of_the_desk_or_in_an_allowed_one(tmp_path):
     for name in ("here", "allowed", "elsewhere"):
         (tmp_path / name).mkdir()
