@@ -70,6 +70,10 @@ _HELD_SAMPLES_SHARE = 0.2
 _ZERO_M_S = 1e-9
 
 
+# s. A vehicle may keep its slope through a gap of this length.
+_SHORT_GAP_S = 3.0
+
+
 class Stretch(NamedTuple):
     """Samples first to last of a channel, both included."""
 
@@ -481,32 +485,32 @@ def _clock_details(size_s: float, half_s: float, returns: bool) -> ClockStep:
 
 
 def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
-    """Whether speeds or position continue across a jump of the stamps as if no time had passed.
+    """Whether speeds and position continue across a jump of the stamps as if no time had passed.
 
-    The jump is between samples k and k + 1. Every channel must continue: a vehicle that runs on
-    through a gap returns to the same speed and the same slope by chance only. One channel at least
-    must contradict a gap.
+    The jump is between samples k and k + 1. The value of every channel must continue, and the slope
+    of most: a vehicle that runs on through a gap returns to both by chance only. One channel at
+    least must contradict a gap.
     """
     before = slice(max(k - 14, 0), k + 1)
     after = slice(k + 1, k + 16)
-    any_contradicts = False
+    seen = []
     for channel in group:
         if channel.quantity not in (*_SPEEDS, "position"):
             continue
         sides = [_side(channel, part, shift) for part, shift in ((before, 0.0), (after, size_s))]
-        if min(time_s.size for time_s, _ in sides) < 8:
-            continue
-        continuity = _continuity(sides, channel, size_s)
-        if not continuity.goes_on:
-            return False
-        any_contradicts |= continuity.contradicts_gap
-    return any_contradicts
+        if min(time_s.size for time_s, _ in sides) >= 8:
+            seen.append(_continuity(sides, channel, size_s))
+    if not seen or not all(continuity.value_goes_on for continuity in seen):
+        return False
+    slopes_go_on = np.mean([continuity.slope_goes_on for continuity in seen]) > 0.5
+    return bool(slopes_go_on and any(continuity.contradicts_gap for continuity in seen))
 
 
 class _Continuity(NamedTuple):
     """Whether a channel continues across a jump of the stamps, and whether a gap would show."""
 
-    goes_on: bool
+    value_goes_on: bool
+    slope_goes_on: bool
     contradicts_gap: bool
 
 
@@ -544,14 +548,15 @@ def _continuity(
         for time_s, _ in sides
     ]
     allowed_slope = limit.CLOCK_SLOPE_SHARE * abs(slope) + limit.CLOCK_RATIO * max(slope_errors)
-    same_slope = abs(slopes[1] - slopes[0]) < allowed_slope
-
     expected_jump = slope * size_s
+    # through a long gap a vehicle does not keep its slope
+    jump_of_short_gap = abs(slope) * min(size_s, _SHORT_GAP_S)
+    allowed_jump = max(limit.CLOCK_RATIO * jump_error, limit.CLOCK_JUMP_SHARE * jump_of_short_gap)
     return _Continuity(
-        goes_on=bool(abs(jump) < limit.CLOCK_RATIO * jump_error and same_slope),
+        value_goes_on=bool(abs(jump) < allowed_jump),
+        slope_goes_on=bool(abs(slopes[1] - slopes[0]) < allowed_slope),
         contradicts_gap=bool(
             abs(expected_jump) > limit.CLOCK_RATIO * jump_error
-            and abs(slope) > limit.CLOCK_RATIO * max(slope_errors)
             and abs(jump) < abs(jump - expected_jump) / 2.0
         ),
     )

@@ -24,6 +24,9 @@ CLOCK_RATIO = 4.0
 # share of its slope by which the motion before and after a clock step may differ. Chosen.
 CLOCK_SLOPE_SHARE = 0.5
 
+# share of the change of a short gap. The value must jump less at a clock step. Chosen.
+CLOCK_JUMP_SHARE = 0.25
+
 # share of the error at equal rates. At another rate of the clock less must be left. Chosen.
 RATE_SHARE = 0.25
 
