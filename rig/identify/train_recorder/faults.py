@@ -45,8 +45,7 @@ _SPEEDS = ("speed", "reference")
 
 # s. Change of speed is measured over these windows, and this percentile of it counts.
 _HARDEST_WINDOW_S = 1.0
-_HARDEST_WITHOUT_REFERENCE_S = 6.0
-_HARDEST_PERCENTILE = 99.5
+_HARDEST_PERCENTILE = 99.8
 
 # m/s. A channel whose upper quartile is below it shows no unit.
 _MOVING_M_S = 0.5
@@ -113,8 +112,8 @@ def find(run: Run) -> tuple[Run, list[Finding]]:
 def hardest_m_s2(run: Run) -> float:
     """Return the hardest braking of the vehicle, m/s^2: that of dataset.toml, else from the data.
 
-    It is at least HARDEST_M_S2. From the data it is the change on which all speeds agree, so that
-    the lock of one wheel does not count. Without a reference the window is longer than most slides.
+    It is at least HARDEST_M_S2. From the data it is the change on which all speeds agree from a
+    moment in which all wheels roll to the next one, so that the lock of wheels does not count.
     """
     if run.hardest_is_given:
         return run.hardest_m_s2
@@ -122,17 +121,20 @@ def hardest_m_s2(run: Run) -> float:
     if len(speeds) < 2:
         return limit.HARDEST_M_S2
 
-    window_s = _HARDEST_WINDOW_S if run.of("reference") else _HARDEST_WITHOUT_REFERENCE_S
+    window_s = _HARDEST_WINDOW_S
     time_s = speeds[0].time_s
     half_steps = max(round(0.5 * window_s / speeds[0].step_s), 1)
     if time_s.size <= 2 * half_steps:
         return limit.HARDEST_M_S2
     passed_s = time_s[2 * half_steps :] - time_s[: -2 * half_steps]
-    changes = []
-    for channel in speeds:
-        values = at(channel, time_s)
-        changes.append(np.abs(values[2 * half_steps :] - values[: -2 * half_steps]))
-    agreed = np.min(np.nan_to_num(np.array(changes)), axis=0)
+    values = np.array([at(channel, time_s) for channel in speeds])
+    changes = np.abs(values[:, 2 * half_steps :] - values[:, : -2 * half_steps])
+    agreed = np.min(np.nan_to_num(changes), axis=0)
+    # at both ends of the window all wheels roll: their speeds are together
+    differ = np.ptp(values, axis=0) > np.maximum(
+        limit.TOGETHER_M_S, limit.SLIDE_SHARE * np.abs(values).max(axis=0)
+    )
+    agreed[differ[2 * half_steps :] | differ[: -2 * half_steps]] = 0.0
     good = (passed_s > 0.5 * window_s) & (passed_s < 3.0 * max(window_s, speeds[0].step_s))
     if not good.any():
         return limit.HARDEST_M_S2

@@ -165,6 +165,11 @@ def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
     half_s = max(0.5, 2.5 * a.step_s)
     change_m_s2 = np.abs(np.nan_to_num(slope(a.time_s, v, half_s)))
     share = np.maximum(limit.SLIDE_SHARE, limit.SLIDE_SHARE_M_S2 * change_m_s2)
+    is_road_vehicle = a.run.hardest_m_s2 > limit.HARDEST_M_S2
+    if is_road_vehicle and not a.has_reference:
+        # the vehicle's speed is that of the fastest wheel, which is on the outer side of a curve
+        in_curves = np.maximum(2.0 * limit.curve_share(v), limit.SLIDE_SHARE_CURVE)
+        share = np.maximum(share, in_curves)
     by_speed = share * v
     by_timing = change_m_s2 * a.timing_s
     quantum = max(
@@ -207,9 +212,22 @@ def _flags_of(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray)
                 np.mean(sliding[part, j]) > limit.LOCKED_SHARE * np.nanmean(v[part])
             )
             is_braked = mean_change <= _BRAKED_M_S2 or is_locked
-            if is_short or not is_braked or is_mirrored(sliding[part], j):
+            # wheels that fall together are those of a vehicle that brakes harder than assumed
+            is_together = not a.has_reference and _are_together(a.speed[part], threshold[part])
+            if is_short or not is_braked or is_together or is_mirrored(sliding[part], j):
                 flag[part, j] = False
     return flag
+
+
+def _are_together(speed: np.ndarray, threshold: np.ndarray) -> bool:
+    """Whether several speeds (n, m) never differ by more than the smallest slide."""
+    if speed.shape[1] < 2:
+        return False
+    known = np.isfinite(speed)
+    fastest = np.max(np.where(known, speed, -np.inf), axis=1)
+    slowest = np.min(np.where(known, speed, np.inf), axis=1)
+    several = known.sum(axis=1) > 1
+    return not bool(np.any(several & (fastest - slowest > np.min(threshold, axis=1))))
 
 
 def is_mirrored(difference: np.ndarray, j: int) -> bool:

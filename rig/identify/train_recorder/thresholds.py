@@ -9,6 +9,8 @@ end of this file. Their arguments are in SI units.
 
 import math
 
+import numpy as np
+
 # --- stamps and sensors ---
 
 # s. Samples further apart are a gap. Shorter intervals are lost messages.
@@ -180,13 +182,21 @@ SLIDE_SHARE = 0.03
 # tyre is 0.1 at 10 m/s^2.
 SLIDE_SHARE_M_S2 = 0.01
 
-# share of the vehicle speed. A driven wheel that is faster slips. Wheels in curves and at work stay
-# below.
+# share of the vehicle speed. A driven wheel that is faster slips. Wheels at work stay below. At
+# low speed wheels of sharp curves reach the larger share; see `curve_share`. Chosen.
 SLIP_SHARE = 0.1
+SLIP_SHARE_CURVE = 0.25
+
+# m^2/s^2. Half a track of 1.5 m times a lateral acceleration of 4 m/s^2 in a curve.
+CURVE_M2_S2 = 3.0
+
+# share of the vehicle speed. Without a reference wheels of a road vehicle in a curve differ by less.
+# Chosen.
+SLIDE_SHARE_CURVE = 0.1
 
 # share of the deviation of one wheel that another wheel has with the opposite sign in a curve.
 # Chosen.
-MIRROR_SHARE = 0.5
+MIRROR_SHARE = 0.3
 
 # share of the vehicle speed. A wheel that is so much slower slides even if nobody brakes. Chosen.
 LOCKED_SHARE = 0.5
@@ -229,6 +239,10 @@ ROUGH = 3.0
 # multiples of the scatter between blocks that an offset of a block must exceed. Chosen.
 LEFT_SPREAD = 6.0
 
+# multiples of the size that one block in five exceeds, as in curves. The same offset must exceed
+# it. Set on simulated cars.
+LEFT_TAIL = 3.0
+
 
 # --- limits from rate, rounding and noise ---
 
@@ -259,6 +273,16 @@ def slide_m_s(noise_m_s: float, quantum_m_s: float) -> float:
     """Return the smallest slide at low speed."""
     slide = SLIDE_NOISE * error_m_s(noise_m_s, quantum_m_s)
     return min(max(slide, SLIDE_LEAST_M_S), SLIDE_M_S)
+
+
+def curve_share(v: np.ndarray) -> np.ndarray:
+    """Return the share of the vehicle speed by which a wheel in a curve may differ, (n,)."""
+    return np.minimum(CURVE_M2_S2 / np.maximum(v, 1e-3) ** 2, SLIP_SHARE_CURVE)
+
+
+def slip_share(v: np.ndarray) -> np.ndarray:
+    """Return the share of the vehicle speed beyond which a driven wheel slips, (n,)."""
+    return np.maximum(curve_share(v), SLIP_SHARE)
 
 
 def late_s(step_s: float) -> float:

@@ -119,8 +119,8 @@ def _unexplained_blocks(a: Aligned, sliding: np.ndarray) -> list[Finding]:
         roughness = np.array([_roughness(difference[part, j]) for part in parts])
         is_rough = _is_rough(a, difference, name, names, parts, roughness)
         for k, part in enumerate(parts):
-            spread = _spread_without(means, k)
-            is_off = _is_off(part, difference[:, j], base, change_m_s2, noise[j], spread, a)
+            usual = _usual_offset(means, k)
+            is_off = _is_off(part, difference[:, j], base, change_m_s2, noise[j], usual, a)
             if is_off and not slides.is_mirrored(difference[part], j):
                 error = noise[j] / np.sqrt(max(part.sum() / 4.0, 1.0))
                 found.append(
@@ -172,15 +172,17 @@ def _roughness(difference: np.ndarray) -> float:
     return float(np.std(np.diff(difference)))
 
 
-def _spread_without(means: np.ndarray, k: int) -> float:
-    """Return the usual scatter of block means, m/s; 0 for few blocks.
+def _usual_offset(means: np.ndarray, k: int) -> float:
+    """Return the offset that the scatter of the other block means reaches, m/s; 0 for few blocks.
 
     Blocks next to the judged one are left out: a fault may last for several blocks.
     """
     others = np.concatenate([means[: max(k - 2, 0)], means[k + 3 :]])
     if others.size < limit.LEAST_BLOCKS:
         return 0.0
-    return 1.4826 * float(np.median(np.abs(others - np.median(others))))
+    from_middle = np.abs(others - np.median(others))
+    by_middle = limit.LEFT_SPREAD * 1.4826 * float(np.median(from_middle))
+    return max(by_middle, limit.LEFT_TAIL * float(np.quantile(from_middle, 0.8)))
 
 
 def _comparison(a: Aligned) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -203,7 +205,7 @@ def _is_off(
     base: np.ndarray,
     change_m_s2: np.ndarray,
     noise_m_s: float,
-    spread_m_s: float,
+    usual_m_s: float,
     a: Aligned,
 ) -> bool:
     """Whether the mean of a block is off; a braked wheel may be a little slower."""
@@ -213,11 +215,17 @@ def _is_off(
     # a quarter of the samples counts as independent
     error = float(noise_m_s) / np.sqrt(max(part.sum() / 4.0, 1.0))
 
+    in_curves = 0.0
+    if not np.isfinite(a.yaw_rad_s).any():
+        # without a reference the difference of two wheels is judged
+        wheels = 1.0 if a.has_reference else 2.0
+        in_curves = wheels * float(limit.curve_share(np.array(mean_speed))) * mean_speed
     least = max(
+        in_curves,
         limit.LEFT_M_S,
         limit.LEFT_SHARE * mean_speed,
         abs(mean_change_m_s2) * a.timing_s,
-        limit.LEFT_SPREAD * spread_m_s,
+        usual_m_s,
     )
     if abs(mean) <= least + limit.LEFT_DEVIATIONS * error:
         return False
