@@ -190,8 +190,8 @@ SLIP_SHARE_CURVE = 0.25
 # m^2/s^2. Half a track of 1.5 m times a lateral acceleration of 4 m/s^2 in a curve.
 CURVE_M2_S2 = 3.0
 
-# share of the vehicle speed. Without a reference wheels of a road vehicle in a curve differ by less.
-# Chosen.
+# share of the vehicle speed. Without a reference wheels of a road vehicle in a curve differ by
+# less. Chosen.
 SLIDE_SHARE_CURVE = 0.1
 
 # share of the deviation of one wheel that another wheel has with the opposite sign in a curve.
