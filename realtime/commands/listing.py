@@ -15,6 +15,7 @@ TITLES = {
     "faults": "what can go wrong in sensors, devices and buses",
     "signals": "what is recorded, with its unit",
     "sequences": "a scripted test over the buses, with its limits",
+    "programmes": "groups of sequences that test one unit together",
     "datasets": "measured or synthetic stops, to be explained",
     "campaigns": "a plan of many runs",
     "adhesion": "what is between wheel and roller",
