@@ -20,6 +20,8 @@ LOAD = "load"
 SPEED = "speed"
 TEMPERATURE = "temperature"
 PRESSURE = "pressure"
+# a partner of conditions that change together with the creepage
+CREEPAGE = "creepage"
 
 # A condition that varies by less is one value. Share of the median; for the temperature in K.
 LEAST_SHARE = 0.02
@@ -194,30 +196,34 @@ def _groups(conditions: Sequence[Condition], points: int) -> np.ndarray:
     return number.reshape(-1)
 
 
-def going_together(conditions: Sequence[Condition]) -> dict[str, list[str]]:
-    """Return for each condition that others explain: the names of these others.
+def going_together(prepared: Prepared) -> dict[str, list[str]]:
+    """Return for each condition that creepage or others explain: the names of these others.
 
     A condition is only compared with those before it, so the first of several is kept.
     """
+    share = prepared.creepage / max(float(prepared.creepage.max()), 1e-12)
+    of_creepage = np.column_stack([share, share**2, share**3])
     found: dict[str, list[str]] = {}
     kept: list[Condition] = []
-    for condition in conditions:
+    for condition in prepared.conditions:
         if not condition.varies:
             continue
-        partners = [other for other in kept if _explained(condition, [other])]
-        if not partners and kept and _explained(condition, kept):
-            partners = kept.copy()
+        partners = [other.name for other in kept if _explained(condition, [other.columns])]
+        if not partners and kept and _explained(condition, [other.columns for other in kept]):
+            partners = [other.name for other in kept]
+        if not partners and _explained(condition, [of_creepage]):
+            partners = [CREEPAGE]
         if partners:
-            found[condition.name] = [other.name for other in partners]
+            found[condition.name] = partners
         else:
             kept.append(condition)
     return found
 
 
-def _explained(condition: Condition, others: Sequence[Condition]) -> bool:
-    """Whether other conditions explain nearly all of the columns of a condition."""
+def _explained(condition: Condition, others: Sequence[np.ndarray]) -> bool:
+    """Whether columns explain nearly all of the columns of a condition."""
     points = condition.columns.shape[0]
-    base = np.column_stack([np.ones(points), *(other.columns for other in others)])
+    base = np.column_stack([np.ones(points), *others])
     fitted = base @ np.linalg.lstsq(base, condition.columns, rcond=None)[0]
     left = np.sum((condition.columns - fitted) ** 2, axis=0)
     centred = condition.columns - condition.columns.mean(axis=0)

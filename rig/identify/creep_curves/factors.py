@@ -27,6 +27,8 @@ LATE = 0.5
 LEAST_LATE_POINTS = 10
 # degrees of freedom below which no factor is judged
 LEAST_FREEDOM = 5
+# leverage of a point above which its residual does not show its error
+MOST_LEVERAGE = 0.3
 # share of sets of data in which the smallest size that is reported would have been shown
 _POWER_DEVIATIONS = 0.84
 
@@ -73,7 +75,7 @@ def fit(all_points: Prepared) -> Factors:
         prepared.file_order,
     )
     basis = np.column_stack([np.ones(prepared.creepage.size), smooth.groups[0].basis])
-    together = conditions.going_together(prepared.conditions)
+    together = conditions.going_together(prepared)
     fitted = [c for c in prepared.conditions if c.varies and c.name not in together]
     names = [c.name for c in fitted for _ in range(c.columns.shape[1])]
     freedom = prepared.creepage.size - basis.shape[1] - len(names)
@@ -153,7 +155,10 @@ def _estimate(prepared: Prepared, basis: np.ndarray, fitted: list[Condition]) ->
     leverage = np.einsum("ij,jk,ik->i", jacobian, inverse, jacobian)
     squares = (left / np.maximum(1.0 - leverage, 0.1)) ** 2
     least = (shape.LEAST_SCATTER * np.max(np.abs(adhesion))) ** 2
-    squares = np.maximum(squares, least)
+    # a point that decides a coefficient alone has no residual: its error is that of all points
+    freedom = max(adhesion.size - jacobian.shape[1], 1)
+    usual = float(left @ left) / freedom
+    squares = np.maximum(squares, np.where(leverage > MOST_LEVERAGE, max(usual, least), least))
     covariance = inverse @ (jacobian.T * squares) @ jacobian @ inverse
     k = columns.shape[1]
     errors = np.sqrt(np.maximum(np.diag(covariance)[:k], 0.0))

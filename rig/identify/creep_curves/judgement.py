@@ -138,7 +138,7 @@ def _groups(prepared: Prepared) -> tuple[np.ndarray, list[str]]:
     Small groups share one curve, and all conditions vary within it.
     """
     varying = [c for c in prepared.conditions if c.varies]
-    together = conditions.going_together(prepared.conditions)
+    together = conditions.going_together(prepared)
     for number in np.unique(prepared.group):
         creepage = prepared.creepage[prepared.group == number]
         is_small = creepage.size < shape.LEAST_GROUP_POINTS

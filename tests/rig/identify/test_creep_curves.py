@@ -190,6 +190,30 @@ def test_conditions_that_change_together_are_reported_as_not_distinguished():
     assert "together with series" in load.why_not
 
 
+@pytest.mark.parametrize("points", [30, 200])
+def test_a_load_that_grows_with_creepage_is_not_judged_and_makes_no_fall(points):
+    rng = np.random.default_rng(SEED)
+    creepage = rng.uniform(0.001, 0.4, points)
+    adhesion = 0.3 * np.tanh(20.0 * creepage) + 0.01 * rng.standard_normal(points)
+    load = 1e4 + 1e5 * creepage
+    curve = generators.Points(creepage, adhesion, np.full(points, 10.0), load, np.zeros(points))
+    answer = judgement.judge(with_points(curve))
+    assert not answer.shown.falls
+    assert answer.shown.reported == []
+    assert "together with creepage" in effect(answer, conditions.LOAD).why_not
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_series_of_one_point_is_not_reported_to_differ(seed):
+    rng = np.random.default_rng(seed)
+    creepage = rng.uniform(0.001, 0.4, 200)
+    adhesion = 0.3 * np.tanh(20.0 * creepage) + 0.01 * rng.standard_normal(200)
+    series = np.zeros(200)
+    series[-1] = 1.0
+    curve = generators.Points(creepage, adhesion, np.full(200, 10.0), np.full(200, 5e4), series)
+    assert judgement.without_law(with_points(curve)).reported == []
+
+
 def test_three_creepages_are_too_few_to_judge_a_fall():
     rng = np.random.default_rng(SEED)
     creepage = np.repeat((0.01, 0.05, 0.2), 6)
