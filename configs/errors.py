@@ -13,6 +13,17 @@ class ConfigError(RollerrigError):
     """A configuration file, key or value is wrong."""
 
 
+class OtherAxlesError(ConfigError):
+    """A vehicle has another number of axles than those that this process simulates."""
+
+    def __init__(self, where: str, axles: int, simulated: int, variable: str) -> None:
+        super().__init__(
+            f"{where} = {axles}: this process simulates vehicles with {simulated} axles; start it "
+            f"with the environment variable {variable}={axles}"
+        )
+        self.axles = axles
+
+
 class BusError(RollerrigError):
     """A bus, interface or port cannot be used."""
 

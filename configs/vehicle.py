@@ -4,12 +4,61 @@
 [2] R = A + B v + C v^2. A changed resistance changes one of the coefficients, a gradient changes A.
 """
 
+import os
 from collections.abc import Mapping
 from typing import Any
 
-from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.errors import ConfigError, OtherAxlesError
 
-AXLES = 4
+# Numbers of axles that a vehicle may have, and the one of the coach, which is the default.
+ALLOWED_AXLES = (2, 4, 6, 8, 10, 12)
+COACH_AXLES = 4
+AXLES_OF_BOGIE = 2
+# Axles of one group: a group has its drives, its speed unit, its brake I/O and its WSP unit.
+AXLES_OF_GROUP = 4
+# The environment variable with the number of axles that a process simulates.
+AXLES_VARIABLE = "ROLLERRIG_AXLES"
+
+
+def _axles_of_process() -> int:
+    """Return the number of axles for which this process was started. Raises ConfigError."""
+    text = os.environ.get(AXLES_VARIABLE, str(COACH_AXLES))
+    if text not in map(str, ALLOWED_AXLES):
+        raise ConfigError(
+            f"environment variable {AXLES_VARIABLE} = {text!r}; allowed are "
+            f"{', '.join(map(str, ALLOWED_AXLES))}; or unset it, for vehicles with four axles"
+        )
+    return int(text)
+
+
+# The axles of the vehicles that this process simulates. Compiled code has a fixed number of axles,
+# as its arrays have fixed sizes, so that a vehicle with four axles costs what it always did. The
+# command line starts itself again for a vehicle with another number (`check_axles`).
+AXLES = _axles_of_process()
+GROUPS = -(-AXLES // AXLES_OF_GROUP)
+# the axles of a group with the most axles
+UNIT_AXLES = min(AXLES, AXLES_OF_GROUP)
+
+
+def axles_of_group(group: int) -> int:
+    """Return the number of axles of a group; 0 is the leading one. Only the last may have two."""
+    return min(AXLES - AXLES_OF_GROUP * group, AXLES_OF_GROUP)
+
+
+def check_axles(axles: Any, where: str) -> None:
+    """Check the number of axles of a vehicle.
+
+    Raises ConfigError for a number that is not allowed, OtherAxlesError for one that this process
+    does not simulate. `where` names the file and the key.
+    """
+    if type(axles) is not int or axles not in ALLOWED_AXLES:
+        raise ConfigError(
+            f"{where} = {axles!r}; allowed are {', '.join(map(str, ALLOWED_AXLES))} axles"
+        )
+    if axles != AXLES:
+        raise OtherAxlesError(where, axles, AXLES, AXLES_VARIABLE)
+
+
 # the two magnets of the dump valve of an axle, as bits; without energised magnets the cylinder
 # fills
 HOLD_MAGNET = 1
@@ -19,6 +68,36 @@ GRAVITY_M_S2 = 9.80665  # standard gravity, ISO 80000-3
 MIDDLE_SPEED_M_S = 20.0
 # the coefficient of the running resistance [2] for each power of the speed
 RESISTANCE = {0.0: "resistance_A_N", 1.0: "resistance_B_N_s_m", 2.0: "resistance_C_N_s2_m2"}
+
+
+def check_axles_of(sections: Mapping[str, Any], where: str) -> None:
+    """Check the number of axles in the section [vehicle], as `check_axles` does."""
+    vehicle = sections.get("vehicle")
+    if isinstance(vehicle, Mapping):
+        check_axles(vehicle.get("axles", COACH_AXLES), f"{where} [vehicle] axles")
+
+
+def bodies(bogies_per_body: int) -> int:
+    """Return the number of bodies. Raises ConfigError where they cannot share the bogies."""
+    bogies = AXLES // AXLES_OF_BOGIE
+    number, remainder = divmod(bogies, bogies_per_body)
+    if remainder or number == 0:
+        raise ConfigError(
+            f"[vehicle] axles = {AXLES} are {bogies} bogies, which bogies_per_body = "
+            f"{bogies_per_body} does not divide; change one of them"
+        )
+    return number
+
+
+def axle_positions_m(vehicle: Mapping[str, Any]) -> list[float]:
+    """Return the distance of each wheelset behind the first. Raises ConfigError as `bodies`."""
+    base_m = vehicle["bogie_wheelbase_m"]
+    found: list[float] = []
+    for body in range(bodies(vehicle["bogies_per_body"])):
+        for bogie in range(vehicle["bogies_per_body"]):
+            first_m = body * vehicle["body_distance_m"] + bogie * vehicle["bogie_distance_m"]
+            found += [first_m, first_m + base_m]
+    return found
 
 
 def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:

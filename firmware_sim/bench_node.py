@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
@@ -26,7 +27,8 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
 
 DEVICE_TYPE = 0  # no profile of CiA covers a test bench
-FURTHER_TPDOS = 4  # four cannot carry what a harness judges a stop by
+# four cannot carry what a harness judges a stop by; each further group of axles needs five
+FURTHER_TPDOS = 4 + 5 * (GROUPS - 1)
 PRODUCT = process_image.Product("bench", 0x127)
 
 
@@ -119,7 +121,7 @@ def build(
 ) -> Node:
     """Build the node.
 
-    `row`: live float64 array of all signals. `friction`: float64 array of shape (4,), which the
+    `row`: live float64 array of all signals. `friction`: float64 array of shape (AXLES,), which the
     node writes before it calls `on_command()`: the kinematic friction commanded under each axle, 0
     for none.
     """

@@ -18,7 +18,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.signals import AXLES, SPEED_NODE, Place
+from rollerrig.wsp_interface.signals import SPEED_NODE, Place
 
 DEVICE_TYPE = 0x000A0196  # encoder, multi-sensor
 PRODUCT = process_image.Product("axle speed unit", 0x406)
@@ -32,28 +32,44 @@ TITLES = {
 # The acceleration is no signal, but it is converted like one: a count is 0.01 rad/s2.
 ACCELERATION = Place(SPEED_NODE, 0x6040, 1, "I16", 0.01)
 DEFAULTS = {"teeth": 80.0}
-_AXLES = range(1, AXLES + 1)
-TPDOS = (
-    Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in _AXLES)),
-    Pdo(SYNCHRONOUS, ((0x2100, 1, 32), (0x2100, 2, 32))),
-    Pdo(SYNCHRONOUS, ((0x2100, 3, 32), (0x2100, 4, 32))),
-)
 
 
-def rows(parameters: Mapping[str, float]) -> list[Row]:
+def tpdos(axles: int) -> tuple[Pdo, ...]:
+    """Return the TPDOs of a unit for so many axles."""
+    speeds = Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in range(1, axles + 1)))
+    # the tooth frequencies of two axles in each
+    frequencies = [
+        Pdo(SYNCHRONOUS, ((0x2100, axle, 32), (0x2100, axle + 1, 32)))
+        for axle in range(1, axles + 1, 2)
+    ]
+    return (speeds, *frequencies)
+
+
+def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
     """Return the objects of the device profile. `parameters`: `teeth` of each pole wheel."""
+    node_number = signals.nodes(SPEED_NODE)[group]
     teeth = round(parameters["teeth"])
     # as many revolutions as the 32-bit pulse counter can distinguish, within the 16 bits of 6502h
     revolutions = min(0xFFFF, 0xFFFFFFFF // max(teeth, 1))
-    zeros = [0] * AXLES
-    by_axle = [f"Axle {axle}" for axle in _AXLES]
+    axles = signals.axles_of(group)
+    zeros = [0] * len(axles)
+    by_axle = [f"Axle {axle}" for axle in axles]
     return [
-        *process_image.rows(SPEED_NODE, axle=0, parameters=parameters, titles=TITLES),
+        *process_image.rows(node_number, axle=0, parameters=parameters, titles=TITLES),
         Row(0x6000, 0, "Operating parameters", "U16", "rw", 0),
         Row(0x6001, 0, "Measuring units per revolution", "U32", "const", teeth),
         Row(0x6002, 0, "Total measuring range in measuring units", "U32", "const", 0xFFFFFFFF),
         Row(0x6003, 0, "Preset value", "U32", "rw", 0),
-        Row(0x6004, 0, "Position value", "U32", "ro", 0, mappable=True, text="teeth, axle 1"),
+        Row(
+            0x6004,
+            0,
+            "Position value",
+            "U32",
+            "ro",
+            0,
+            mappable=True,
+            text=f"teeth, axle {axles[0]}",
+        ),
         *array(0x6010, "Preset values for multi-sensor devices", "U32", "rw", zeros, by_axle),
         *array(
             0x6020,
@@ -94,23 +110,33 @@ def rows(parameters: Mapping[str, float]) -> list[Row]:
         Row(0x6507, 0, "Profile and software version", "U32", "const", 0x00010302),
         Row(0x6508, 0, "Operating time", "U32", "ro", 0, unit="h", factor=0.1),
         *array(0x6509, "Offset value", "I32", "ro", zeros, by_axle),
-        Row(0x650B, 0, "Serial number", "U32", "const", SPEED_NODE),
+        Row(0x650B, 0, "Serial number", "U32", "const", node_number),
     ]
 
 
 def build(
-    row: np.ndarray, parameters: Mapping[str, float] | None = None, storage: Path | None = None
+    row: np.ndarray,
+    parameters: Mapping[str, float] | None = None,
+    storage: Path | None = None,
+    group: int = 0,
 ) -> Node:
-    """Build the node.
+    """Build the node of a group of axles (0: the leading one).
 
     `row`: live float64 array of all signals. `storage`: the file of stored parameters (1010h).
     """
     parameters = DEFAULTS | dict(parameters or {})
-    profile = Profile(DEVICE_TYPE, PRODUCT.name, tpdos=TPDOS)
+    axles = signals.axles_of(group)
+    profile = Profile(DEVICE_TYPE, PRODUCT.name, tpdos=tpdos(len(axles)))
     node = process_image.build(
-        SPEED_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage
+        signals.nodes(SPEED_NODE)[group],
+        profile,
+        PRODUCT,
+        rows(parameters, group),
+        row,
+        parameters,
+        storage=storage,
     )
-    node.device = SpeedUnit(node, row)
+    node.device = SpeedUnit(node, row, axles)
     return node
 
 
@@ -120,17 +146,19 @@ class SpeedUnit:
     Their values are computed here from the signals.
     """
 
-    def __init__(self, node: Node, row: np.ndarray) -> None:
+    def __init__(self, node: Node, row: np.ndarray, axles: range) -> None:
         self.node = node
         self._row = row
         self._time = signals.column("time")
-        self._speeds = signals.span("measured_speed")
+        first = signals.column("measured_speed", axles[0])
+        self._speeds = slice(first, first + len(axles))
         # samples of the last two SYNCs
         self._newest = self._sample()
         self._before = self._newest
         node.on_sync.append(self._take_sample)
         objects = node.objects
-        for axle in _AXLES:
+        # sub-indices count from the first axle of the group
+        for axle in range(1, len(axles) + 1):
             objects.attach(0x6020, axle, read=partial(self.position, axle))
             objects.attach(0x6040, axle, read=partial(self.acceleration, axle))
             objects.attach(0x6010, axle, effect=partial(self._preset, axle))
@@ -145,7 +173,7 @@ class SpeedUnit:
         )
 
     def position(self, axle: int) -> int:
-        """Return the teeth counted on an axle (from 1), plus the offset, in 32 bits."""
+        """Return the teeth counted on an axle of the group (from 1) plus the offset, in 32 bits."""
         objects = self.node.objects
         return (objects.get(0x2101, axle) + objects.values[key(0x6509, axle)]) & 0xFFFFFFFF
 

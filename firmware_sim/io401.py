@@ -27,7 +27,7 @@ from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
-from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME, WSP_NODE
+from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME
 
 # the array of commands: the energised magnets of each axle (bit 0 hold, bit 1 vent), then the brake
 # cylinder pressure in Pa that the bus commands (NaN: none)
@@ -41,17 +41,21 @@ TITLES = {0x6401: "Read analogue input 16-bit"}
 DEMAND = BY_NAME["brake_demand"].places[0]
 HIGHEST_DEMAND_mbar = 10_000
 RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
-TPDOS = (
-    Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))),
-    # the brake demand, with the SYNC after a change
-    Pdo(ACYCLIC, ((0x6411, 1, 16),)),
-)
 
 
-def rows(parameters: Mapping[str, float]) -> list[Row]:
+def tpdos(axles: int) -> tuple[Pdo, ...]:
+    """Return the TPDOs of a module for so many axles."""
+    return (
+        Pdo(SYNCHRONOUS, tuple((0x6401, axle, 16) for axle in range(1, axles + 1))),
+        # the brake demand, with the SYNC after a change
+        Pdo(ACYCLIC, ((0x6411, 1, 16),)),
+    )
+
+
+def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
     """Return the objects of the device profile."""
     return [
-        *process_image.rows(BRAKE_NODE, 0, parameters, TITLES),
+        *process_image.rows(signals.nodes(BRAKE_NODE)[group], 0, parameters, TITLES),
         *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),
         Row(0x6005, 0, "Global interrupt enable digital", "BOOL", "rw", True),
         *array(
@@ -101,27 +105,36 @@ def build(
     parameters: Mapping[str, float] | None = None,
     on_command: Callable[[], None] = lambda: None,
     storage: Path | None = None,
+    group: int = 0,
 ) -> Node:
-    """Build the node.
+    """Build the node of a group of axles (0: the leading one).
 
-    `row`: live float64 array of all signals. `commands`: float64 array of shape (COMMANDS,), which
-    the node writes before it calls `on_command()`. `storage`: the file of 1010h.
+    `row`: live float64 array of all signals. `commands`: float64 array of shape (COMMANDS,), of
+    which the node writes the magnets of its axles and the demand before it calls `on_command()`.
+    `storage`: the file of 1010h.
     """
     parameters = dict(parameters or {})
     lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
+    axles = signals.axles_of(group)
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT.name,
         RPDOS,
-        TPDOS,
-        consumed=((WSP_NODE, lost_after_ms),),
+        tpdos(len(axles)),
+        consumed=((signals.WSP_NODES[group], lost_after_ms),),
     )
     node = process_image.build(
-        BRAKE_NODE, profile, PRODUCT, rows(parameters), row, parameters, storage=storage
+        signals.nodes(BRAKE_NODE)[group],
+        profile,
+        PRODUCT,
+        rows(parameters, group),
+        row,
+        parameters,
+        storage=storage,
     )
     node.commands = frozenset({0x6200, 0x6411})
     node.event_enablers = {0x6000: key(0x6005, 0), 0x6401: key(0x6423, 0)}
-    node.device = BrakeIo(node, row, commands, on_command)
+    node.device = BrakeIo(node, row, commands, on_command, axles)
     return node
 
 
@@ -133,13 +146,22 @@ class BrakeIo:
     """
 
     def __init__(
-        self, node: Node, row: np.ndarray, commands: np.ndarray, on_command: Callable[[], None]
+        self,
+        node: Node,
+        row: np.ndarray,
+        commands: np.ndarray,
+        on_command: Callable[[], None],
+        axles: range,
     ) -> None:
         self.node = node
         self.commands = commands
+        # the magnets of this node's axles, a part of the same memory
+        self._magnets = commands[axles[0] - 1 : axles[-1]]
+        self._first_axle = axles[0]
         self.on_command = on_command
         self.locked = False
-        self._venting_alone = [False] * AXLES  # a vent magnet is energised without its hold magnet
+        # a vent magnet is energised without its hold magnet
+        self._venting_alone = [False] * len(axles)
         objects = node.objects
         read_demand = process_image.reader(row, signals.column("brake_demand"), DEMAND)
         objects.attach(0x6000, 1, read=lambda: objects.values[key(0x6200, 1)])
@@ -150,7 +172,7 @@ class BrakeIo:
         node.on_reset.append(self._forget_demand)
         # without power no magnet is energised, whatever 6207h is
         node.on_power_off += [self._forget_demand, lambda: self._energise(magnets.ALL_OFF)]
-        commands[MAGNETS] = 0.0
+        self._magnets[:] = 0.0
         commands[BRAKE_DEMAND] = np.nan
 
     def fail_safe(self, why: str) -> None:
@@ -170,12 +192,12 @@ class BrakeIo:
             raise AbortError(Abort.DEVICE_STATE)
 
     def _energise(self, byte: int) -> None:
-        for at, pair in enumerate(magnets.unpack(byte)):
+        for at, pair in enumerate(magnets.unpack(byte, len(self._magnets))):
             alone = pair == magnets.VENT_MAGNET
             if alone and not self._venting_alone[at]:
-                self.node.event(Code.MAGNETS_VENT_ALONE, axle=at + 1)
+                self.node.event(Code.MAGNETS_VENT_ALONE, axle=self._first_axle + at)
             self._venting_alone[at] = alone
-            self.commands[at] = magnets.VENTING if alone else pair
+            self._magnets[at] = magnets.VENTING if alone else pair
         self.on_command()
 
     def _demand(self, raw: int) -> None:

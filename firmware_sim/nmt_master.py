@@ -22,7 +22,7 @@ from rollerrig.wsp_interface.rig_objects import (
     UNIT_LOST_AFTER_MS,
     emergency_event,
 )
-from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODE
+from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODES
 
 LOST_AFTER_MS = 500  # silence after which a node of the rig counts as lost
 
@@ -54,12 +54,15 @@ class NmtMaster:
         unit_lost_after_ms: int = UNIT_LOST_AFTER_MS,
         nodes: Sequence[int] = RIG_NODES,
     ) -> None:
-        self.patience_ms = dict.fromkeys(nodes, LOST_AFTER_MS) | {WSP_NODE: unit_lost_after_ms}
+        self.patience_ms = dict.fromkeys(nodes, LOST_AFTER_MS)
+        self.patience_ms |= dict.fromkeys(WSP_NODES, unit_lost_after_ms)
         self.master = master
         self.sync_overflow = sync_overflow
         self.heartbeat_ms = heartbeat_ms
-        self.health = {node: Health() for node in (*nodes, WSP_NODE)}
-        self.unit = self.health[WSP_NODE]
+        self.health = {node: Health() for node in (*nodes, *WSP_NODES)}
+        # the WSP units, the one of the leading group first
+        self.units = tuple(self.health[node] for node in WSP_NODES)
+        self.unit = self.units[0]
         self.reference_speed_m_s = math.nan
         self.now_ns = 0
         self.counter = 0
@@ -72,15 +75,15 @@ class NmtMaster:
 
     @property
     def unit_is_operational(self) -> bool:
-        """Whether the WSP unit is heard and OPERATIONAL."""
-        return self.unit.state is State.OPERATIONAL and not self.unit.lost
+        """Whether every WSP unit is heard and OPERATIONAL."""
+        return all(unit.state is State.OPERATIONAL and not unit.lost for unit in self.units)
 
     def all_operational(self) -> bool:
         """Return whether every node of the rig (not the WSP unit) is OPERATIONAL."""
         return all(
             health.state is State.OPERATIONAL and not health.lost
             for node, health in self.health.items()
-            if node != WSP_NODE
+            if node not in WSP_NODES
         )
 
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
@@ -138,9 +141,9 @@ class NmtMaster:
             return
         health = self.health[node]
         if health.lost:
-            back = Code.UNIT_BACK if node == WSP_NODE else Code.NODE_BACK
+            back = Code.UNIT_BACK if node in WSP_NODES else Code.NODE_BACK
             self.on_event(back, node=node, state=state.title)
-        elif node == WSP_NODE and health.state is not state:
+        elif node in WSP_NODES and health.state is not state:
             # the nodes of the rig report their states themselves
             seen = Code.UNIT_APPEARED if health.state is None else Code.UNIT_STATE
             self.on_event(seen, node=node, state=state.title)
@@ -159,9 +162,9 @@ class NmtMaster:
     def _lose(self, node: int) -> None:
         self.health[node].lost = True
         self.health[node].started = False
-        lost = Code.UNIT_LOST if node == WSP_NODE else Code.NODE_LOST
+        lost = Code.UNIT_LOST if node in WSP_NODES else Code.NODE_LOST
         self.on_event(lost, node=node, silent_s=self.patience_ms[node] / 1e3)
-        if node == WSP_NODE:
+        if node == WSP_NODES[0]:
             self.reference_speed_m_s = math.nan
 
     def _on_emergency(self, frame: Frame) -> None:

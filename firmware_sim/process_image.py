@@ -80,21 +80,23 @@ def build(
 
 
 def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
-    """Return the signals that a node carries, axle by axle.
+    """Return the signals that a node carries, axle by axle: of its group, or the bench of all.
 
     `node_number` 0 with an axle is the drive under that axle. Raises KeyError if a scale needs a
     parameter that is not in `parameters`.
     """
+    of_drive = node_number == signals.DRIVE_UNDER_AXLE
+    leading = node_number if of_drive else signals.in_leading_group(node_number)
     for signal in signals.SIGNALS:
         for place in signal.places:
-            if place.node != node_number:
+            if place.node != leading:
                 continue
             parameter = parameters[place.of] if place.of else 1.0
-            if node_number == 0:
+            if of_drive:
                 yield Carried(signal, place, axle, place.sub, parameter)
                 continue
-            for at in range(signal.axles):
-                yield Carried(signal, place, at + 1, place.sub + at, parameter)
+            for at, signal_axle in enumerate(signals.axles_at(signal, node_number)):
+                yield Carried(signal, place, signal_axle, place.sub + at, parameter)
 
 
 def rows(
@@ -118,7 +120,7 @@ def rows(
                 name=f"{title}/Highest sub-index supported",
                 kind="U8",
                 access="const",
-                default=place.sub + signal.axles - 1,
+                default=place.sub + len(signals.axles_at(signal, node_number)) - 1,
             )
         rows_by_place[place.index, sub] = Row(
             index=place.index,

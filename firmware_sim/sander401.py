@@ -11,24 +11,30 @@ from pathlib import Path
 
 import numpy as np
 
+from rollerrig.configs.vehicle import UNIT_AXLES
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, SYNCHRONOUS, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
-from rollerrig.wsp_interface.signals import AXLES, SANDER_NODE, WSP_NODE
+from rollerrig.wsp_interface.signals import SANDER_NODE
 
 DEVICE_TYPE = 0x00060191
 PRODUCT = process_image.Product("sander I/O", 0x402)
 TITLES = {0x6401: "Read analogue input 16-bit"}
 RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
+
+
 # 6401h: the flow of sand of each axle, then the remaining sand of each axle
-_FLOWS = tuple((0x6401, axle, 16) for axle in range(1, AXLES + 1))
-_BOXES = tuple((0x6401, AXLES + axle, 16) for axle in range(1, AXLES + 1))
-TPDOS = (Pdo(SYNCHRONOUS, _FLOWS), Pdo(SYNCHRONOUS, _BOXES))
+def tpdos(axles: int) -> tuple[Pdo, ...]:
+    """Return the TPDOs of a module for so many axles."""
+    flows = tuple((0x6401, axle, 16) for axle in range(1, axles + 1))
+    boxes = tuple((0x6401, UNIT_AXLES + axle, 16) for axle in range(1, axles + 1))
+    return Pdo(SYNCHRONOUS, flows), Pdo(SYNCHRONOUS, boxes)
 
 
 def build(
@@ -37,24 +43,27 @@ def build(
     on_command: Callable[[], None] = lambda: None,
     storage: Path | None = None,
     parameters: Mapping[str, float] | None = None,
+    group: int = 0,
 ) -> Node:
-    """Build the node.
+    """Build the node of a group of axles (0: the leading one).
 
-    `row`: live float64 array of all signals. `commands`: array of shape (4,), which the node writes
-    before it calls `on_command()`: 1 where the sander of an axle is on. `storage`: the file of
-    1010h.
+    `row`: live float64 array of all signals. `commands`: array of shape (AXLES,), of which the node
+    writes its axles before it calls `on_command()`: 1 where the sander of an axle is on. `storage`:
+    the file of 1010h.
     """
+    number = signals.nodes(SANDER_NODE)[group]
+    axles = signals.axles_of(group)
     parameters = dict(parameters or {})
     lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT.name,
         RPDOS,
-        TPDOS,
-        consumed=((WSP_NODE, lost_after_ms),),
+        tpdos(len(axles)),
+        consumed=((signals.WSP_NODES[group], lost_after_ms),),
     )
     device_rows = [
-        *process_image.rows(SANDER_NODE, 0, {}, TITLES),
+        *process_image.rows(number, 0, {}, TITLES),
         *array(
             0x6200,
             "Write output 8-bit",
@@ -68,15 +77,15 @@ def build(
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
     ]
     node = process_image.build(
-        SANDER_NODE, profile, PRODUCT, device_rows, row, parameters, storage=storage
+        number, profile, PRODUCT, device_rows, row, parameters, storage=storage
     )
     node.commands = frozenset({0x6200})
     node.event_enablers = {0x6401: key(0x6423, 0)}
 
     def switch(bits: int) -> None:
         """Switch the sanders: bit 2j is the sander of axle j+1."""
-        for at in range(AXLES):
-            commands[at] = bits >> 2 * at & 1
+        for at, axle in enumerate(axles):
+            commands[axle - 1] = bits >> 2 * at & 1
         on_command()
 
     def stop(why: str) -> None:

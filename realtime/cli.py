@@ -17,10 +17,11 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Any, NamedTuple, NoReturn
 
-from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.configs.errors import ConfigError, OtherAxlesError, RollerrigError
 from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
 from rollerrig.configs.table import similar
+from rollerrig.configs.vehicle import AXLES_VARIABLE
 from rollerrig.realtime import standard_streams
 from rollerrig.realtime.commands import (
     bench,
@@ -372,15 +373,24 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         _check_names(options)
         return options.call(options)
+    except OtherAxlesError as error:
+        if argv is None and AXLES_VARIABLE not in os.environ:
+            children.start_again(**{AXLES_VARIABLE: str(error.axles)})
+        return _print_error(options, error, from_python)
     except RollerrigError as error:
-        if not from_python:
-            print(f"rollerrig {options.verb}: {_shortened(str(error))}", file=sys.stderr)
-        if options.json:
-            print(json.dumps(_error_object(error)))
-        return USAGE
+        return _print_error(options, error, from_python)
     except KeyboardInterrupt:
         print(f"rollerrig {options.verb}: interrupted", file=sys.stderr)
         return INVALID
+
+
+def _print_error(options: argparse.Namespace, error: RollerrigError, from_python: bool) -> int:
+    """Print the message of an error and return the exit status."""
+    if not from_python:
+        print(f"rollerrig {options.verb}: {_shortened(str(error))}", file=sys.stderr)
+    if options.json:
+        print(json.dumps(_error_object(error)))
+    return USAGE
 
 
 if __name__ == "__main__":

@@ -14,7 +14,17 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, integer, number, read
-from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2, brake_torque_Nm_Pa, weighed_share
+from rollerrig.configs.vehicle import (
+    AXLES,
+    AXLES_OF_BOGIE,
+    COACH_AXLES,
+    GRAVITY_M_S2,
+    axle_positions_m,
+    bodies,
+    brake_torque_Nm_Pa,
+    check_axles_of,
+    weighed_share,
+)
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.creep_force import MODELS
@@ -62,7 +72,7 @@ ROWS["mechanisms"] = table.rows()
 
 
 class Vehicle(NamedTuple):
-    """The vehicle. A transfer is in N of wheelset load for each m/s2 of braking."""
+    """The vehicle. A transfer is in N of wheelset load for each m/s2 of braking, shape (AXLES,)."""
 
     mass_kg: float
     wheel_radius_m: float
@@ -72,8 +82,7 @@ class Vehicle(NamedTuple):
     resistance_C_N_s2_m2: float
     pitch_time_constant_s: float
     static_load_N: float
-    body_transfer_kg: float
-    bogie_transfer_kg: float
+    transfer_kg: np.ndarray
 
 
 class Air(NamedTuple):
@@ -228,6 +237,7 @@ def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, di
 
     Raises ConfigError with file, section, key, value and the allowed values.
     """
+    check_axles_of({"vehicle": sections.get("vehicle", {})}, where)
     checked = {
         name: read(rows, sections.get(name, {}), f"{where} [{name}]") for name, rows in ROWS.items()
     }
@@ -324,6 +334,11 @@ def build(
     extra = sections["mechanisms"]
     if sections["vehicle"]["model"] != "planar":
         check_coach(extra)
+        if AXLES != COACH_AXLES:
+            raise ConfigError(
+                f"[vehicle] model = 'multibody' with {AXLES} axles: the coach in 3D has "
+                f'{COACH_AXLES}; allowed is model = "planar"'
+            )
     step_s = tick_s / substeps
 
     # constants of the model, as an extended model changes them
@@ -450,29 +465,55 @@ def build_rollers(
     return build(rollers, no_friction, demand, tick_s, substeps)
 
 
-def axle_positions(vehicle: Mapping[str, float]) -> np.ndarray:
-    """Return the distance in m of each wheelset behind the first, shape (4,)."""
-    base = vehicle["bogie_wheelbase_m"]
-    pivots = vehicle["bogie_distance_m"]
-    return np.array([0.0, base, pivots, pivots + base])
+def axle_positions(vehicle: Mapping[str, Any]) -> np.ndarray:
+    """Return the distance in m of each wheelset behind the first, shape (AXLES,)."""
+    return np.array(axle_positions_m(vehicle))
 
 
-def _vehicle(v: Mapping[str, float], extra: Mapping[str, float], rig: Mapping[str, Any]) -> Vehicle:
+def _transfers(
+    v: Mapping[str, Any], body_kg: float, static_N: float, extra: Mapping[str, float]
+) -> np.ndarray:
+    """Return the load transfer of each wheelset in N for each m/s2 of braking [V2, V3].
+
+    `body_kg` is the mass of all bodies, `static_N` the static load of a wheelset. A body is rigid:
+    the forces on its bogies vary with their distance from its middle. A body on one bogie does not
+    pitch here, because nothing holds it but the rest of its train.
+    """
+    bogies = v["bogies_per_body"]
+    number_of_bodies = bodies(bogies)
+    one_body_kg = body_kg / number_of_bodies
+    # Moments about the pivots. The weights are 1 and -1 where a body has two bogies.
+    distance_m = v["bogie_distance_m"]
+    behind_first_m = distance_m * np.arange(bogies)
+    levers_m = behind_first_m[-1] / 2.0 - behind_first_m
+    weights = np.zeros(bogies)
+    if bogies > 1:
+        weights = levers_m * distance_m / np.sum(levers_m**2)
+    body = one_body_kg * (v["body_height_m"] - v["pivot_height_m"]) / distance_m
+    body += 2.0 * static_N * extra["load_transfer_body_s2_m"]
+
+    # moments about the rail under each bogie
+    bogie = (
+        one_body_kg / bogies * v["pivot_height_m"]
+        + v["bogie_mass_kg"] * v["bogie_height_m"]
+        + 2.0 * v["wheelset_mass_kg"] * v["wheel_radius_m"]
+    ) / v["bogie_wheelbase_m"]
+    bogie += static_N * extra["load_transfer_bogie_s2_m"]
+    of_bogies = 0.5 * body * weights
+    of_body = np.column_stack([of_bogies + bogie, of_bogies - bogie]).ravel()
+    return np.tile(of_body, number_of_bodies)
+
+
+def _vehicle(v: Mapping[str, Any], extra: Mapping[str, float], rig: Mapping[str, Any]) -> Vehicle:
     """Return the vehicle from its sections [vehicle], [mechanisms] and [rig]."""
-    body_kg = v["mass_kg"] - 2.0 * v["bogie_mass_kg"] - 4.0 * v["wheelset_mass_kg"]
+    bogies = AXLES // AXLES_OF_BOGIE
+    body_kg = v["mass_kg"] - bogies * v["bogie_mass_kg"] - AXLES * v["wheelset_mass_kg"]
     if body_kg <= 0.0:
         raise ConfigError(
             f"[vehicle] mass_kg = {v['mass_kg']:g} is not more than its bogies and "
             f"wheelsets weigh ({v['mass_kg'] - body_kg:g} kg); raise it"
         )
 
-    # moments about the pivots, then about the rail under each bogie [V2, V3 of vehicle.py]
-    body = body_kg * (v["body_height_m"] - v["pivot_height_m"]) / v["bogie_distance_m"]
-    bogie = (
-        0.5 * body_kg * v["pivot_height_m"]
-        + v["bogie_mass_kg"] * v["bogie_height_m"]
-        + 2.0 * v["wheelset_mass_kg"] * v["wheel_radius_m"]
-    ) / v["bogie_wheelbase_m"]
     static_N = GRAVITY_M_S2 * v["mass_kg"] / AXLES
 
     # where the drives hold the speed, nothing can slow the vehicle that they simulate
@@ -486,8 +527,7 @@ def _vehicle(v: Mapping[str, float], extra: Mapping[str, float], rig: Mapping[st
         resistance_C_N_s2_m2=v["resistance_C_N_s2_m2"],
         pitch_time_constant_s=v["pitch_time_constant_s"],
         static_load_N=static_N,
-        body_transfer_kg=body + 2.0 * static_N * extra["load_transfer_body_s2_m"],
-        bogie_transfer_kg=bogie + static_N * extra["load_transfer_bogie_s2_m"],
+        transfer_kg=_transfers(v, body_kg, static_N, extra),
     )
 
 

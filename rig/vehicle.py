@@ -1,10 +1,11 @@
-"""The virtual vehicle: one mass on four wheelsets, its running resistance and its load transfer.
+"""The virtual vehicle: one mass on its wheelsets, its running resistance and its load transfer.
 
 [V1] M dv/dt = -sum T - (A + B v + C v^2).
 [V2] The body's centre of mass lies above the pivots, so braking at d loads the leading bogie:
-     m_body d (h_body - h_pivot) / bogie distance.
+     m_body d (h_body - h_pivot) / bogie distance. A body on more bogies is rigid (assumption):
+     the forces on its bogies vary with their distance from its middle.
 [V3] Body, frame and wheelsets pull above the rail, so each bogie loads its leading wheelset:
-     (m_body / 2 h_pivot + m_bogie h_bogie + 2 m_ws r) d / wheelbase.
+     (m_body / bogies h_pivot + m_bogie h_bogie + 2 m_ws r) d / wheelbase.
 [V4] A wheel out of round varies the load of its axle once a turn: N (1 + a cos(angle + phase)).
 The pitch of body and frames is not modelled here: the transfer follows the deceleration with a lag.
 """
@@ -40,11 +41,8 @@ def load(axle, felt_acceleration_m_s2, vehicle):
     The felt acceleration is the one that the pitch of body and bogies has followed; it is negative
     in braking.
     """
-    in_leading_bogie = axle < 2
-    leads_its_bogie = axle % 2 == 0
-    body = 0.5 * vehicle.body_transfer_kg if in_leading_bogie else -0.5 * vehicle.body_transfer_kg
-    bogie = vehicle.bogie_transfer_kg if leads_its_bogie else -vehicle.bogie_transfer_kg
-    return max(0.0, vehicle.static_load_N - felt_acceleration_m_s2 * (body + bogie))
+    transfer_N = felt_acceleration_m_s2 * vehicle.transfer_kg[axle]
+    return max(0.0, vehicle.static_load_N - transfer_N)
 
 
 @kernel

@@ -248,14 +248,16 @@ def dbc(dictionaries: Iterable[ObjectDictionary], sync_period_s: float) -> str:
     heartbeats_ms = {
         dictionary.node_id: _number(dictionary, 0x1017, 0) for dictionary in dictionaries
     }
-    heartbeats_ms[signals.WSP_NODE] = _UNIT_HEARTBEAT_ms
+    for unit in signals.WSP_NODES:
+        heartbeats_ms[unit] = _UNIT_HEARTBEAT_ms
     described = [dictionary.node_id or 0 for dictionary in dictionaries]
-    nodes = dict.fromkeys([*described, signals.WSP_NODE, signals.BENCH_NODE])
+    nodes = dict.fromkeys([*described, *signals.WSP_NODES, signals.BENCH_NODE])
 
     bench_name = _node_name(signals.BENCH_NODE)
     messages = [_message("SYNC", connection_set.SYNC, bench_name, [], sync_ms)]
     for dictionary in dictionaries:
         messages += _pdo_messages(dictionary, sync_ms)
+    # only the reference speed of the leading group's unit is recorded
     if signals.WSP_NODE not in described:
         messages.append(_unit_message())
     for node in nodes:
@@ -269,7 +271,9 @@ def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Messag
     """Yield the PDOs that a node has by default, as CAN messages."""
     node = dictionary.node_id or 0
     own_name = _node_name(node)
-    partner = signals.BENCH_NODE if node == signals.WSP_NODE else signals.WSP_NODE
+    partner = signals.WSP_NODES[signals.group_of(node)]
+    if node in signals.WSP_NODES:
+        partner = signals.BENCH_NODE
     partner_name = _node_name(partner)
     for first, word, sender, receiver in (
         (_RPDO, "RPDO", partner_name, own_name),
@@ -286,7 +290,7 @@ def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Messag
             name = f"node_{node}_{word}{index - first + 1}"
             carried = list(_contents(dictionary, mapping, receiver))
             cycle_ms = 0
-            if node == signals.BRAKE_NODE and word == "RPDO":
+            if node in signals.nodes(signals.BRAKE_NODE) and word == "RPDO":
                 cycle_ms = sync_ms  # the magnets: a unit answers every SYNC
             elif word == "TPDO":
                 cycle_ms = _cycle_ms(dictionary, index, sync_ms)
@@ -397,15 +401,18 @@ def signal_names(node: int, variable: ODVariable) -> tuple[str, ...]:
         axle = signals.DRIVE_NODES.index(node) + 1
         return (_drive_signal_name(axle, variable),)
 
+    leading = signals.in_leading_group(node)
     for signal in signals.SIGNALS:
         for place in signal.places:
-            if place.node != node or place.index != variable.index:
+            if place.node != leading or place.index != variable.index:
                 continue
+            axles = signals.axles_at(signal, node)
+            columns = signals.columns(signal)[axles[0] - 1 : axles[-1]]
             offset = variable.subindex - place.sub
             if place.kind == "U8" and signal.axles > 1 and offset == 0:
-                return signals.columns(signal)
-            if 0 <= offset < signal.axles:
-                return (signals.columns(signal)[offset],)
+                return columns
+            if 0 <= offset < len(columns):
+                return (columns[offset],)
     return (_slug(variable.name),)
 
 
@@ -463,6 +470,10 @@ def _node_name(node: int) -> str:
     }
     for axle, drive in enumerate(signals.DRIVE_NODES, start=1):
         names[drive] = f"drive_{axle}"
+    group = signals.group_of(node)
+    leading = signals.in_leading_group(node)
+    if group > 0 and leading in names and node not in names:
+        return f"{names[leading]}_{group + 1}"
     return names.get(node, f"node_{node}")
 
 

@@ -15,12 +15,13 @@ from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
 import can
 
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
 from rollerrig.configs.table import nearest
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.wsp_interface import events, magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, RPDO, TPDO
@@ -48,26 +49,64 @@ class TimeOutError(RollerrigError):
     """A condition has not come true within its time."""
 
 
-# the signals that node 127 sends on request of the harness, TPDO by TPDO
-_MAPPED_SIGNALS = (
-    ("time", "vehicle_speed"),
-    ("position", "vehicle_acceleration", "brake_demand"),
-    ("adhesion",),
-    ("valve",),
-    ("sliding",),
-    ("wheel_circumferential_speed",),
-    ("cylinder_pressure",),
+class _Mapped(NamedTuple):
+    """A TPDO of node 127 that the harness maps: its identifier, signals, and group of axles."""
+
+    can_id: int
+    names: tuple[str, ...]
+    group: int
+
+
+# the signals of the axles of a group, one TPDO each
+_OF_AXLES = (
+    "adhesion",
+    "valve",
+    "sliding",
+    "wheel_circumferential_speed",
+    "cylinder_pressure",
 )
-# The predefined connection set has identifiers for four TPDOs. The others take those of the RPDOs 2
-# to 4 of node 127, which it does not use. The highest one, 57Fh, ends a cycle.
-_FIRST_IDENTIFIERS = (*TPDO, *RPDO[1:])
+
+
+def _tpdos() -> tuple[_Mapped, ...]:
+    """Return the TPDOs of node 127 in their order; the last one ends a cycle.
+
+    The predefined connection set has identifiers for four TPDOs. The others of the leading group
+    take those of the RPDOs 2 to 4 of node 127, which it does not use. Those of a further group take
+    the identifiers of a node 126 or 125, which no rig has. The highest identifier, 57Fh, is the
+    last one.
+    """
+    *first, last = (*TPDO, *RPDO[1:])
+    *of_axles, ends_cycle = _OF_AXLES
+    names = (
+        ("time", "vehicle_speed"),
+        ("position", "vehicle_acceleration", "brake_demand"),
+        *((name,) for name in of_axles),
+    )
+    mapped = [
+        _Mapped(service + BENCH_NODE, carried, 0)
+        for service, carried in zip(first, names, strict=True)
+    ]
+    for group in range(1, GROUPS):
+        services = (*TPDO, RPDO[1])
+        for service, name in zip(services, _OF_AXLES, strict=True):
+            mapped.append(_Mapped(service + BENCH_NODE - group, (name,), group))
+    mapped.append(_Mapped(last + BENCH_NODE, (ends_cycle,), 0))
+    return tuple(mapped)
+
+
+_TPDOS = _tpdos()
 MAPPED = tuple(
-    layout(first + BENCH_NODE, *names)
-    for first, names in zip(_FIRST_IDENTIFIERS, _MAPPED_SIGNALS, strict=True)
+    layout(tpdo.can_id, *tpdo.names, node=BENCH_NODE, group=tpdo.group) for tpdo in _TPDOS
 )
-HEARD = (*MAPPED, rig_objects.SPEEDS, rig_objects.REFERENCE_SPEED)
+_UNITS = tuple(rig_objects.unit_frames(group) for group in range(GROUPS))
+HEARD = (*MAPPED, *(unit.speeds for unit in _UNITS), rig_objects.REFERENCE_SPEED)
 CYCLE_ENDS = MAPPED[-1].can_id
 _MAGNETS = tuple(f"magnets_{axle}" for axle in _AXLES)
+# the columns of the magnets by the identifier of their frame
+_MAGNETS_BY_ID = {
+    unit.magnets_id: tuple(f"magnets_{axle}" for axle in signals.axles_of(unit.group))
+    for unit in _UNITS
+}
 COLUMNS: tuple[str, ...] = (
     *(name for frame_layout in HEARD for name in frame_layout.names),
     *_MAGNETS,
@@ -179,23 +218,27 @@ class Harness:
         """Map the bench's quantities, join, and wait for the first cycle. Raises BusError."""
         pacing = self._call(self._sdo.read, BENCH_NODE, rig_objects.PACING, 0)
         self.lockstep = bool(pacing[0])
-        for number, names in enumerate(_MAPPED_SIGNALS):
-            self._map(number, names)
+        for number, tpdo in enumerate(_TPDOS):
+            self._map(number, tpdo)
         self._write(rig_objects.HARNESS, rig_objects.JOINED, b"\x01")
         self.joined = True
         self._cycle()
         return self
 
-    def _map(self, number: int, names: Iterable[str]) -> None:
+    def _map(self, number: int, tpdo: _Mapped) -> None:
         """Make TPDO `number` (from 0) of the bench carry signals, at every SYNC."""
+        axles = signals.axles_of(tpdo.group)
         entries: list[int] = []
-        for name in names:
+        for name in tpdo.names:
             place = signals.place(name, BENCH_NODE)
-            for offset in range(signals.BY_NAME[name].axles):
-                sub = place.sub + offset
+            subs = range(place.sub, place.sub + 1)
+            if signals.BY_NAME[name].axles > 1:
+                first = place.sub - 1
+                subs = range(first + axles[0], first + axles[-1] + 1)
+            for sub in subs:
                 entries.append(place.index << 16 | sub << 8 | signals.bits(place))
 
-        can_id = MAPPED[number].can_id
+        can_id = tpdo.can_id
         communication = _TPDO_COMMUNICATION + number
         mapping = _TPDO_MAPPING + number
         # a mapping can only change while the PDO is off and its number of entries is 0
@@ -444,9 +487,11 @@ class Harness:
             values = self._layouts[can_id].read(data)
             self.values |= values
             return can_id == CYCLE_ENDS and bool(values)
-        if can_id == rig_objects.MAGNETS_ID:
+        if can_id in _MAGNETS_BY_ID:
+            columns = _MAGNETS_BY_ID[can_id]
             if len(data) == 1:
-                for column, pair in zip(_MAGNETS, magnets.unpack(data[0]), strict=True):
+                pairs = magnets.unpack(data[0], len(columns))
+                for column, pair in zip(columns, pairs, strict=True):
                     self.values[column] = float(pair)
         elif EMERGENCY < can_id <= EMERGENCY + NODE_MASK and len(data) == 8:
             self._take_emergency(can_id - EMERGENCY, data)

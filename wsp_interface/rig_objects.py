@@ -68,18 +68,28 @@ class Layout:
         }
 
 
-def layout(can_id: int, *names: str) -> Layout:
-    """Return the layout of the frame in which a node sends these signals."""
-    node = can_id & NODE_MASK
+def layout(can_id: int, *names: str, node: int = 0, group: int | None = None) -> Layout:
+    """Return the layout of the frame in which a node sends these signals.
+
+    node: the sender; 0 is the node of the identifier.
+    group: the group of axles whose values the frame carries; None is that of the node.
+    """
+    node = node or can_id & NODE_MASK
+    if group is None:
+        group = signals.group_of(node)
+    axles = signals.axles_of(group)
     letters = "<"
     columns: list[str] = []
     scales: list[float] = []
     for name in names:
         signal = signals.BY_NAME[name]
-        place = signals.place(name, node)
-        letters += _LETTERS[place.kind] * signal.axles
-        columns += signals.columns(signal)
-        scales += [place.scale] * signal.axles
+        place = signals.place(name, signals.in_leading_group(node))
+        carried = signals.columns(signal)
+        if signal.axles > 1:
+            carried = carried[axles[0] - 1 : axles[-1]]
+        letters += _LETTERS[place.kind] * len(carried)
+        columns += carried
+        scales += [place.scale] * len(carried)
     return Layout(can_id, struct.Struct(letters), tuple(columns), tuple(scales))
 
 
@@ -88,7 +98,7 @@ def struct_format(place: signals.Place) -> str:
     return "<" + _LETTERS[place.kind]
 
 
-# frames between the rig and the unit
+# frames between the rig and the unit of the leading group
 SPEEDS = layout(TPDO[0] + SPEED_NODE, "measured_speed")  # 190h
 PRESSURES = layout(TPDO[0] + BRAKE_NODE, "cylinder_pressure")  # 191h
 REFERENCE_SPEED = layout(TPDO[0] + WSP_NODE, "wsp_reference_speed")  # 1A0h
@@ -101,7 +111,38 @@ UNIT_EMERGENCY_ID = EMERGENCY + WSP_NODE  # 0A0h
 # because its outputs are no numbers
 UNIT_HAS_FAILED = 0xFF02
 GENERIC_ERROR = 0x01  # bit 0 of the error register in an EMCY
-# every frame that the unit receives or sends
+
+
+@dataclass(frozen=True)
+class UnitFrames:
+    """The frames between the rig and the unit of a group (0: the leading one)."""
+
+    group: int
+    speeds: Layout
+    pressures: Layout
+    reference_speed: Layout
+    magnets_id: int
+    sand_id: int
+    heartbeat_id: int
+    emergency_id: int
+
+
+def unit_frames(group: int) -> UnitFrames:
+    """Return the frames of the unit of a group: identifiers are higher by 20h for each group."""
+    offset = signals.NODES_OF_GROUP * group
+    return UnitFrames(
+        group=group,
+        speeds=layout(TPDO[0] + SPEED_NODE + offset, "measured_speed"),
+        pressures=layout(TPDO[0] + BRAKE_NODE + offset, "cylinder_pressure"),
+        reference_speed=layout(TPDO[0] + WSP_NODE + offset, "wsp_reference_speed"),
+        magnets_id=MAGNETS_ID + offset,
+        sand_id=SAND_ID + offset,
+        heartbeat_id=UNIT_HEARTBEAT_ID + offset,
+        emergency_id=UNIT_EMERGENCY_ID + offset,
+    )
+
+
+# every frame that the unit of the leading group receives or sends
 UNIT_FRAMES = (
     NMT,
     SYNC,
@@ -115,7 +156,7 @@ UNIT_FRAMES = (
 
 def emergency_event(node: int, error_code: int) -> Code:
     """Return the code of the event for an EMCY of a node."""
-    if node != WSP_NODE:
+    if node not in signals.WSP_NODES:
         return Code.NODE_EMERGENCY
     if error_code == UNIT_HAS_FAILED:
         return Code.UNIT_FAILED

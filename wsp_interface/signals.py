@@ -9,20 +9,52 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import AXLES, AXLES_OF_GROUP, GROUPS, UNIT_AXLES
 
 BUS_CHANNEL = "rig0"
 DEFAULT_ADDRESS = "socketcand://127.0.0.1:29536/rig0"
 
-# node identifiers of the default rig
-DRIVE_NODES = tuple(range(1, AXLES + 1))
+# node identifiers of the leading group of axles
 SPEED_NODE = 16
 BRAKE_NODE = 17
 SANDER_NODE = 18  # only where the vehicle has sanders
 WSP_NODE = 32
+# the nodes of each further group have numbers that are higher by this
+NODES_OF_GROUP = 32
 BENCH_NODE = 127
+
+
+def drive_node(axle: int) -> int:
+    """Return the node of the drive under an axle (from 1)."""
+    group, place = divmod(axle - 1, AXLES_OF_GROUP)
+    return NODES_OF_GROUP * group + place + 1
+
+
+def nodes(leading: int) -> tuple[int, ...]:
+    """Return the nodes of all groups for a node of the leading one, such as WSP_NODE."""
+    return tuple(NODES_OF_GROUP * group + leading for group in range(GROUPS))
+
+
+def axles_of(group: int) -> range:
+    """Return the axles of a group, counted through from 1."""
+    first = AXLES_OF_GROUP * group + 1
+    return range(first, min(first + AXLES_OF_GROUP, AXLES + 1))
+
+
+def group_of(node: int) -> int:
+    """Return the group of a node, 0 the leading one; the bench belongs to all, and to the first."""
+    return 0 if node == BENCH_NODE else (node - 1) // NODES_OF_GROUP
+
+
+def in_leading_group(node: int) -> int:
+    """Return the node of the leading group with the same task; the bench is itself."""
+    return node - NODES_OF_GROUP * group_of(node)
+
+
+DRIVE_NODES = tuple(drive_node(axle) for axle in range(1, AXLES + 1))
+WSP_NODES = nodes(WSP_NODE)
 # the nodes that the bench always simulates, without its node 127
-RIG_NODES = (*DRIVE_NODES, SPEED_NODE, BRAKE_NODE)
+RIG_NODES = (*DRIVE_NODES, *nodes(SPEED_NODE), *nodes(BRAKE_NODE))
 
 # lower and upper bounds of the integer types that objects carry on the bus
 KINDS = {
@@ -38,7 +70,8 @@ KINDS = {
 class Place(NamedTuple):
     """The place of a signal in an object dictionary, and how a value becomes an integer there."""
 
-    node: int  # DRIVE_UNDER_AXLE: the drive under the axle of the signal
+    # of the leading group. DRIVE_UNDER_AXLE: the drive under the axle of the signal
+    node: int
     index: int  # type: ignore[assignment]
     sub: int  # sub-index of axle 1; the other axles follow. A drive has the same one for each axle
     kind: str  # integer type, a key of KINDS
@@ -304,7 +337,8 @@ SIGNALS: tuple[Signal, ...] = (
         AXLES,
         "sand left in the box of the axle's sander",
         places=(
-            Place(SANDER_NODE, 0x6401, 5, "I16", 0.01),
+            # behind the rates of all axles of a group
+            Place(SANDER_NODE, 0x6401, 1 + UNIT_AXLES, "I16", 0.01),
             Place(BENCH_NODE, 0x2112, 1, "U16", 0.01),
         ),
     ),
@@ -388,6 +422,18 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("tick_duration", "us", 1, "longest tick since the last sample", group="loop"),
     Signal("ticks_missed", "", 1, "ticks so far that began after the next one was due"),
 )
+
+
+def axles_at(signal: Signal, node: int) -> range:
+    """Return the axles (from 1) whose values of a signal a node carries.
+
+    They are the axles of its group, or all axles at the bench; 1 for a signal of the vehicle.
+    """
+    if signal.axles == 1:
+        return range(1, 2)
+    if node == BENCH_NODE:
+        return range(1, AXLES + 1)
+    return axles_of(group_of(node))
 
 
 def place(name: str, node: int) -> Place:

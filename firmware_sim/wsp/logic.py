@@ -28,18 +28,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs import store, table
+from rollerrig.configs.vehicle import AXLES_OF_GROUP, UNIT_AXLES
 from rollerrig.firmware_sim.wsp import reference_speed as reference
 from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, VENT_MAGNET
-from rollerrig.wsp_interface.signals import AXLES, BY_NAME
+from rollerrig.wsp_interface.signals import BY_NAME
 
 REFERENCE_SCALE_M_S = BY_NAME["wsp_reference_speed"].places[0].scale
 
 _A = "assumption"
 _M = "recollection of typical units, to be checked against UIC 541-05"
 ROWS = (
-    table.Row("wheel_diameter_m", (0.89,) * AXLES, 0.3, 1.4, "paper Table 1"),
+    table.Row("wheel_diameter_m", (0.89,) * AXLES_OF_GROUP, 0.3, 1.4, "paper Table 1"),
     table.number("cycle_s", 0.01, 0.001, 0.1, "SYNC period of the default rig"),
     table.number("acceleration_filter_s", 0.04, 0.01, 0.5, _A),
     table.number("reference_fall_m_s2", 1.6, 0.5, 5.0, _M + ": 1.3 to 1.6"),
@@ -50,7 +51,9 @@ ROWS = (
     table.number("calm_s", 1.0, 0.2, 60.0, _A),
     table.number("run_up_first_s", 1.5, 0.0, 60.0, _A),
     table.number("run_up_interval_s", 5.0, 0.5, 60.0, _A),
-    table.integer("run_up_axles", 2, 1, AXLES, _A + ": the trailing ones run on cleaner rail"),
+    table.integer(
+        "run_up_axles", 2, 1, AXLES_OF_GROUP, _A + ": the trailing ones run on cleaner rail"
+    ),
     table.number("run_up_shortest_s", 0.35, 0.1, 5.0, _A),
     table.number("run_up_longest_s", 4.0, 0.2, 10.0, _A),
     table.number("run_up_done_m_s2", 0.5, 0.0, 5.0, _A),
@@ -87,7 +90,8 @@ Params = NamedTuple("Params", [(row.name, Any) for row in ROWS])  # type: ignore
 
 
 class State(NamedTuple):
-    """The memory of the unit: views of shape (4,) for axles, or (1,), into one float64 buffer.
+    """The memory of the unit: views into one float64 buffer, of shape (1,), or of shape (n,) with
+    the axles of its group.
 
     After each field stands the stage of `cycle` that writes it.
     """
@@ -124,11 +128,18 @@ PER_UNIT = (
     "runner",
     "run_ups",
 )
-WIDTHS = tuple(1 if name in PER_UNIT else AXLES for name in State._fields)
-SIZE = sum(WIDTHS)
-PLACES = tuple(
-    slice(end - width, end) for width, end in zip(WIDTHS, itertools.accumulate(WIDTHS), strict=True)
-)
+
+
+def places(axles: int) -> tuple[slice, ...]:
+    """Return where the fields of a unit for so many axles lie in its buffer."""
+    widths = tuple(1 if name in PER_UNIT else axles for name in State._fields)
+    ends = itertools.accumulate(widths)
+    return tuple(slice(end - width, end) for width, end in zip(widths, ends, strict=True))
+
+
+# of a unit with the most axles
+PLACES = places(UNIT_AXLES)
+SIZE = PLACES[-1].stop
 
 
 class Unit(NamedTuple):
@@ -140,18 +151,18 @@ class Unit(NamedTuple):
     params: Any
 
 
-def new_unit(params: Any) -> Unit:
-    """A unit that has just been switched on."""
-    return Unit(views(np.zeros(SIZE)), params)
+def new_unit(params: Any, axles: int = UNIT_AXLES) -> Unit:
+    """Return a unit for a group of 2 or 4 axles that has just been switched on."""
+    return Unit(views(np.zeros(places(axles)[-1].stop), axles), params)
 
 
-def views(buffer: np.ndarray) -> State:
-    """The state in a float64 buffer of shape (SIZE,)."""
-    return State(*(buffer[place] for place in PLACES))
+def views(buffer: np.ndarray, axles: int = UNIT_AXLES) -> State:
+    """Return the state of a unit for so many axles in its float64 buffer."""
+    return State(*(buffer[place] for place in places(axles)))
 
 
 def buffer_of(unit: Unit) -> np.ndarray:
-    """The buffer, shape (SIZE,), behind the state of a new unit."""
+    """The buffer behind the state of a new unit."""
     buffer = unit.state[0].base
     assert buffer is not None
     return buffer
@@ -170,8 +181,8 @@ def load(name: str = "reference") -> Params:
 def cycle(unit, inputs):
     """Run one cycle of a `Unit` and change its state in place.
 
-    Parameters: `inputs`, int64 of shape (4,) or more: axle speeds in counts of 0.01 rad/s, as in
-    TPDO1 of node 16. Further values (pressures) are not used.
+    Parameters: `inputs`, int64 of shape (n,) or more: the speeds of the n axles in counts of 0.01
+    rad/s, as in TPDO1 of node 16. Further values (pressures) are not used.
 
     Returns: the byte of the magnets, and the reference speed in counts of 0.01 m/s as an I16.
     """
@@ -183,7 +194,7 @@ def cycle(unit, inputs):
     reference.finish_run_up(state, params)
     state.cycles[0] += 1.0
     magnets = 0
-    for j in range(AXLES):
+    for j in range(state.speed_m_s.size):
         event = event_of(state, j, params)
         magnets |= act(state, j, event, params) << (BITS_PER_AXLE * j)
     counts = round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)
@@ -194,7 +205,7 @@ def cycle(unit, inputs):
 def stuck(unit):
     """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
     bits = 0
-    for j in range(AXLES):
+    for j in range(unit.state.speed_m_s.size):
         bits |= int(reference.implausible(unit.state, j, unit.params)) << j
     return bits
 

@@ -30,16 +30,20 @@ from typing import Any, Protocol
 import can
 import numpy as np
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
+from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, GROUPS, UNIT_AXLES
 from rollerrig.firmware_sim.cia301.nmt import STATE_AFTER, Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import rig_objects as rig
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
 from rollerrig.wsp_interface.magnets import ALL_OFF
-from rollerrig.wsp_interface.signals import AXLES, DEFAULT_ADDRESS, WSP_NODE
+from rollerrig.wsp_interface.signals import DEFAULT_ADDRESS, WSP_NODES
 
 log = logging.getLogger(__name__)
+
+LEADING_GROUP = rig.unit_frames(0)
 
 SENSOR_STUCK = 0xFF01  # error code, CiA 301 Table 26: device specific
 
@@ -88,15 +92,15 @@ class Serving(Protocol):
 class Reference:
     """The reference WSP of `logic`."""
 
-    hears: tuple[rig.Layout, ...] = (rig.SPEEDS,)
-
-    def __init__(self, params: logic.Params) -> None:
-        """Compile the cycle."""
+    def __init__(self, params: logic.Params, frames: rig.UnitFrames = LEADING_GROUP) -> None:
+        """Compile the cycle. `frames` are those of the group of axles that the unit protects."""
         self._params: Any = params  # its fields are made from a table
+        self._axles = len(frames.speeds.names)
+        self.hears: tuple[rig.Layout, ...] = (frames.speeds,)
         warm(params)
 
     def begin(self) -> None:
-        self._wsp = logic.new_unit(self._params)
+        self._wsp = logic.new_unit(self._params, self._axles)
 
     def cycle(self, counts: np.ndarray) -> tuple[int, int | None]:
         magnets, reference = logic.cycle(self._wsp, counts)
@@ -125,8 +129,16 @@ class Unit:
     depends on the wall clock.
     """
 
-    def __init__(self, bus: can.BusABC, wsp: Wsp, lockstep_s: float = 0.0) -> None:
-        """Switch on; the bus is not touched before `run`."""
+    def __init__(
+        self,
+        bus: can.BusABC,
+        wsp: Wsp,
+        lockstep_s: float = 0.0,
+        frames: rig.UnitFrames = LEADING_GROUP,
+    ) -> None:
+        """Switch on; the bus is not touched before `run`. `frames`: those of its group of axles."""
+        self._frames = frames
+        self._node = WSP_NODES[frames.group]
         self.state = State.INITIALISING
         self.answers = 0
         self._bus = bus
@@ -136,7 +148,8 @@ class Unit:
         if self._lockstep:
             most_syncs = int(HEARTBEAT_S / lockstep_s + 1e-9)
         self._beat_syncs = min(max(most_syncs, 1), HEARTBEAT_SYNCS)
-        self._inputs = np.zeros(AXLES * len(wsp.hears), dtype=np.int64)
+        axles = len(frames.speeds.names)
+        self._inputs = np.zeros(axles * len(wsp.hears), dtype=np.int64)
         self._received: set[int] = set()  # identifiers of input frames since the last SYNC
         self._awaiting = False  # the last SYNC has not been answered
         self._stopping = False
@@ -147,7 +160,7 @@ class Unit:
             SYNC: self._on_sync,
         }
         for at, layout in enumerate(wsp.hears):
-            place = slice(AXLES * at, AXLES * (at + 1))
+            place = slice(axles * at, axles * (at + 1))
             self._handlers[layout.can_id] = partial(self._on_input, layout, place)
         bus.set_filters(
             [{"can_id": can_id, "can_mask": 0x7FF, "extended": False} for can_id in self._handlers]
@@ -202,7 +215,7 @@ class Unit:
         self._heartbeat()
 
     def _on_nmt(self, message: can.Message) -> None:
-        if len(message.data) != 2 or message.data[1] not in (0, WSP_NODE):
+        if len(message.data) != 2 or message.data[1] not in (0, self._node):
             return
         command = message.data[0]
         if command in (Command.RESET_NODE, Command.RESET_COMMUNICATION):
@@ -217,7 +230,7 @@ class Unit:
     def _leave_operational(self) -> None:
         """Switch the magnets off while PDOs are still allowed."""
         if self.state is State.OPERATIONAL:
-            self._send(rig.MAGNETS_ID, bytes((ALL_OFF,)))
+            self._send(self._frames.magnets_id, bytes((ALL_OFF,)))
         self._awaiting = False
 
     def _on_sync(self, message: can.Message) -> None:
@@ -250,7 +263,8 @@ class Unit:
         self._heartbeat_if_due()
         self._magnets, reference = self._wsp.cycle(self._inputs)
         if reference is not None:
-            self._send(rig.REFERENCE_SPEED.can_id, rig.REFERENCE_SPEED.struct.pack(reference))
+            layout = self._frames.reference_speed
+            self._send(layout.can_id, layout.struct.pack(reference))
         self._report_stuck(self._wsp.stuck())
         self._switch_sanders()
         self._answer()
@@ -265,14 +279,16 @@ class Unit:
         log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
         error_code = SENSOR_STUCK if axles else 0
         error_register = rig.GENERIC_ERROR if axles else 0
-        self._send(rig.UNIT_EMERGENCY_ID, struct.pack("<HBB4x", error_code, error_register, axles))
+        self._send(
+            self._frames.emergency_id, struct.pack("<HBB4x", error_code, error_register, axles)
+        )
 
     def _switch_sanders(self) -> None:
         """Command the sanders, if the request of the WSP has changed."""
         sand = self._wsp.sand()
         if sand != self._sand:
             self._sand = sand
-            self._send(rig.SAND_ID, bytes((rig.ALL_SANDERS if sand else 0,)))
+            self._send(self._frames.sand_id, bytes((rig.ALL_SANDERS if sand else 0,)))
 
     def _answer_without_speeds(self) -> None:
         self._heartbeat_if_due()
@@ -284,7 +300,7 @@ class Unit:
 
     def _answer(self) -> None:
         self._awaiting = False
-        self._send(rig.MAGNETS_ID, bytes((self._magnets,)))
+        self._send(self._frames.magnets_id, bytes((self._magnets,)))
         self.answers += 1
 
     def _heartbeat_if_due(self) -> None:
@@ -293,7 +309,7 @@ class Unit:
 
     def _heartbeat(self) -> None:
         self._beat_s = time.monotonic() + HEARTBEAT_S
-        self._send(rig.UNIT_HEARTBEAT_ID, bytes((self.state,)))
+        self._send(self._frames.heartbeat_id, bytes((self.state,)))
 
     def _send(self, can_id: int, data: bytes) -> None:
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
@@ -302,7 +318,7 @@ class Unit:
 def warm(params: logic.Params) -> None:
     """Compile the cycle, or load it from the cache of numba, before the rig waits for an answer."""
     unit = logic.new_unit(params)
-    logic.cycle(unit, np.zeros(AXLES, dtype=np.int64))
+    logic.cycle(unit, np.zeros(UNIT_AXLES, dtype=np.int64))
     logic.stuck(unit)
 
 
@@ -311,15 +327,24 @@ def main(
     config: str = "reference",
     priority: int = 0,
     lockstep_s: float = 0.0,
+    group: int = 1,
 ) -> int:
     """Run the reference WSP on a bus until the bus ends, or SIGINT or SIGTERM comes. Returns 0.
 
-    With a `priority` above 0 it requests SCHED_FIFO and locked memory, and continues if they are
-    refused. Raises ConfigError for a wrong `config` (name or TOML path), BusError if the bus cannot
-    be opened.
+    `group` is the group of axles that the unit protects, 1 the leading one. With a `priority` above
+    0 it requests SCHED_FIFO and locked memory, and continues if they are refused. Raises
+    ConfigError for a wrong `config` (name or TOML path) or group, BusError if the bus cannot be
+    opened.
     """
-    wsp = Reference(logic.load(config))
-    return serve(lambda bus: Unit(bus, wsp, lockstep_s), bus_address, priority, lockstep_s)
+    if not 1 <= group <= GROUPS:
+        raise ConfigError(
+            f"--group {group}: a vehicle with {AXLES} axles has {GROUPS} group(s) of up to four "
+            f"axles; for another vehicle set the environment variable {AXLES_VARIABLE}, for example "
+            f"{AXLES_VARIABLE}=8"
+        )
+    frames = rig.unit_frames(group - 1)
+    wsp = Reference(logic.load(config), frames)
+    return serve(lambda bus: Unit(bus, wsp, lockstep_s, frames), bus_address, priority, lockstep_s)
 
 
 def serve(

@@ -19,6 +19,7 @@ import pyarrow as pa
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import write_text, writing
 from rollerrig.configs.processes import interruption
+from rollerrig.configs.vehicle import AXLES, AXLES_OF_GROUP, GROUPS
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
@@ -61,6 +62,18 @@ class Bench:
     def _check(plan: Scenario, given: Options) -> None:
         """Refuse what cannot be run, before a file is written. Raises ConfigError."""
         options.check(given, plan["modbus"]["enabled"])
+        if GROUPS > 1 and given.pacing == "free" and plan["bus"]["arbitration"]:
+            raise ConfigError(
+                f"{plan.name}: bus.arbitration with --pacing free and {AXLES} axles: how long the "
+                "frames of several units wait is known on the bus only; use --pacing lockstep, or "
+                "bus.arbitration=false"
+            )
+        if GROUPS > 1 and given.fmus:
+            raise ConfigError(
+                f"{plan.name}: an FMU as the WSP unit of a vehicle with {AXLES} axles: an FMU "
+                f"protects one group of at most {AXLES_OF_GROUP} axles, and only one can be started; "
+                "allowed are --wsp reference, external and none"
+            )
         panel.check_pacing(plan.faults, given.pacing)
         wire_delay.check(plan, given.pacing)
         if given.unit == "reference":

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.errors import UnitError
+from rollerrig.configs.errors import ConfigError, UnitError
+from rollerrig.configs.vehicle import GROUPS, axles_of_group
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import derailment, tick_data
@@ -21,8 +22,8 @@ from rollerrig.realtime.loop.tick import AXLES, DONE, STOP, TICK, TickData
 from rollerrig.wsp_interface import braking, events, magnets, signals
 from rollerrig.wsp_interface.events import Code, Event
 
-# an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 (8,), to the byte
-# of magnets (wsp_interface.magnets)
+# an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 of shape
+# (2 AXLES,), to the byte of magnets (wsp_interface.magnets)
 UnitCall = Callable[[np.ndarray], int]
 # "reference", "none", a reference unit with other parameters, or an outside unit
 Unit = str | logic.Params | UnitCall
@@ -53,13 +54,21 @@ class Stop:
         self.faults = faults or panel.Panel(plan.faults, self._record)
         self.faults.connect(panel.Site(data.commands.values[tick.FAULTS :], lambda: None))
         self._call: UnitCall | None = unit if callable(unit) else None
-        self.reference_unit: logic.Unit | None = None
+        if self._call and GROUPS > 1:
+            raise ConfigError(
+                f"an outside unit in a stop that is only computed has one group of axles, but the "
+                f"vehicle has {AXLES} axles in {GROUPS} groups; allowed are up to four axles, or "
+                "--pacing lockstep with a unit for each group"
+            )
+        self.reference_units: tuple[logic.Unit, ...] = ()
+        if unit == "reference":
+            unit = logic.load(plan["wsp_config"])
         if isinstance(unit, logic.Params):
-            self.reference_unit = logic.new_unit(unit)
-        elif unit == "reference":
-            self.reference_unit = logic.new_unit(logic.load(plan["wsp_config"]))
+            self.reference_units = tuple(
+                logic.new_unit(unit, axles_of_group(group)) for group in range(GROUPS)
+            )
         self._inputs = np.zeros(2 * AXLES, dtype=np.int64)
-        self._ticks = None if self.reference_unit else tick.Ticks(data)
+        self._ticks = None if self.reference_units else tick.Ticks(data)
 
     def _record(self, code: Code, /, **fields: Any) -> None:
         """Record an event at the present simulated time."""
@@ -94,9 +103,9 @@ class Stop:
         self.faults.poll(int(self.data.control[TICK]) / tick_hz)
         until_change_s = min(self.faults.next_change_s() - self.faults.now_s, _LONGEST_S)
         ticks = min(most, max(1, round(until_change_s * tick_hz)))
-        if self.reference_unit:
-            tick.run_ticks_with_unit(
-                self.data, ticks, self.plan.sync_ticks, self.reference_unit, self._inputs
+        if self.reference_units:
+            tick.run_ticks_with_units(
+                self.data, ticks, self.plan.sync_ticks, self.reference_units, self._inputs
             )
             return
         if self._call:

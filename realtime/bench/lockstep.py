@@ -9,13 +9,13 @@ from enum import Enum
 
 from rollerrig.configs.errors import UnitError
 from rollerrig.realtime.bench.parts import Parts
-from rollerrig.realtime.bench.rig_bus import RigBus
+from rollerrig.realtime.bench.rig_bus import RigBus, UnitSeat
 from rollerrig.realtime.loop import clock, mailbox, tick
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.bus.turns import Partner
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.rig_objects import HARNESS, HARNESS_ANSWER_ID, MAGNETS_ID
+from rollerrig.wsp_interface.rig_objects import HARNESS, HARNESS_ANSWER_ID
 
 _LOOK_S = 0.1
 # looks until the unit of the bench, whose connection is closed, should have exited
@@ -25,14 +25,16 @@ _LOOKS_TO_LEAVE = 50
 # a partner that is there but may be slow gets so many times --answer-wait: a unit whose process
 # runs, a harness at a breakpoint
 _PATIENCE = 6
-_UNIT_RULE = (
-    f"a unit answers every SYNC with RPDO1 of node {signals.BRAKE_NODE} ({MAGNETS_ID:X}h), "
-    "changed or not"
-)
 _HARNESS_RULE = (
     f"a harness that has joined sends RPDO1 of node {signals.BENCH_NODE} ({HARNESS_ANSWER_ID:X}h) "
     f"in every cycle, or leaves ({HARNESS:X}h:1 = 0)"
 )
+
+
+def _unit_rule(seat: UnitSeat) -> str:
+    brake_io = signals.nodes(signals.BRAKE_NODE)[seat.frames.group]
+    can_id = seat.frames.magnets_id
+    return f"a unit answers every SYNC with RPDO1 of node {brake_io} ({can_id:X}h), changed or not"
 
 
 class _Answer(Enum):
@@ -99,7 +101,10 @@ async def _await_answers(parts: Parts, bus: RigBus) -> None:
     """
     if parts.options.unit != "none" and not bus.frozen:
         patience = _PATIENCE if bus.own_unit else 1
-        await _await_answer(parts, bus, bus.unit_partner, "WSP unit", patience, _UNIT_RULE)
+        for seat in bus.seats:
+            node = signals.WSP_NODES[seat.frames.group]
+            name = "WSP unit" if len(bus.seats) == 1 else f"WSP unit (node {node})"
+            await _await_answer(parts, bus, seat.partner, name, patience, _unit_rule(seat))
     else:
         await asyncio.sleep(0)
     await _await_answer(parts, bus, bus.harness_partner, "harness", _PATIENCE, _HARNESS_RULE)
@@ -118,7 +123,7 @@ async def _await_answer(
     if answer is _Answer.HERE:
         return
     at = f"at {parts.simulated_ns() / clock.SECOND_NS:.3f} s"
-    output = parts.processes.unit_words() if partner is bus.unit_partner else ""
+    output = parts.processes.unit_words() if partner is not bus.harness_partner else ""
     if answer is _Answer.GONE:
         raise UnitError(
             f"the {name} has closed its connection {at}, before it answered SYNC: its program has "
@@ -155,7 +160,7 @@ async def _wait(parts: Parts, bus: RigBus, partner: Partner, wait_s: float) -> _
         if partner.gone and not parts.stopping:
             looks_after_end += 1
             # the exit of a process tells more than the end of its connection
-            may_exit = parts.options.starts_unit and partner is bus.unit_partner
+            may_exit = parts.options.starts_unit and partner is not bus.harness_partner
             if not may_exit or looks_after_end > _LOOKS_AFTER_END:
                 return _Answer.GONE
     return _Answer.MISSING
@@ -190,12 +195,13 @@ async def _await_answers_in_standstill(parts: Parts, bus: RigBus, hub: Hub) -> N
 
 async def _catch_up(parts: Parts, bus: RigBus) -> None:
     """Let a unit that was frozen answer the SYNCs that it has missed; no time passes meanwhile."""
-    owed = -1
-    unit = bus.unit_partner
-    with unit.turn():
-        while bus.owed != owed and not unit.answered.is_set():
-            owed = bus.owed
-            await _wait(parts, bus, unit, parts.options.answer_wait_s)
-    if not unit.answered.is_set():  # its connection had no room for more frames
-        parts.event(Code.UNIT_UNANSWERED, syncs=owed)
-        bus.forgive()
+    for seat in bus.seats:
+        owed = -1
+        unit = seat.partner
+        with unit.turn():
+            while seat.owed != owed and not unit.answered.is_set():
+                owed = seat.owed
+                await _wait(parts, bus, unit, parts.options.answer_wait_s)
+        if not unit.answered.is_set():  # its connection had no room for more frames
+            parts.event(Code.UNIT_UNANSWERED, syncs=owed)
+            seat.forgive()

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import Counters
@@ -33,9 +34,7 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import (
     HARNESS,
     JOINED,
-    PRESSURES,
-    SPEEDS,
-    UNIT_HEARTBEAT_ID,
+    unit_frames,
 )
 
 # capacities of the rings, in rows
@@ -186,8 +185,7 @@ class Parts:
         """Let the loop end at the next tick, and whatever waits for an answer notice it."""
         self.data.control[STOP] = 1
         if self.bus:
-            self.bus.unit_partner.answered.set()
-            self.bus.harness_partner.answered.set()
+            self.bus.stop_waiting()
 
     def report_stall(self) -> None:
         """Record where the loop has stood still since the last call: the clocks diverge there."""
@@ -287,7 +285,8 @@ class Parts:
         )
         bus.own_unit = self.options.own_unit
         # an FMU answers when it has the pressures, the reference unit when it has the speeds
-        bus.awaited = PRESSURES.can_id if self.options.fmus else SPEEDS.can_id
+        if self.options.fmus:
+            bus.await_pressures()
         self.faults.connect(bus.site(self.processes.freeze))
         self.bus = bus
         self.event(Code.BUS_PLACE, address=self.place)
@@ -358,7 +357,7 @@ class Parts:
         elif self.options.own_unit:
             self._start_own_unit()
         elif self.options.unit == "external":
-            self._report_waiting(f"a WSP unit's heartbeat ({UNIT_HEARTBEAT_ID:X}h)")
+            self._report_waiting(f"a WSP unit's heartbeat ({_heartbeat_ids()})")
         if self.options.unit != "none":
             await self._await_heartbeats(bus)
         if self.options.harness:
@@ -389,10 +388,11 @@ class Parts:
 
         def is_there() -> bool:
             nonlocal first_s
-            unit = bus.master.unit
-            if unit.state is not None and first_s is None:
+            units = bus.master.units
+            all_heard = all(unit.state is not None for unit in units)
+            if all_heard and first_s is None:
                 first_s = time.monotonic()
-            if unit.state == State.OPERATIONAL:
+            if all(unit.state == State.OPERATIONAL for unit in units):
                 return True
             # a simple unit may not obey NMT; half a second is enough for a unit that does
             if first_s is None or bus.own_unit:
@@ -402,7 +402,7 @@ class Parts:
         await self._await(
             bus,
             is_there,
-            f"no WSP unit on {self.place}: no heartbeat on {UNIT_HEARTBEAT_ID:X}h",
+            f"no WSP unit on {self.place}: no heartbeat on {_heartbeat_ids()}",
             self._remedy_without_unit,
         )
         if not self.stopping:
@@ -443,7 +443,7 @@ class Parts:
         remedy: Callable[[], str],
     ) -> None:
         """Poll the bus until `is_there()`. Raises UnitError when the time for it is over."""
-        starting = bus.own_unit and bus.master.unit.state is None
+        starting = bus.own_unit and any(unit.state is None for unit in bus.master.units)
         patience = _OWN_UNIT_PATIENCE if starting else 1
         deadline_s = time.monotonic() + patience * self.options.unit_wait_s
         while not self.stopping:
@@ -454,3 +454,9 @@ class Parts:
                 raise UnitError(f"{missing} within {self.options.unit_wait_s:g} s; {remedy()}")
             self.processes.watch(starting=True)
             await asyncio.sleep(_POLL_S)
+
+
+def _heartbeat_ids() -> str:
+    """Return the identifiers of the heartbeats of all units, as in "720h and 740h"."""
+    ids = [f"{unit_frames(group).heartbeat_id:X}h" for group in range(GROUPS)]
+    return " and ".join(ids)

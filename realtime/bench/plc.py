@@ -11,7 +11,6 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-from rollerrig.configs import store
 from rollerrig.configs.errors import BusError, RollerrigError
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
@@ -58,7 +57,7 @@ class Plc:
         self.rig = rig
         self.bus = bus
         self.demand = rig.modbus_demand
-        self.scenarios = store.names("scenarios")
+        self.scenarios = scenario.names()
         self.fault_registers = FaultRegisters(rig.faults, rig.event)
         self.server: Server | None = None
         self.line: SerialLine | None = None

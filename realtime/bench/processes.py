@@ -15,6 +15,7 @@ from typing import Any
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
 from rollerrig.configs.output_files import create, writing
 from rollerrig.configs.processes import children
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.realtime.bench.options import (
     Options,
     send_arguments,
@@ -47,7 +48,8 @@ class Processes:
         self.options = options
         self.on_event = on_event
         self.recorder: Process | None = None
-        self.unit: Process | None = None
+        # one for each group of axles
+        self.units: list[Process] = []
         self.live: Process | None = None
         # why the record is not complete
         self.unwritten: ConfigError | None = None
@@ -94,10 +96,10 @@ class Processes:
         sync_period_s: float,
         bitrate: int,
     ) -> None:
-        """Start the unit of the bench on the bus at an address, of `bitrate` in bit/s.
+        """Start the units of the bench on the bus at an address, of `bitrate` in bit/s.
 
-        It requests a real-time `priority` where that is above 0, and leaves the core of the loop
-        (-1: any core).
+        Each group of axles has a unit. It requests a real-time `priority` where that is above 0,
+        and leaves the core of the loop (-1: any core).
         """
         options = self.options
         words = ["--bus", place, "--config", config, "--priority", str(priority)]
@@ -113,18 +115,21 @@ class Processes:
 
         log_path = options.out / run_folder.UNIT_LOG
         with writing(options.out), create(log_path) as log:
-            if options.waiting_unit:
-                self.unit = options.waiting_unit
-                send_arguments(self.unit, [*words, "--log", str(log_path)])
-                return
-            self.unit = subprocess.Popen(
-                unit_command(*words),
-                stdin=subprocess.DEVNULL,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-                env=environment,
-            )
+            for group in range(1, GROUPS + 1):
+                of_group = [*words, "--group", str(group)] if group > 1 else words
+                if group == 1 and options.waiting_unit:
+                    send_arguments(options.waiting_unit, [*of_group, "--log", str(log_path)])
+                    self.units.append(options.waiting_unit)
+                    continue
+                process = subprocess.Popen(
+                    unit_command(*of_group),
+                    stdin=subprocess.DEVNULL,
+                    stdout=log,
+                    stderr=log,
+                    start_new_session=True,
+                    env=environment,
+                )
+                self.units.append(process)
 
     def start_command(self, place: str) -> None:
         """Start the unit that is a program of the user, on the bus at an address.
@@ -136,7 +141,7 @@ class Processes:
             host, port, _ = plugin.parse_address(place)
         words = unit_choice.command_words(self.options.command, place, host, port)
         with writing(self.options.out), create(self.options.out / run_folder.UNIT_LOG) as log:
-            self.unit = subprocess.Popen(
+            process = subprocess.Popen(
                 children.command(*words, by=signal.SIGKILL),
                 stdin=subprocess.DEVNULL,
                 stdout=log,
@@ -144,6 +149,7 @@ class Processes:
                 start_new_session=True,
                 env=children.users_environment(),
             )
+            self.units.append(process)
 
     def unit_words(self) -> str:
         """Return the last lines of a unit that is a program of the user, as the end of a message.
@@ -198,7 +204,11 @@ class Processes:
         Raises UnitError where the run is `starting` and its unit has exited.
         """
         self.watch_recorder()
-        process = self._newly_exited(self.unit)
+        for process in self.units:
+            self._watch_unit(process, starting)
+
+    def _watch_unit(self, unit: Process, starting: bool) -> None:
+        process = self._newly_exited(unit)
         if process is None:
             return
         log = self.options.out / run_folder.UNIT_LOG
@@ -230,24 +240,27 @@ class Processes:
         return process
 
     def freeze(self, on: bool) -> bool:
-        """Stop the process of the bench's unit, or let it continue; False where there is none.
+        """Stop the processes of the bench's units, or let them continue; False: there are none.
 
         A program of the user is not stopped: it may consist of several processes.
         """
-        if self.unit is None or not _runs(self.unit) or self.options.command:
+        if self.options.command:
             return False
-        self.unit.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
-        return True
+        running = [unit for unit in self.units if _runs(unit)]
+        for unit in running:
+            unit.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
+        return bool(running)
 
     async def end_unit(self) -> None:
-        """Wait for the unit, which exits when its bus is gone; terminate it if it does not."""
+        """Wait for the units, which exit when their bus is gone; terminate those that do not."""
         self.freeze(False)  # a stopped process would not notice the end of its bus
-        await _wait_for_exit(self.unit, _UNIT_S)
-        if self.options.command and self.unit is not None:
-            await _end_session(self.unit)
-        elif self.unit is not None and _runs(self.unit):
-            self.unit.terminate()
-            self.unit.wait(_KILL_S)
+        for unit in self.units:
+            await _wait_for_exit(unit, _UNIT_S)
+            if self.options.command:
+                await _end_session(unit)
+            elif _runs(unit):
+                unit.terminate()
+                unit.wait(_KILL_S)
         if self._scratch:
             self._scratch.cleanup()
 

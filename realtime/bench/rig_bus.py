@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import BusError, PortInUseError
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401
 from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.cia301.node import Node
@@ -45,9 +46,8 @@ from rollerrig.wsp_interface.bus.wire import Alarm
 from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.rig_objects import (
     HARNESS_ANSWER_ID,
-    MAGNETS_ID,
-    SPEEDS,
-    UNIT_HEARTBEAT_ID,
+    UnitFrames,
+    unit_frames,
     unit_lost_after_ms,
 )
 
@@ -171,6 +171,41 @@ async def open_others(
     return ports
 
 
+class UnitSeat:
+    """The WSP unit of a group of axles, and the SYNCs that it still has to answer.
+
+    A frozen unit answers all of them when it continues. `awaited` is the frame that starts its
+    cycle.
+    """
+
+    def __init__(self, frames: UnitFrames) -> None:
+        self.frames = frames
+        self.partner = Partner(arbitrates=True)
+        self.awaited = frames.speeds
+        self.owed = 0
+        self.may_wait = 0
+
+    def look(self) -> None:
+        """Note whether the unit has answered."""
+        if self.owed <= self.may_wait:
+            self.partner.answered.set()
+        else:
+            self.partner.answered.clear()
+
+    def forgive(self) -> None:
+        """No longer wait for the answers that are owed."""
+        self.owed = 0
+        self.partner.answered.set()
+
+    def note(self, frame: Frame, sender: Client) -> None:
+        """Note a connection of the unit; the one that sends the magnets has to answer."""
+        unit = self.partner
+        unit.members.add(sender)
+        sends_magnets = frame.can_id == self.frames.magnets_id
+        if sends_magnets or unit.speaker is None or unit.gone:
+            unit.speaker = sender
+
+
 class RigBus:
     """The nodes of the rig, the NMT master and the bench's node on one bus.
 
@@ -202,18 +237,18 @@ class RigBus:
         # no command is passed on before all nodes have started
         self._on_command: Callable[[np.ndarray], None] = lambda command: None
 
-        # answers of the unit: SYNCs that it still has to answer; a frozen unit answers all of them
-        # when it continues
-        self.unit_partner = Partner(arbitrates=True)
+        # the units, that of the leading group first
+        self.seats = tuple(UnitSeat(unit_frames(group)) for group in range(GROUPS))
+        self._seats_by_id: dict[int, UnitSeat] = {}
+        for seat in self.seats:
+            self._seats_by_id[seat.frames.magnets_id] = seat
+            self._seats_by_id[seat.frames.heartbeat_id] = seat
         self.harness_partner = Partner(arbitrates=False)
         self._turns_taken_by: tuple[Partner, ...] = ()
-        self.owed = 0
         self.frozen = False
-        # the unit of the bench answers every SYNC, also foreign ones; if the frame `awaited` that
-        # starts its cycle is missing, it answers at the next SYNC
+        # the units of the bench answer every SYNC, also foreign ones; if the frame that starts the
+        # cycle of a unit is missing, it answers at the next SYNC
         self.own_unit = False
-        self.awaited = SPEEDS.can_id
-        self._may_wait = 0
         # SYNCs of another node, although the bench is the producer
         self.stray_syncs = 0
         self._stray = False
@@ -277,22 +312,36 @@ class RigBus:
             self._stray = False
             if stray and not self.own_unit:
                 return
-            self.owed += 1
-            self._may_wait = int(self.own_unit)
-        elif frame.can_id == self.awaited and len(frame.data) == SPEEDS.struct.size:
-            self._may_wait = 0
-        else:
+            for seat in self.seats:
+                seat.owed += 1
+                seat.may_wait = int(self.own_unit)
+                seat.look()
             return
-        self._look_at_answers()
+        for seat in self.seats:
+            awaited = seat.awaited
+            if frame.can_id == awaited.can_id and len(frame.data) == awaited.struct.size:
+                seat.may_wait = 0
+                seat.look()
+
+    def await_pressures(self) -> None:
+        """From now on the pressures start the cycle of a unit, as with FMUs."""
+        for seat in self.seats:
+            seat.awaited = seat.frames.pressures
 
     def take_turns(self, unit_answers: bool) -> None:
-        """From now on unit and harness send in turns; the bench gives each its turn.
+        """From now on units and harness send in turns; the bench gives each its turn.
 
-        `unit_answers`: whether the bench waits for a unit.
+        `unit_answers`: whether the bench waits for units.
         """
         self._turns_taken_by = (self.harness_partner,)
         if unit_answers:
-            self._turns_taken_by = (self.unit_partner, self.harness_partner)
+            self._turns_taken_by = (*(seat.partner for seat in self.seats), self.harness_partner)
+
+    def stop_waiting(self) -> None:
+        """Let the code that waits for an answer continue, because the run ends."""
+        for seat in self.seats:
+            seat.partner.answered.set()
+        self.harness_partner.answered.set()
 
     def seat_harness(self) -> None:
         """The sender of the present frame is the harness, which has joined."""
@@ -313,8 +362,9 @@ class RigBus:
         answers = self._count_answer(frame)
         if not isinstance(sender, Client):
             return True
-        if frame.can_id in (MAGNETS_ID, UNIT_HEARTBEAT_ID):
-            self._note_unit(frame, sender)
+        seat = self._seats_by_id.get(frame.can_id)
+        if seat is not None:
+            seat.note(frame, sender)
         partners = [one for one in self._turns_taken_by if sender in one.members]
         if len(partners) != 1:
             # not a partner, or a program that is unit and harness: its frames have an order
@@ -327,9 +377,10 @@ class RigBus:
 
         Return whether the frame is an answer that was owed.
         """
-        if frame.can_id == MAGNETS_ID and self.owed:
-            self.owed -= 1
-            self._look_at_answers()
+        seat = self._seats_by_id.get(frame.can_id)
+        if seat is not None and frame.can_id == seat.frames.magnets_id and seat.owed:
+            seat.owed -= 1
+            seat.look()
             return True
         harness = self.harness_partner
         if frame.can_id == HARNESS_ANSWER_ID and not harness.answered.is_set():
@@ -337,28 +388,21 @@ class RigBus:
             return True
         return False
 
-    def _note_unit(self, frame: Frame, sender: Client) -> None:
-        """Note a connection of the unit; the one that sends the magnets has to answer."""
-        unit = self.unit_partner
-        unit.members.add(sender)
-        if frame.can_id == MAGNETS_ID or unit.speaker is None or unit.gone:
-            unit.speaker = sender
-
     def _look_at_answers(self) -> None:
-        if self.owed <= self._may_wait:
-            self.unit_partner.answered.set()
-        else:
-            self.unit_partner.answered.clear()
+        for seat in self.seats:
+            seat.look()
 
     @property
     def late(self) -> bool:
-        """Whether the bench's unit still has to answer: a fault or a busy wire may delay speeds."""
-        return self.own_unit and not self.frozen and not self.unit_partner.answered.is_set()
+        """Whether a unit of the bench still has to answer: a fault or a wire may delay speeds."""
+        if not self.own_unit or self.frozen:
+            return False
+        return not all(seat.partner.answered.is_set() for seat in self.seats)
 
     def forgive(self) -> None:
         """No longer wait for the answers that are owed."""
-        self.owed = 0
-        self.unit_partner.answered.set()
+        for seat in self.seats:
+            seat.forgive()
 
     # -- faults
 
@@ -371,7 +415,8 @@ class RigBus:
         def freeze_unit(on: bool) -> bool:
             self.frozen = freeze(on) and on
             if self.frozen:
-                self.unit_partner.answered.set()  # nothing waits for a frozen unit
+                for seat in self.seats:
+                    seat.partner.answered.set()  # nothing waits for a frozen unit
             elif not on:
                 self._look_at_answers()
             return self.frozen
@@ -422,7 +467,8 @@ class RigBus:
             self._look_at_answers()
             self.master.sync()
         else:
-            self.unit_partner.answered.clear()
+            for seat in self.seats:
+                seat.partner.answered.clear()
         self.hub.flush()
 
     def set_time(self) -> None:
@@ -478,7 +524,7 @@ def _heartbeat_ms(scenario: Scenario) -> int:
 
 def _node_numbers(scenario: Scenario) -> tuple[int, ...]:
     if scenario.params.sanders.axles:
-        return (*signals.RIG_NODES, signals.SANDER_NODE)
+        return (*signals.RIG_NODES, *signals.nodes(signals.SANDER_NODE))
     return tuple(signals.RIG_NODES)
 
 
@@ -523,22 +569,15 @@ def _build_nodes(
             scenario["rig"]["drives"],
             store(number),
         )
-    nodes[signals.SPEED_NODE] = encoder406.build(row, parameters, store(signals.SPEED_NODE))
-    nodes[signals.BRAKE_NODE] = io401.build(
-        row,
-        command[: io401.COMMANDS],
-        parameters,
-        post,
-        store(signals.BRAKE_NODE),
-    )
-    if signals.SANDER_NODE in _node_numbers(scenario):
-        nodes[signals.SANDER_NODE] = sander401.build(
-            row,
-            command[tick.SAND : tick.DRIVES],
-            post,
-            store(signals.SANDER_NODE),
-            parameters,
-        )
+    for group, number in enumerate(signals.nodes(signals.SPEED_NODE)):
+        nodes[number] = encoder406.build(row, parameters, store(number), group)
+    for group, number in enumerate(signals.nodes(signals.BRAKE_NODE)):
+        commands = command[: io401.COMMANDS]
+        nodes[number] = io401.build(row, commands, parameters, post, store(number), group)
+    if scenario.params.sanders.axles:
+        for group, number in enumerate(signals.nodes(signals.SANDER_NODE)):
+            commands = command[tick.SAND : tick.DRIVES]
+            nodes[number] = sander401.build(row, commands, post, store(number), parameters, group)
     return nodes
 
 

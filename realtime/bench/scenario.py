@@ -18,6 +18,7 @@ import tomli_w
 from rollerrig.configs import store, table, toml_text
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
+from rollerrig.configs.vehicle import COACH_AXLES, check_axles
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import seal
 from rollerrig.rig import params as physics
@@ -26,9 +27,12 @@ from rollerrig.wsp_interface.signals import AXLES
 # value of bus.socketcand_port where nobody has chosen a port
 AUTOMATIC_PORT = -1
 
+# the vehicle of a scenario that states none
+COACH = "uic_z1"
+
 HEAD = (
     choice("title", "", (), "a sentence"),
-    choice("vehicle_set", "uic_z1", (), "configs/vehicles"),
+    choice("vehicle_set", COACH, (), "configs/vehicles"),
     choice("rig_set", "full_scale", (), "configs/rigs"),
     choice("adhesion_set", "soap", (), "configs/adhesion"),
     choice("bus_set", "default", (), "configs/buses"),
@@ -168,6 +172,18 @@ def load(
     return read(content, path, model, settings, tables, faults, sources)
 
 
+def names() -> list[str]:
+    """Return the names of the packaged scenarios whose vehicles this process simulates."""
+    found: list[str] = []
+    for name in store.names("scenarios"):
+        content, path = store.load("scenarios", name)
+        vehicle_set = content.get("vehicle", COACH)
+        vehicle, _ = store.load("vehicles", vehicle_set, path)
+        if vehicle["vehicle"].get("axles", COACH_AXLES) == AXLES:
+            found.append(name)
+    return found
+
+
 def read(
     given: dict[str, Any],
     path: Path,
@@ -220,6 +236,7 @@ def _rows_of(given: Mapping[str, Any]) -> list[table.Row]:
 
 def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     """Merge layers of tables, check them, and return the scenario with its parameters."""
+    _check_number_of_axles(layers)
     merged = _merge(head, layers)
     checked: dict[str, Any] = dict(physics.check(merged.sections, name))
     _check_held_speed(checked, name)
@@ -285,6 +302,21 @@ def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
         for key, content in layer.items():
             _merge_key(merged, where, key, content)
     return merged
+
+
+def _check_number_of_axles(layers: list[Layer]) -> None:
+    """Check that this process simulates the vehicle: bounds of other keys depend on its axles.
+
+    Raises ConfigError, OtherAxlesError.
+    """
+    axles: Any = COACH_AXLES
+    given_by = "default"
+    for where, layer in layers:
+        vehicle = layer.get("vehicle")
+        if isinstance(vehicle, Mapping) and "axles" in vehicle:
+            axles = vehicle["axles"]
+            given_by = where
+    check_axles(axles, f"{given_by} [vehicle] axles")
 
 
 def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:

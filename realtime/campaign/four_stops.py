@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import UnitError
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free
 from rollerrig.realtime.bench.scenario import Scenario
@@ -98,9 +99,10 @@ def finished(tag: Any, stop: free.Stop, memory: Memory) -> Finished:
 
 
 def fits(plan: Scenario) -> bool:
-    """Whether a scenario may run together with others: one planar plant, no faults."""
+    """Whether a scenario may run together with others: one planar plant, one unit, no faults."""
     return (
-        plan.rollers is None
+        GROUPS == 1
+        and plan.rollers is None
         and not plan.faults
         and not plan["bus"]["arbitration"]
         and layout.fits(plan.params)
@@ -150,9 +152,9 @@ def _run_until_done(
     """Run the four stops of a row until at least one of them is done."""
     data = tuple(placed.stop.data for placed in row)
     units = tuple(
-        (logic.buffer_of(placed.stop.reference_unit), placed.stop.reference_unit.params)
+        (logic.buffer_of(unit), unit.params)
         for placed in row
-        if placed.stop.reference_unit
+        for unit in placed.stop.reference_units
     )
     # ticks between two cycles of a unit; 0: it does not run
     sync_ticks = np.array(
@@ -172,7 +174,7 @@ def run_ticks(four, units, syncs, runs, lanes, inputs, ticks):
     syncs : (4,), ticks between two cycles of a unit; 0: it does not run
     runs : (4,), 0 for a place that does not run
     lanes : the array of `rig.lanes.layout`
-    inputs : int64 scratch, as in `tick.run_ticks_with_unit`
+    inputs : int64 scratch, as in `tick.run_ticks_with_units`
     ticks : the largest number of ticks
     """
     m0, m1, m2, m3 = four
@@ -200,7 +202,7 @@ def before(m, unit, sync_ticks, runs, lanes, rig, inputs):
     now = m.control[TICK]
     if sync_ticks != 0 and now % sync_ticks == 0:
         tick.write_unit_inputs(m, inputs)
-        tick.run_unit_cycle(m, logic.Unit(see_unit(unit[0]), unit[1]), inputs)
+        tick.run_unit_cycle(m, logic.Unit(see_unit(unit[0]), unit[1]), 0, inputs)
     tick.begin(m, now)
     target_Pa = plant.prepare(
         m.state, m.delay, m.command[: tick.AXLES], m.command[tick.DEMAND], now, m.params

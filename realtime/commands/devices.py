@@ -34,7 +34,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def call(options: argparse.Namespace) -> int:
     """Write the files of all nodes. Returns PASS."""
-    from rollerrig.configs import store
     from rollerrig.configs.output_files import writing
     from rollerrig.firmware_sim.modbus import map
     from rollerrig.realtime.bench import scenario
@@ -47,7 +46,7 @@ def call(options: argparse.Namespace) -> int:
     with writing(options.out):
         paths = [
             *descriptions.write(options.out, nodes, plan["bus"]["sync_period_s"]),
-            *map.write(options.out, drives, tuple(store.names("scenarios"))),
+            *map.write(options.out, drives, tuple(scenario.names())),
         ]
 
     result = {"folder": str(options.out), "files": [path.name for path in paths]}

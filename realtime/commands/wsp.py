@@ -27,6 +27,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="thresholds: a packaged configuration or a TOML file (default: reference)",
     )
     parser.add_argument(
+        "--group",
+        type=int,
+        default=1,
+        metavar="N",
+        help="group of four axles that the unit protects, on a vehicle with more axles (default: 1)",
+    )
+    parser.add_argument(
         "--priority",
         type=int,
         default=0,
@@ -184,6 +191,7 @@ def call(options: argparse.Namespace) -> int:
         config=options.config,
         priority=options.priority,
         lockstep_s=options.lockstep,
+        group=options.group,
     )
 
 

@@ -171,9 +171,7 @@ def _load(vehicle: params.Vehicle, run: records.Run, end: int) -> np.ndarray:
     lagged_m_s2 = lfilter(
         [half_new, half_new], [1.0, -keep], run.column("vehicle_acceleration_m_s2")[:end]
     )
-    body_kg = 0.5 * vehicle.body_transfer_kg * np.array([1.0, 1.0, -1.0, -1.0])
-    bogie_kg = vehicle.bogie_transfer_kg * np.array([1.0, -1.0, 1.0, -1.0])
-    transfer_N = lagged_m_s2[:, None] * (body_kg + bogie_kg)
+    transfer_N = lagged_m_s2[:, None] * vehicle.transfer_kg
     return np.maximum(vehicle.static_load_N - transfer_N, 0.0)
 
 

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES_OF_GROUP
 from rollerrig.firmware_sim import pole_wheel, rig_control
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
@@ -307,12 +308,13 @@ def counts(value, scale):
 
 
 @kernel
-def run_ticks_with_unit(m, ticks, sync_ticks, unit, inputs):
-    """Run ticks as `run_ticks` does, and call the reference WSP unit where its SYNC would come.
+def run_ticks_with_units(m, ticks, sync_ticks, units, inputs):
+    """Run ticks as `run_ticks` does, and call the reference WSP units where a SYNC would come.
 
-    `unit` is the memory and parameters of the unit, `inputs` int64 scratch of shape (8,): what the
-    unit would receive over the bus, speeds in 0.01 rad/s and pressures in mbar. Its answer acts in
-    the next tick, as in lockstep, or when a wire would have carried it.
+    `units` is a tuple with the memory and parameters of the unit of each group, `inputs` int64
+    scratch of shape (2 AXLES,): what the units would receive over the bus, speeds in 0.01 rad/s and
+    pressures in mbar. Their answers act in the next tick, as in lockstep, or when a wire would have
+    carried them.
     """
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:
@@ -321,24 +323,30 @@ def run_ticks_with_unit(m, ticks, sync_ticks, unit, inputs):
         if phase == 0:
             write_unit_inputs(m, inputs)
         if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
-            run_unit_cycle(m, unit, inputs)
+            for group in range(len(units)):
+                run_unit_cycle(m, units[group], group, inputs)
         run_tick(m)
     return ticks
 
 
 @kernel_inlined
 def write_unit_inputs(m, inputs):
-    """Write what the reference WSP unit receives with a SYNC, in counts."""
+    """Write what the reference WSP units receive with a SYNC, in counts."""
     for j in range(AXLES):
         inputs[j] = counts(m.row[_SPEED + j], _SPEED_SCALE)
         inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
 
 
 @kernel_inlined
-def run_unit_cycle(m, unit, inputs):
-    """Run one cycle of the reference WSP unit on its inputs, and write its answer as commands."""
-    magnets_byte, reference = logic.cycle(unit, inputs)
+def run_unit_cycle(m, unit, group, inputs):
+    """Run a cycle of the reference WSP unit of a group on its inputs; write its answer as commands.
+
+    The reference speed that is recorded is that of the leading group's unit.
+    """
+    first = AXLES_OF_GROUP * group
+    magnets_byte, reference = logic.cycle(unit, inputs[first:])
     command = m.commands.values
-    for j in range(AXLES):
-        command[MAGNETS + j] = (magnets_byte >> (BITS_PER_AXLE * j)) & PAIR_MASK
-    command[REFERENCE] = reference * _REFERENCE_SCALE
+    for j in range(unit.state.speed_m_s.size):
+        command[MAGNETS + first + j] = (magnets_byte >> (BITS_PER_AXLE * j)) & PAIR_MASK
+    if group == 0:
+        command[REFERENCE] = reference * _REFERENCE_SCALE

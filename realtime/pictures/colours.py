@@ -4,6 +4,8 @@ Source: the palette of Okabe and Ito, which colour-blind people can distinguish.
 one axle, or one model, in Rerun and on pages. Both have a light and a dark background.
 """
 
+from rollerrig.configs.vehicle import AXLES as NUMBER_OF_AXLES
+
 Colour = tuple[int, int, int]
 
 # the palette
@@ -21,8 +23,22 @@ STEEL = (145, 145, 150)
 OLIVE = (175, 170, 0)
 BROWN = (150, 110, 85)
 
-# axles 1 to 4
-AXLES = (SKY_BLUE, ORANGE, GREEN, PURPLE)
+# axles of the leading group, 1 to 4
+_GROUP = (SKY_BLUE, ORANGE, GREEN, PURPLE)
+# how much darker the colours of each further group are
+_SHADES = (1.0, 0.72, 0.5)
+
+
+def _shaded(colour: Colour, share: float) -> Colour:
+    red, green, blue = colour
+    return round(share * red), round(share * green), round(share * blue)
+
+
+# all axles: an axle of a further group has the colour of the same axle of the leading group, darker
+AXLES = tuple(
+    _shaded(_GROUP[axle % len(_GROUP)], _SHADES[axle // len(_GROUP)])
+    for axle in range(NUMBER_OF_AXLES)
+)
 
 # the lines of axles 1 to 4, as lengths of dashes and gaps in points; () is a solid line. Colour is
 # never the only mark of an axle.

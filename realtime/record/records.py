@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from rollerrig.configs import store, user_files
+from rollerrig.configs import store, user_files, vehicle
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import write_text
 from rollerrig.configs.table import nearest
@@ -51,7 +51,11 @@ class Run(NamedTuple):
 
 
 def load(folder: Path | str) -> Run:
-    """Read a run's folder. Raises ConfigError for a file that is missing or damaged."""
+    """Read a run's folder.
+
+    Raises ConfigError for a file that is missing or damaged, OtherAxlesError for a vehicle that
+    this process does not simulate.
+    """
     folder = Path(folder)
     if not folder.is_dir():
         raise ConfigError(
@@ -59,10 +63,12 @@ def load(folder: Path | str) -> Run:
         )
     if not (folder / SCENARIO).is_file():
         raise ConfigError(f"{folder / SCENARIO}: no such file; {folder} is not a run's folder")
+    resolved = store.parse(folder / SCENARIO, within=folder)
+    vehicle.check_axles_of(resolved, str(folder / SCENARIO))
     return Run(
         folder,
         channels.load(folder),
-        store.parse(folder / SCENARIO, within=folder),
+        resolved,
         events(folder),
         summary(folder),
     )

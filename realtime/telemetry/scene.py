@@ -14,6 +14,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, axle_positions_m
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.realtime.telemetry import views
@@ -28,8 +29,12 @@ RATE_HZ = 25.0
 # the default rig, for a scenario that states nothing else
 _WHEEL_RADIUS_M = 0.445
 _ROLLER_RADIUS_M = 1.0
-_BOGIE_WHEELBASE_M = 2.56
-_BOGIE_DISTANCE_M = 19.0
+_LAYOUT = {
+    "bogies_per_body": 2,
+    "bogie_wheelbase_m": 2.56,
+    "bogie_distance_m": 19.0,
+    "body_distance_m": 26.4,
+}
 
 # m. Sizes that are only drawn.
 _GAUGE_M = 1.5
@@ -50,7 +55,7 @@ _SPOKE_SHARE = 0.86
 _RIM_POINTS = 40
 
 # indices of the axles of each bogie
-_BOGIES = ((0, 1), (2, 3))
+_BOGIES = tuple((first, first + 1) for first in range(0, signals.AXLES, AXLES_OF_BOGIE))
 
 # A wheel is drawn as locked below this share of the vehicle speed, if the vehicle is this fast.
 _LOCKED_SHARE = 0.1
@@ -88,15 +93,13 @@ def geometry(scenario: Mapping[str, Any]) -> Geometry:
     vehicle = scenario.get("vehicle", {})
     contact = scenario.get("contact", {})
     wheel_radius_m = float(vehicle.get("wheel_radius_m", _WHEEL_RADIUS_M))
-    wheelbase_m = float(vehicle.get("bogie_wheelbase_m", _BOGIE_WHEELBASE_M))
-    bogie_distance_m = float(vehicle.get("bogie_distance_m", _BOGIE_DISTANCE_M))
     if scenario.get("rig", {}).get("mode") == "track":
         roller_radius_m = math.inf
     else:
         roller_radius_m = float(contact.get("roller_radius_m", _ROLLER_RADIUS_M))
 
     # distance of each axle behind the first, with shortened gaps
-    axles_m = [0.0, wheelbase_m, bogie_distance_m, bogie_distance_m + wheelbase_m]
+    axles_m = axle_positions_m({**_LAYOUT, **vehicle})
     gaps_m = np.minimum(np.diff(axles_m), _LONGEST_GAP_M)
     behind_m = np.cumsum([0.0, *gaps_m])
 

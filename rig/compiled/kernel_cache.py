@@ -1,8 +1,8 @@
 """The folder in which compiled kernels are kept from one process to the next.
 
 Numba does not notice that a function which a cached kernel calls has changed. Therefore the folder
-is named after a hash of this installation and of all its sources that affect compiled code: a
-changed source leads to another folder, and everything is compiled again.
+is named after a hash of this installation, of all its sources that affect compiled code, and of the
+number of axles: a changed source leads to another folder, and everything is compiled again.
 
 A kept kernel is a program: who can write into the folder can run code as its user. So the folder is
 used only if it belongs to this user or to root, and no other user may write into it.
@@ -19,6 +19,7 @@ import shutil
 import stat
 from pathlib import Path
 
+from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled.numba_import import numba, settings
 
 # folders of the product that contain kernels
@@ -42,7 +43,7 @@ BYTES_KEPT = 200_000_000
 
 def _fingerprint(root: Path) -> str:
     """Return a hash of all that compiled code depends on: numba, the installation, the sources."""
-    digest = hashlib.sha256(f"{numba.__version__} {root}".encode())
+    digest = hashlib.sha256(f"{numba.__version__} {root} {AXLES}".encode())
     paths = sorted(path for room in _ROOMS for path in (root / room).rglob("*.py"))
     for path in paths:
         source = path.read_bytes()

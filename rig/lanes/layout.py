@@ -144,9 +144,7 @@ def load_constants(w, rig, params):
 
         # load transfer: from the rear to the front bogie, from the rear to the front axle of each
         w[STATIC_N + at] = vehicle.static_load_N
-        body = 0.5 if j < 2 else -0.5
-        bogie = 1.0 if j % 2 == 0 else -1.0
-        w[TRANSFER_KG + at] = body * vehicle.body_transfer_kg + bogie * vehicle.bogie_transfer_kg
+        w[TRANSFER_KG + at] = vehicle.transfer_kg[j]
 
         w[TORQUE_PER_PA + at] = brake.torque_Nm_Pa
         w[SPRING_PA + at] = brake.spring_pressure_Pa

@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2
+from rollerrig.configs.vehicle import COACH_AXLES, GRAVITY_M_S2
 from rollerrig.rig.contact import patch as patch_table
 from rollerrig.rig.contact import profiles
 from rollerrig.rig.multibody import wheel_rail_forces
@@ -44,7 +44,7 @@ from rollerrig.rig.multibody.coordinates import (
 Section = Mapping[str, Any]
 Place = tuple[float, float, float]
 
-WHEELS = 2 * AXLES
+WHEELS = 2 * COACH_AXLES
 # force in N that a damper without a limit never reaches
 _NO_LIMIT_N = 1e9
 

@@ -8,13 +8,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import COACH_AXLES
 from rollerrig.rig.contact import geometry, profiles
 from rollerrig.rig.multibody import eight_contacts
 from rollerrig.rig.multibody.coordinates import COORDINATES
 from rollerrig.rig.multibody.wheel_rail_forces import WHEEL_COLUMNS, WHEELSET_COLUMNS
 
-WHEELS = 2 * AXLES
+WHEELS = 2 * COACH_AXLES
 # coarse nodes of a wheel's profile
 NODES = (
     round((profiles.FIELD_END_M - profiles.FLANGE_END_M) / (profiles.STRIDE * profiles.SPACING_M))
@@ -24,7 +24,7 @@ NODES = (
 # places in `ports`: inputs and outputs of a step, see `compiled_coach`
 ACTION, SPEED_M_S, RESISTANCE_N = range(3)
 # from here each place is the first of four, one for each wheelset
-ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR, PORTS = range(3, 28, AXLES)
+ROLLER_RAD_S, MOTOR_NM, BRAKE_NM, BRAKE_ACTS_NM, MU_CD, MU_CR, PORTS = range(3, 28, COACH_AXLES)
 
 
 class Motion(NamedTuple):
@@ -61,18 +61,18 @@ SHAPES: dict[str, tuple[int, ...]] = {
     "contacts": (WHEELS * geometry.MOST, geometry.COLUMNS),
     "contact_count": (WHEELS,),
     "misfit": (WHEELS, NODES),
-    "wheelset_forces": (AXLES, WHEELSET_COLUMNS),
+    "wheelset_forces": (COACH_AXLES, WHEELSET_COLUMNS),
     "lanes": (eight_contacts.SIZE,),
-    "Gx": (AXLES, 4, 4),
-    "Gy": (AXLES, 3, 3),
+    "Gx": (COACH_AXLES, 4, 4),
+    "Gy": (COACH_AXLES, 3, 3),
     "wheel_forces": (WHEELS, WHEEL_COLUMNS),
     "searched_at": (WHEELS, 4),
     "left": (WHEELS,),
     "first_wheelset": (1,),
     "damper_work": (1,),
     "approach_work": (1,),
-    "sliding_work": (AXLES,),
-    "brake_work": (AXLES,),
+    "sliding_work": (COACH_AXLES,),
+    "brake_work": (COACH_AXLES,),
     "resistance_work": (1,),
 }
 # the place of each field in the buffer, and the size of the buffer

@@ -24,7 +24,7 @@ paper's section 2. Below 0.1 m/s creepage is sliding over 0.1 m/s.
 
 import math
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import COACH_AXLES
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact.geometry import Z as CONTACT_Z
 from rollerrig.rig.multibody import eight_contacts, links
@@ -54,7 +54,7 @@ def start(motion, coach, speed_m_s):
     motion.v[:] = 0.0
     for body in range(BODIES):
         motion.v[PER_BODY * body + X] = speed_m_s
-    for wheel in range(2 * AXLES):
+    for wheel in range(2 * COACH_AXLES):
         forces.follow(
             wheel,
             motion.q,
@@ -69,7 +69,7 @@ def start(motion, coach, speed_m_s):
             coach.rail,
             0,
         )
-    for j in range(AXLES):
+    for j in range(COACH_AXLES):
         # the first contact of the left wheel is below the axle by the rolling radius
         radius_m = -motion.contacts[2 * j * forces.MOST, CONTACT_Z]
         motion.v[PER_BODY * (FIRST_WHEELSET + j) + PITCH] = speed_m_s / radius_m
@@ -77,7 +77,7 @@ def start(motion, coach, speed_m_s):
         motion.wheelset_forces[j, :] = 0.0
         for wheel in range(2 * j, 2 * j + 2):
             motion.wheel_forces[wheel, :] = 0.0
-            motion.wheel_forces[wheel, forces.LOAD] = coach.weight_N.sum() / (2 * AXLES)
+            motion.wheel_forces[wheel, forces.LOAD] = coach.weight_N.sum() / (2 * COACH_AXLES)
 
 
 @kernel
@@ -152,11 +152,11 @@ def touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law):
 
     # another wheelset is first in each step, so that all get their searches
     first = int(motion.first_wheelset[0])
-    motion.first_wheelset[0] = (first + 1) % AXLES
+    motion.first_wheelset[0] = (first + 1) % COACH_AXLES
     searches_left = forces.SEARCHES
     lane = 0
-    for k in range(AXLES):
-        j = (first + k) % AXLES
+    for k in range(COACH_AXLES):
+        j = (first + k) % COACH_AXLES
         offset = motion.q[PER_BODY * (FIRST_WHEELSET + j) + X] - place if on_rollers else 0.0
         searches_left = follow(j, motion, coach, offset, searches_left)
         lane = forces.slide(
@@ -179,8 +179,8 @@ def touch(motion, coach, roller_rad_s, mu_cd, mu_cr, law):
 
     # the same order, so that each contact finds its lane again
     lane = 0
-    for k in range(AXLES):
-        j = (first + k) % AXLES
+    for k in range(COACH_AXLES):
+        j = (first + k) % COACH_AXLES
         lane = forces.press(
             j,
             motion.contacts,
@@ -214,7 +214,7 @@ def respond(
     on_rollers = not math.isinf(coach.roller_m)
     half = 0.5 * h
     leaning_N = 0.0
-    for j in range(AXLES):
+    for j in range(COACH_AXLES):
         brake = along(
             j,
             motion,

@@ -6,7 +6,7 @@ that is observed and recorded. The memory of the coach is `state.coach`, its con
 `params.coach`.
 """
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import COACH_AXLES
 from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.multibody import coach_state, compiled_coach
 from rollerrig.rig.multibody.coordinates import BEFORE_WHEELSETS, PER_BODY, PITCH
@@ -36,7 +36,7 @@ def start(state, coach):
     memory[coach_state.ACTION] = compiled_coach.START
     memory[coach_state.SPEED_M_S] = state.vehicle_speed[0]
     compiled_coach.run(memory, coach.tape, coach.layout)
-    for j in range(AXLES):
+    for j in range(COACH_AXLES):
         state.wheel_speed[j] = memory[_WHEEL_SPEED + PER_BODY * j]
 
 
@@ -46,13 +46,13 @@ def integrate(state, params, resistance_N, coach):
     h = params.step_s
     memory = state.coach
     v = state.vehicle_speed[0]
-    for j in range(AXLES):
+    for j in range(COACH_AXLES):
         # the torques are known at both ends of the step; the coach takes their means
         memory[coach_state.MOTOR_NM + j] = 0.5 * (state.motor_before[j] + state.motor_torque[j])
         memory[coach_state.BRAKE_NM + j] = 0.5 * (state.brake_capacity[j] + state.brake_torque[j])
         memory[coach_state.ROLLER_RAD_S + j] = state.roller_speed[j]
     step(state, resistance_N, coach)
-    for j in range(AXLES):
+    for j in range(COACH_AXLES):
         turned_rad = 0.5 * h * (state.roller_speed[j] + memory[coach_state.ROLLER_RAD_S + j])
         state.roller_speed[j] = memory[coach_state.ROLLER_RAD_S + j]
         state.roller_angle[j] += turned_rad
@@ -80,7 +80,7 @@ def integrate(state, params, resistance_N, coach):
 @kernel_inlined
 def rest(state, coach):
     """Let a coach at rest swing out on its springs, with the brakes as they are."""
-    for j in range(AXLES):
+    for j in range(COACH_AXLES):
         state.coach[coach_state.MOTOR_NM + j] = 0.0
         state.coach[coach_state.BRAKE_NM + j] = state.brake_capacity[j]
         state.coach[coach_state.ROLLER_RAD_S + j] = 0.0
@@ -93,7 +93,7 @@ def step(state, resistance_N, coach):
     memory = state.coach
     memory[coach_state.ACTION] = compiled_coach.STEP
     memory[coach_state.RESISTANCE_N] = resistance_N
-    for j in range(AXLES):
+    for j in range(COACH_AXLES):
         memory[coach_state.MU_CD + j] = state.friction_degraded[j]
         memory[coach_state.MU_CR + j] = state.friction_recovered[j]
     compiled_coach.run(memory, coach.tape, coach.layout)

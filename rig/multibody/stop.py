@@ -6,7 +6,7 @@ contact models, for tests and for hunting.
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import COACH_AXLES
 from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.multibody import coach_state, motion
@@ -82,13 +82,13 @@ def advance(
         coach,
         round(duration_s / step_s),
         step_s,
-        np.zeros(AXLES),
-        np.broadcast_to(np.asarray(brake_Nm, dtype=float), AXLES).copy(),
-        np.zeros(AXLES),
+        np.zeros(COACH_AXLES),
+        np.broadcast_to(np.asarray(brake_Nm, dtype=float), COACH_AXLES).copy(),
+        np.zeros(COACH_AXLES),
         float(resistance[0]),
         float(resistance[1]),
-        np.full(AXLES, law.mu_cd),
-        np.full(AXLES, law.mu_cr),
+        np.full(COACH_AXLES, law.mu_cd),
+        np.full(COACH_AXLES, law.mu_cr),
         law,
         float(end_m_s),
     )

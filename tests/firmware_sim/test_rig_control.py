@@ -20,7 +20,7 @@ def stop(folder, rig, *settings):
     machine = tick_data.build(plan, ring)
     unit = logic.new_unit(logic.load("reference"))
     inputs = np.zeros(8, dtype=np.int64)
-    tick.run_ticks_with_unit(machine, 100_000, plan.sync_ticks, unit, inputs)
+    tick.run_ticks_with_units(machine, 100_000, plan.sync_ticks, (unit,), inputs)
     return machine.ring_rows[: machine.ring_header[rings.WRITTEN]].copy()
 
 

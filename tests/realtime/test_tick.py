@@ -126,7 +126,7 @@ def test_the_unit_in_the_tick_sees_counts_and_answers_a_cycle_later(build):
     machine = build()
     unit = logic.new_unit(logic.load("reference"))
     inputs = np.zeros(8, dtype=np.int64)
-    tick.run_ticks_with_unit(machine, 4000, 10, unit, inputs)
+    tick.run_ticks_with_units(machine, 4000, 10, (unit,), inputs)
     speed = machine.row[signals.span("wheel_speed")]
     assert np.abs(inputs[:4] * 0.01 - speed).max() < 0.5
     assert np.isfinite(machine.command[REFERENCE])

@@ -1,0 +1,244 @@
+"""Vehicles with two, six and eight axles: laws over whole runs, from the recorded channels alone.
+
+A process simulates one number of axles, so each of these runs is a process. The tests read its
+files as any other program does.
+"""
+
+import json
+import subprocess
+import sys
+import tomllib
+
+import cantools
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+from rollerrig.configs import vehicle as constants
+from rollerrig.configs.errors import ConfigError, OtherAxlesError
+from rollerrig.realtime.bench import scenario
+
+AXLES = {"bogie_low": 2, "tram_low": 6, "multiple_unit_low": 8}
+GRAVITY_M_S2 = 9.80665
+WITHIN = 1e-3  # relative difference of two balances
+# these processes compile kernels for their number of axles
+LONGEST_S = 900
+
+
+def rollerrig(*words):
+    """Run the program; return its exit status, what it prints, and its messages."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+class Record:
+    """A run's channels and scenario; `axles(name)` is an array of (samples, axles)."""
+
+    def __init__(self, name, folder):
+        self.folder = folder
+        self.number_of_axles = AXLES[name]
+        self.table = pyarrow.parquet.read_table(folder / "channels.parquet")
+        self.plan = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
+        self.summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        self.time_s = self.table["time_s"].to_numpy()
+        self.speed_m_s = self.table["vehicle_speed_m_s"].to_numpy()
+        self.contact_N = self.axles("adhesion") * self.axles("wheel_load", "_N")
+
+    def axles(self, name, unit=""):
+        columns = []
+        for axle in range(1, self.number_of_axles + 1):
+            columns.append(self.table[f"{name}_{axle}{unit}"].to_numpy())
+        return np.column_stack(columns)
+
+    def integral(self, values):
+        total = values.sum(axis=1) if values.ndim == 2 else values
+        return np.trapezoid(total, self.time_s)
+
+
+@pytest.fixture(scope="module", params=AXLES)
+def record(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("vehicles") / request.param
+    status, _, messages = rollerrig(
+        "run", request.param, "--pacing", "free", "--set", "loop.record_hz=1000", "--out", folder
+    )
+    assert status == 0, messages
+    return Record(request.param, folder)
+
+
+def test_the_channels_are_those_of_the_vehicles_axles(record):
+    assert f"wheel_speed_{record.number_of_axles}_rad_s" in record.table.column_names
+    assert f"wheel_speed_{record.number_of_axles + 1}_rad_s" not in record.table.column_names
+    assert len(record.summary["axles"]) == record.number_of_axles
+    assert record.summary["valid"]
+
+
+def test_the_loads_of_all_axles_are_the_weight_of_the_vehicle(record):
+    weight_N = GRAVITY_M_S2 * record.plan["vehicle"]["mass_kg"]
+    loads_N = record.axles("wheel_load", "_N")
+    np.testing.assert_allclose(loads_N.sum(axis=1), weight_N, rtol=1e-9)
+    # braking loads the leading axle of each bogie
+    braking = loads_N[np.argmin(record.table["vehicle_acceleration_m_s2"].to_numpy())]
+    assert (braking[0::2] > braking[1::2]).all()
+
+
+def test_a_vehicle_loses_the_momentum_and_energy_that_contacts_and_air_resistance_take(record):
+    vehicle = record.plan["vehicle"]
+    mass_kg = vehicle["mass_kg"]
+    speed_m_s = record.speed_m_s
+    resistance_N = (
+        vehicle["resistance_A_N"]
+        + vehicle["resistance_B_N_s_m"] * speed_m_s
+        + vehicle["resistance_C_N_s2_m2"] * speed_m_s**2
+    )
+    moving = speed_m_s > 0.1
+    force_N = np.where(moving, record.contact_N.sum(axis=1) + resistance_N, 0.0)
+    last = np.flatnonzero(moving)[-1]
+    assert record.integral(force_N) == pytest.approx(
+        mass_kg * (speed_m_s[0] - speed_m_s[last]), rel=WITHIN
+    )
+    assert record.integral(force_N * speed_m_s) == pytest.approx(
+        0.5 * mass_kg * (speed_m_s[0] ** 2 - speed_m_s[last] ** 2), rel=WITHIN
+    )
+
+
+def test_brake_and_contact_change_the_angular_momentum_of_each_wheelset_of_a_vehicle(record):
+    vehicle = record.plan["vehicle"]
+    moving = record.speed_m_s > 0.5
+    last = np.flatnonzero(moving)[-1] + 1
+    contact_Nm = vehicle["wheel_radius_m"] * record.contact_N[:last]
+    brake_Nm = record.axles("brake_torque", "_Nm")[:last]
+    wheel_rad_s = record.axles("wheel_speed", "_rad_s")[:last]
+    time_s = record.time_s[:last]
+    for axle in range(record.number_of_axles):
+        driven_Nms = np.trapezoid(contact_Nm[:, axle], time_s)
+        braked_Nms = np.trapezoid(brake_Nm[:, axle], time_s)
+        gained_rad_s = wheel_rad_s[-1, axle] - wheel_rad_s[0, axle]
+        gained_Nms = vehicle["wheelset_inertia_kgm2"] * gained_rad_s
+        assert driven_Nms - gained_Nms == pytest.approx(braked_Nms, rel=WITHIN)
+
+
+def test_on_low_adhesion_every_vehicle_stops_sooner_with_its_wsp_units(record, tmp_path):
+    name = record.folder.name
+    folder = tmp_path / "none"
+    status, _, messages = rollerrig(
+        "run", name, "--pacing", "free", "--wsp", "none", "--out", folder
+    )
+    assert status == 0, messages
+    without = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert record.summary["stop_distance_m"] < without["stop_distance_m"]
+    # each group has a unit of its own, and each unit has acted
+    vents = record.axles("vents")[-1]
+    for first in range(0, record.number_of_axles, 4):
+        assert vents[first : first + 4].any()
+
+
+def test_other_verbs_read_the_run_of_a_vehicle(record):
+    status, printed, messages = rollerrig("compare", record.folder, record.folder, "--json")
+    assert status == 0, messages
+    assert str(record.number_of_axles) in printed
+
+
+def test_on_the_bus_a_vehicle_with_a_unit_for_each_group_stops_as_without_a_bus(record, tmp_path):
+    name = record.folder.name
+    folder = tmp_path / "lockstep"
+    status, _, messages = rollerrig(
+        *("run", name, "--pacing", "lockstep", "--set", "loop.record_hz=1000"),
+        *("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0", "--out", folder),
+    )
+    assert status == 0, messages
+    on_bus = Record(name, folder)
+    # counters of the loop are not part of the physics
+    names = [column for column in record.table.column_names if not column.startswith("tick")]
+    for column in names:
+        expected = record.table[column].to_numpy()
+        np.testing.assert_array_equal(on_bus.table[column].to_numpy(), expected, column)
+
+
+def test_each_group_has_its_nodes_and_its_unit_on_the_bus(record, tmp_path):
+    folder = tmp_path / "frames"
+    rollerrig(
+        *("run", record.folder.name, "--pacing", "lockstep", "--set", "duration_max_s=0.2"),
+        *("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0", "--out", folder),
+    )
+    log = (folder / "can.log").read_text(encoding="utf-8")
+    sent = {int(line.split()[2].split("#")[0], 16) for line in log.splitlines()}
+    groups = -(-record.number_of_axles // 4)
+    for group in range(groups):
+        offset = 32 * group
+        # speeds, pressures, magnets and heartbeat of the unit
+        assert {0x190 + offset, 0x191 + offset, 0x211 + offset, 0x720 + offset} <= sent
+        axles = min(record.number_of_axles - 4 * group, 4)
+        drives = {0x180 + offset + axle for axle in range(1, axles + 1)}
+        assert drives <= sent
+    assert 0x211 + 32 * groups not in sent
+
+
+def test_in_real_time_a_vehicle_runs_with_modbus(record, tmp_path):
+    folder = tmp_path / "wall"
+    status, _, messages = rollerrig(
+        *("run", record.folder.name, "--pacing", "wall", "--set", "duration_max_s=2"),
+        *("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0"),
+        *("--set", "modbus.port=0", "--out", folder),
+    )
+    # a run of two seconds does not stop
+    assert status == 4, messages
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    assert summary["loop"]["ticks"] == 2000
+    assert summary["bus"]["frames"] > 0
+
+
+def test_the_files_of_devices_describe_the_nodes_of_every_group(record, tmp_path):
+    status, _, messages = rollerrig(
+        "devices", "--scenario", record.folder.name, "--out", tmp_path / "devices"
+    )
+    assert status == 0, messages
+    names = {path.name for path in (tmp_path / "devices").iterdir()}
+    groups = -(-record.number_of_axles // 4)
+    numbers = [int(name[5:8]) for name in names if name.endswith(".eds")]
+    for group in range(groups):
+        assert {32 * group + 1, 32 * group + 16, 32 * group + 17} <= set(numbers)
+    # cantools accepts no signal or identifier that is there twice
+    database = cantools.database.load_file(tmp_path / "devices" / "rig.dbc")
+    carried = {signal.name for message in database.messages for signal in message.signals}
+    for axle in range(1, record.number_of_axles + 1):
+        assert f"measured_speed_{axle}_rad_s" in carried
+
+
+def test_an_fmu_is_refused_where_it_would_protect_one_group_of_several(tmp_path):
+    (tmp_path / "unit.fmu").write_bytes(b"not read")
+    status, _, messages = rollerrig(
+        *("run", "tram_low", "--pacing", "lockstep", "--wsp", f"fmu:{tmp_path / 'unit.fmu'}"),
+        *("--out", tmp_path / "run"),
+    )
+    assert status == 2
+    assert "6 axles" in messages
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_unit_for_a_group_that_is_not_there_is_refused():
+    status, _, messages = rollerrig("wsp", "--group", "2")
+    assert status == 2
+    assert "ROLLERRIG_AXLES" in messages
+
+
+@pytest.mark.parametrize("axles", [0, 1, 3, 5, 14, -4, 4.0, "four", True])
+def test_a_number_of_axles_that_is_not_allowed_is_refused_with_those_that_are(axles):
+    with pytest.raises(ConfigError, match="allowed are 2, 4, 6, 8, 10, 12"):
+        constants.check_axles(axles, "my.toml [vehicle] axles")
+
+
+def test_a_process_refuses_a_vehicle_with_another_number_of_axles_and_names_the_remedy():
+    with pytest.raises(OtherAxlesError, match="ROLLERRIG_AXLES=6") as caught:
+        scenario.load("tram_low")
+    assert caught.value.axles == 6
+
+
+def test_bogies_that_no_number_of_bodies_shares_are_refused():
+    with pytest.raises(ConfigError, match="bogies_per_body = 3 does not divide"):
+        scenario.load("velim_a1", settings=("vehicle.bogies_per_body=3",))
