@@ -219,3 +219,12 @@ def test_the_metric_of_a_gain_shows_what_its_causes_act_on() -> None:
     design = both.design._replace(torque_Nm=torque_Nm)
     assert gain.metric_of(design, both.base, both.final) == gain.FREE_RUN
     assert gain.metric_of(None, both.base, both.final) == gain.ADHESION
+
+
+def test_a_wrong_brake_shows_its_gain_although_a_wrong_mass_would_hide_it() -> None:
+    brake = diagnosis(Cause("brake_gain", 0, {}, (-0.08,)))
+    design = brake.design._replace(torque_Nm=brake.design.torque_Nm / 0.92)
+    measured = gain.measure(design, brake.base, brake.final, 0)
+    assert measured.metric == gain.FREE_RUN
+    assert measured.claimed
+    assert measured.reduction > 0.8
