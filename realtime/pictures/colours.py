@@ -40,9 +40,10 @@ AXLES = tuple(
     for axle in range(NUMBER_OF_AXLES)
 )
 
-# the lines of axles 1 to 4, as lengths of dashes and gaps in points; () is a solid line. Colour is
-# never the only mark of an axle.
-AXLE_DASHES: tuple[tuple[float, ...], ...] = ((), (7, 2), (4, 2, 1, 2), (2, 2))
+# the lines of the axles of a group, as lengths of dashes and gaps in points; () is a solid line
+_GROUP_DASHES: tuple[tuple[float, ...], ...] = ((), (7, 2), (4, 2, 1, 2), (2, 2))
+# those of all axles: colour is never the only mark of an axle
+AXLE_DASHES = tuple(_GROUP_DASHES[axle % len(_GROUP)] for axle in range(NUMBER_OF_AXLES))
 
 VEHICLE = STEEL
 # what a signal is compared with: the reference speed of the WSP unit, the brake demand

@@ -210,6 +210,32 @@ def test_the_files_of_devices_describe_the_nodes_of_every_group(record, tmp_path
         assert f"measured_speed_{axle}_rad_s" in carried
 
 
+def test_a_sequence_plays_on_the_bus_with_all_axles_of_a_vehicle(tmp_path):
+    sequence = tmp_path / "gentle.toml"
+    sequence.write_text(
+        """
+title = "Eight axles brake gently on low adhesion"
+scenario = "multiple_unit_low"
+
+[start]
+speed = "40 km/h"
+adhesion = "low"
+
+[[step]]
+title = "the driver brakes until the train stands"
+ramp = { brake_demand = "2 bar", in = "2 s" }
+until = "vehicle_speed < 0.01 m/s"
+timeout = "60 s"
+expect = "every cylinder_pressure > 1.5 bar"
+""",
+        encoding="utf-8",
+    )
+    status, _, messages = rollerrig("sequence", sequence, "--out", tmp_path / "report")
+    assert status == 0, messages
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    assert "Eight axles brake gently" in page
+
+
 def test_an_fmu_is_refused_where_it_would_protect_one_group_of_several(tmp_path):
     (tmp_path / "unit.fmu").write_bytes(b"not read")
     status, _, messages = rollerrig(
