@@ -222,14 +222,16 @@ def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
     _finish(plots, longest.column("time_s"), marks)
 
     names = _run_names(runs)
-    figure.suptitle("" if len(runs) > 1 else names[0], fontsize=10)
     handles = _handles(plots)
     if len(runs) > 1:
         for name, look in zip(names, looks, strict=True):
             handles.append(
                 Line2D([], [], color=page.INK, lw=look.width, marker=look.marker, label=name)
             )
-    figure.legend(handles=handles, loc="outside upper center", ncols=6)
+    # the name of a single run is the title of the legend: a title of the figure would be drawn over
+    # the legend
+    title = names[0] if len(runs) == 1 else None
+    figure.legend(handles=handles, loc="outside upper center", ncols=6, title=title)
 
 
 def fault_marks(events: Iterable[Event]) -> list[Mark]:
