@@ -12,6 +12,7 @@ from rollerrig.configs.errors import ConfigError, OtherAxlesError
 
 # Numbers of axles that a vehicle may have, and the one of the coach, which is the default.
 ALLOWED_AXLES = (2, 4, 6, 8, 10, 12)
+_ALLOWED_TEXT = ", ".join(map(str, ALLOWED_AXLES))
 COACH_AXLES = 4
 AXLES_OF_BOGIE = 2
 # Axles of one group: a group has its drives, its speed unit, its brake I/O and its WSP unit.
@@ -25,8 +26,8 @@ def _axles_of_process() -> int:
     text = os.environ.get(AXLES_VARIABLE, str(COACH_AXLES))
     if text not in map(str, ALLOWED_AXLES):
         raise ConfigError(
-            f"environment variable {AXLES_VARIABLE} = {text!r}; allowed are "
-            f"{', '.join(map(str, ALLOWED_AXLES))}; or unset it, for vehicles with four axles"
+            f"environment variable {AXLES_VARIABLE} = {text!r}; it must be one of {_ALLOWED_TEXT}; "
+            "or unset it, for vehicles with four axles"
         )
     return int(text)
 
@@ -52,9 +53,7 @@ def check_axles(axles: Any, where: str) -> None:
     does not simulate. `where` names the file and the key.
     """
     if type(axles) is not int or axles not in ALLOWED_AXLES:
-        raise ConfigError(
-            f"{where} = {axles!r}; allowed are {', '.join(map(str, ALLOWED_AXLES))} axles"
-        )
+        raise ConfigError(f"{where} = {axles!r}; it must be one of {_ALLOWED_TEXT}")
     if axles != AXLES:
         raise OtherAxlesError(where, axles, AXLES, AXLES_VARIABLE)
 

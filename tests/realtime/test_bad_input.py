@@ -42,7 +42,7 @@ def refused(capsys, *arguments):
         ),
         (
             "vehicle.mass_kg=-1",
-            ["--set [vehicle]", "mass_kg = -1 is out of range", "1000 to 200000"],
+            ["--set [vehicle]", "mass_kg = -1 is out of range", "1000 to 400000"],
         ),
         ("vehicle.mass_kg=heavy", ["mass_kg = 'heavy'", "must be a number"]),
         ("vehicle.mass_kg=nan", ["mass_kg = nan", "out of range"]),

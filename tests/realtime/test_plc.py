@@ -10,9 +10,9 @@ import pytest
 from bench_process import Forked
 from pymodbus.client import AsyncModbusTcpClient
 
-from rollerrig.configs import store
 from rollerrig.firmware_sim.modbus.map import BITS, WORDS, State
 from rollerrig.realtime import cli
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
@@ -144,7 +144,7 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     assert one.until("held", bool)
 
     # choose another scenario and another speed
-    wanted = store.names("scenarios").index("step_adhesion")
+    wanted = scenario.names().index("step_adhesion")
     assert one.write("scenario", wanted) == 0
     one.until("state", lambda state: state == State.HELD)
     assert one.read("scenario") == wanted

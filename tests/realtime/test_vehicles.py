@@ -255,7 +255,7 @@ def test_a_unit_for_a_group_that_is_not_there_is_refused():
 
 @pytest.mark.parametrize("axles", [0, 1, 3, 5, 14, -4, 4.0, "four", True])
 def test_a_number_of_axles_that_is_not_allowed_is_refused_with_those_that_are(axles):
-    with pytest.raises(ConfigError, match="allowed are 2, 4, 6, 8, 10, 12"):
+    with pytest.raises(ConfigError, match="must be one of 2, 4, 6, 8, 10, 12"):
         constants.check_axles(axles, "my.toml [vehicle] axles")
 
 

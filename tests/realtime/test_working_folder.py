@@ -72,6 +72,11 @@ TESTED_ELSEWHERE = {
     "devices": "starts no process",
     "hide": "starts no process",
     "list": "starts no process",
+    "import": "starts no process",
+    "etcs": "starts no process",
+    "programme": "plays sequences with the processes of `sequence`, which are tested",
+    "completion": "starts no process",
+    "manual": "starts no process",
 }
 
 
@@ -99,7 +104,9 @@ def in_folder(folder, monkeypatch):
     """Each test works in the folder, and no foreign module runs in it."""
     monkeypatch.chdir(folder)
     monkeypatch.delenv("PYTHONPATH", raising=False)
-    monkeypatch.delenv("PYTHONSAFEPATH", raising=False)
+    # first set, because monkeypatch does not restore a variable that was not there: a test sets it
+    monkeypatch.setenv("PYTHONSAFEPATH", "1")
+    monkeypatch.delenv("PYTHONSAFEPATH")
     mark = folder / "imported"
     yield
     imported = mark.read_text() if mark.exists() else ""
