@@ -26,6 +26,8 @@ _PROCESSES = Path("/proc")
 _TASKS = "/proc/{pid}/task"
 _INTERRUPTS = Path("/proc/irq")
 _COUNTS = Path("/proc/interrupts")
+# looks for threads that have started while others left their core
+_MOST_LOOKS = 10
 
 
 class Claim:
@@ -98,6 +100,18 @@ def leave(left: set[int], pid: int) -> dict[int, set[int]]:
     A thread that may run on no other core stays. Threads that these start
     later inherit their cores.
     """
+    before: dict[int, set[int]] = {}
+    # again until nothing is found: a thread may have started another one before it left
+    for _ in range(_MOST_LOOKS):
+        found = _leave_once(left, pid)
+        if not found:
+            break
+        before = found | before
+    return before
+
+
+def _leave_once(left: set[int], pid: int) -> dict[int, set[int]]:
+    """Keep the present threads off some cores; return the cores before of those that were there."""
     before = {}
     for thread in _threads(pid):
         # the thread may have ended in the meantime
