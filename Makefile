@@ -46,7 +46,7 @@ format: $(VENV)/ready-dev
 
 docs: $(VENV)/ready-dev
 	$(BIN)/python -m pytest tests --collect-only -qq --write-docs=docs
-	$(BIN)/python -m mkdocs build --quiet --strict
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
 
 # make bench NAME=contact runs another benchmark, or several: make bench NAME="hunting contact"
 NAME = loop bus vehicle

@@ -1,8 +1,10 @@
-"""The pages of the site that stand at the root of the repository, and the links between all pages.
+"""The pages of the site that are at the root of the repository, and its links and pictures.
 
-Links are written as the repository has them, so they work on a code hosting page. Here a link to a
-page is turned to where the site has that page; one to a file that is no page becomes plain text. A
-link to nothing stays as it is, and `mkdocs build --strict` refuses it. Loaded by mkdocs.yml.
+Pages are written for a code hosting page. For the site this hook of mkdocs.yml changes two things:
+
+- A link to a page is turned to where the site has that page. A link to a file that is no page
+  becomes plain text. A link to nothing stays as it is, and `mkdocs build --strict` refuses it.
+- A `<picture>` with a light and a dark image becomes two images, of which the theme shows one.
 """
 
 import os
@@ -20,6 +22,10 @@ AT_ROOT = {
     **{name: name for name in ("SECURITY.md", "CONTRIBUTING.md", "CHANGELOG.md", "DECISIONS.md")},
 }
 LINK = re.compile(r"(!?\[([^\]]*)\])\(([^)\s#:]*)(#[^)\s]*)?\)")
+PICTURE = re.compile(
+    r'<picture>\s*<source[^>]*srcset="(?P<dark>[^"]+)"[^>]*>'
+    r'\s*<img(?=[^>]*alt="(?P<alt>[^"]+)")[^>]*src="(?P<light>[^"]+)"[^>]*>\s*</picture>'
+)
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:
@@ -30,7 +36,7 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """A page with its links as the site has them."""
+    """A page with its links and pictures as the site has them."""
     at = page.file.src_uri
     folder = os.path.dirname(AT_ROOT.get(at, f"docs/{at}"))
     of_site = {name: place for place, name in AT_ROOT.items()}
@@ -45,4 +51,10 @@ def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Fil
             return f"{label}({os.path.relpath(place, os.path.dirname(at) or '.')}{anchor or ''})"
         return text if (ROOT / name).exists() else found[0]
 
-    return LINK.sub(link, markdown)
+    return LINK.sub(link, PICTURE.sub(_light_and_dark, markdown))
+
+
+def _light_and_dark(found: re.Match[str]) -> str:
+    """Return the two images of a `<picture>`."""
+    alt, light, dark = found["alt"], found["light"], found["dark"]
+    return f"![{alt}]({light}#only-light)\n![{alt}]({dark}#only-dark)"

@@ -12,6 +12,7 @@ import sys
 import numpy as np
 import pytest
 from bench_process import until
+from browser import browsing
 from desk_process import served
 
 from rollerrig.configs.errors import BusError, ConfigError
@@ -730,31 +731,6 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
         assert code in codes
     emergency_stops = [code for code in codes if code.startswith("emergency_stop.")]
     assert emergency_stops == [Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET]
-
-
-@contextlib.contextmanager
-def browsing():
-    """A browser without a window; the test is skipped where there is none."""
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-    if not (shutil.which("chromium") and shutil.which("chromedriver")):
-        pytest.skip("Debian's chromium and chromium-driver are not installed")
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium")
-    for word in (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--disable-dev-shm-usage",
-        "--window-size=1700,1500",
-    ):
-        options.add_argument(word)
-    browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
-    try:
-        yield browser
-    finally:
-        browser.quit()
 
 
 def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):

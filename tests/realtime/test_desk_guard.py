@@ -4,7 +4,6 @@ import contextlib
 import itertools
 import multiprocessing
 import os
-import shutil
 import socket
 import subprocess
 import sys
@@ -12,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from bench_process import until
+from browser import browsing
 from desk_process import Client, entered, served
 
 pytest.importorskip("nicegui", reason="the desk needs nicegui")
@@ -283,19 +283,8 @@ def test_no_site_may_frame_the_desk_and_files_are_sandboxed(desk):
 
 
 def test_a_browser_loses_the_token_and_runs_no_script_of_a_report(desk, tmp_path):
-    webdriver = pytest.importorskip("selenium.webdriver", reason="selenium is not installed")
-    if not (shutil.which("chromium") and shutil.which("chromedriver")):
-        pytest.skip("Debian's chromium and chromium-driver are not installed")
-    from selenium.webdriver.chrome.service import Service
-
-    options = webdriver.ChromeOptions()
-    options.binary_location = shutil.which("chromium")
-    options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
-    for word in ("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage"):
-        options.add_argument(word)
-    browser = webdriver.Chrome(options=options, service=Service(shutil.which("chromedriver")))
     here = f"http://127.0.0.1:{desk.port}/"
-    try:
+    with browsing() as browser:
         # as --open opens it: by a file, which is another site for the browser
         doorstep = tmp_path / "open.html"
         doorstep.write_text(server.DOORSTEP.format(address=desk.address))
@@ -314,5 +303,3 @@ def test_a_browser_loses_the_token_and_runs_no_script_of_a_report(desk, tmp_path
         until(lambda: browser.title == "the next report", "the next report")
         browser.back()
         until(lambda: browser.title == "report", "the first report, whose script has not run")
-    finally:
-        browser.quit()
