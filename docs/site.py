@@ -5,6 +5,8 @@ Pages are written for a code hosting page. For the site this hook of mkdocs.yml 
 - A link to a page is turned to where the site has that page. A link to a file that is no page
   becomes plain text. A link to nothing stays as it is, and `mkdocs build --strict` refuses it.
 - A `<picture>` with a light and a dark image becomes two images, of which the theme shows one.
+
+Docstrings are read from a folder of links, which has the modules as the installed package has them.
 """
 
 import os
@@ -26,6 +28,23 @@ PICTURE = re.compile(
     r'<picture>\s*<source[^>]*srcset="(?P<dark>[^"]+)"[^>]*>'
     r'\s*<img(?=[^>]*alt="(?P<alt>[^"]+)")[^>]*src="(?P<light>[^"]+)"[^>]*>\s*</picture>'
 )
+
+
+# the package `rollerrig`: its file, and its folders
+PACKAGE_FILE = ROOT / "realtime" / "api" / "__init__.py"
+PACKAGE_FOLDERS = ("configs", "firmware_sim", "realtime", "rig", "wsp_interface")
+
+
+def on_startup(**_: object) -> None:
+    """Make the folder of links from which docstrings are read; mkdocs.yml names it."""
+    package = ROOT / "build" / "package" / "rollerrig"
+    package.mkdir(parents=True, exist_ok=True)
+    for name in PACKAGE_FOLDERS:
+        link = package / name
+        link.unlink(missing_ok=True)
+        link.symlink_to(ROOT / name)
+    # no link: the other modules are next to this file, and not next to its target
+    (package / "__init__.py").write_bytes(PACKAGE_FILE.read_bytes())
 
 
 def on_files(files: Files, config: MkDocsConfig) -> Files:

@@ -44,10 +44,17 @@ from rollerrig.realtime.commands.shell import completion, manual
 
 # exit statuses
 PASS = 0
-FAILED = 1  # a verdict failed
-USAGE = 2  # the command line or a configuration is wrong
-LATE = 3  # deadlines were missed under --strict
-INVALID = 4  # a run is not valid, or was interrupted
+FAILED = 1
+USAGE = 2
+LATE = 3
+INVALID = 4
+EXIT_STATUSES = {
+    PASS: "pass",
+    FAILED: "a verdict failed",
+    USAGE: "the command line, a configuration or a file is wrong, or the machine lacks something",
+    LATE: "deadlines were missed under `--strict`",
+    INVALID: "a run is not valid (unit lost, not stopped), or was interrupted",
+}
 
 # characters of a message that are printed
 MESSAGE_BEGIN = 4000

@@ -1,10 +1,14 @@
 """Generated pages are up to date, and hand-written tables agree with the code."""
 
+import ast
 import re
 import tomllib
 from pathlib import Path
 
 import licences
+import pytest
+import test_architecture
+import written_reference
 from packaging.utils import canonicalize_name
 from written_docs import ALL_ITEMS, conformance
 
@@ -52,6 +56,28 @@ def test_the_page_of_faults_is_up_to_date(docs):
     text = read(docs / "faults.md")
     assert text == catalogue.markdown(), "run: make docs"
     assert [kind.name for kind in catalogue.CATALOGUE if f"| `{kind.name}` |" not in text] == []
+
+
+@pytest.mark.parametrize("name", written_reference.PAGES)
+def test_a_page_of_reference_is_up_to_date(docs, name):
+    assert read(docs / name) == written_reference.PAGES[name](), "run: make docs"
+
+
+def test_the_page_of_environment_variables_has_those_that_the_product_uses():
+    # in files that use the environment, names in capitals with an underscore or of a screen
+    used = set()
+    for name, path in test_architecture.FILES.items():
+        if "environ" not in read(path):
+            continue
+        tree = test_architecture.tree(name)
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str):
+                used.add(node.value)
+            elif isinstance(node, ast.keyword):
+                used.add(node.arg)
+    names = {name for name in used if re.fullmatch("_?[A-Z]{2,}(_[A-Z]+)*", str(name))}
+    not_variables = {"FILE", "FMU", "PREEMPT_RT", "VERB"}
+    assert names - not_variables == set(written_reference.ENVIRONMENT)
 
 
 def test_the_page_of_licences_has_every_installed_package_and_its_declared_licence(docs):

@@ -11,6 +11,7 @@ import re
 import licences
 import pytest
 import test_architecture
+import written_reference
 from benchmarks import explain
 from generator import thresholds
 from generator.keep import KEPT
@@ -47,6 +48,8 @@ def write(folder, items):
     (folder / "events.md").write_text(events.markdown(), encoding="utf-8")
     (folder / "licences.md").write_text(licences.markdown(), encoding="utf-8")
     (folder / "conformance.md").write_text(conformance(items), encoding="utf-8")
+    for name, page in written_reference.PAGES.items():
+        (folder / name).write_text(page(), encoding="utf-8")
     for name in TABLES:
         text = (folder / name).read_text(encoding="utf-8")
         (folder / name).write_text(with_tables(name, text), encoding="utf-8")

@@ -1,0 +1,419 @@
+"""Pages of reference that are written from tables of the code: `make docs` writes them.
+
+Each page is a function that returns its Markdown. `PAGES` has them by file name.
+"""
+
+import argparse
+import math
+import re
+
+from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.firmware_sim.wsp import logic
+from rollerrig.realtime import cli
+from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.campaign import campaign, design, speed_steps
+from rollerrig.realtime.record import run_folder
+from rollerrig.rig.mechanisms import table as mechanisms
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.sequences import sequence
+
+WRITTEN = "`make docs` writes this page from the code."
+# units at the ends of names of keys and signals
+UNITS = {
+    "Hz": "Hz",
+    "hz": "Hz",
+    "J": "J",
+    "J_K": "J/K",
+    "J_m": "J/m",
+    "K": "K",
+    "L": "L",
+    "MJ": "MJ",
+    "N": "N",
+    "NL": "NL",
+    "NL_s_bar": "NL/(s bar)",
+    "N_m": "N/m",
+    "N_s2_m2": "N s²/m²",
+    "N_s_m": "N s/m",
+    "Nm": "N m",
+    "Nm_rad": "N m/rad",
+    "Pa": "Pa",
+    "W": "W",
+    "bar": "bar",
+    "kg": "kg",
+    "kg_m": "kg/m",
+    "kg_s": "kg/s",
+    "kgm2": "kg m²",
+    "km_h": "km/h",
+    "m": "m",
+    "m2": "m²",
+    "m_J": "m/J",
+    "m_s": "m/s",
+    "m_s2": "m/s²",
+    "mm3_J": "mm³/J",
+    "rad": "rad",
+    "rad_s": "rad/s",
+    "rad_s_m": "rad/(s m)",
+    "s": "s",
+    "s2_m": "s²/m",
+    "s_m": "s/m",
+    "us": "µs",
+}
+SECTIONS = {
+    "contact": "the contact of wheel and rail or roller",
+    "adhesion": "the law of adhesion",
+    "vehicle": "the vehicle in the plane",
+    "brake": "cylinders, levers and discs",
+    "pads": "friction of the pads",
+    "valve": "dump valves",
+    "air": "the supply of air",
+    "sanders": "sanders",
+    "drive": "rollers and their motors",
+    "sensor": "speed sensors",
+    "flats": "flats on wheels",
+    "roller_film": "contaminant on the rollers",
+    "dry_roller": "the dry rollers of a virtual track",
+    "mechanisms": "effects beyond the base model; with 0 there is none",
+    "rig": "the rig, and how it runs",
+    "multibody": "the coach in 3D",
+    "loop": "the real-time loop",
+    "bus": "the bus",
+    "modbus": "the supervisory PLC",
+}
+FILES = {
+    run_folder.SCENARIO: "the scenario with every default; `rollerrig run` repeats the run from it",
+    run_folder.CHANNELS: "all [signals](signals.md), in SI units, at `loop.record_hz`",
+    run_folder.TAIL: "samples of a run that was killed, which the file above does not hold yet",
+    run_folder.EVENTS: "one [event](events.md) a line, as JSON",
+    run_folder.SUMMARY: "the figures of the stop, the loop and the bus, and whether it is valid",
+    run_folder.CAN_LOG: "every frame, in the format of candump",
+    run_folder.RRD: "the recording for the viewer Rerun",
+    run_folder.UNIT_LOG: "what the unit printed, where the bench started it",
+    run_folder.TRACE: "what a harness read, one line a bus cycle, where a sequence was played",
+}
+# environment variables that the product reads or sets
+ENVIRONMENT = {
+    "DISPLAY": "one of these two set: there is a screen for the window of the viewer",
+    "WAYLAND_DISPLAY": "as `DISPLAY`",
+    "NUMBA_CACHE_DIR": "folder of compiled kernels, instead of the one in the cache",
+    "PYTHONSAFEPATH": "set for child processes, which then import nothing from the working folder",
+    "ROLLERRIG_AXLES": "number of axles that a Python program simulates; the command line sets it",
+    "RUST_LOG": "messages of Rerun; by default errors only",
+    "TMPDIR": "folder of temporary files",
+    "USER": "the user whom `rollerrig check` names in its advice",
+    "VK_DRIVER_FILES": "descriptions of Vulkan drivers, which `rollerrig check` looks for",
+    "VK_ICD_FILENAMES": "as `VK_DRIVER_FILES`, its older name",
+    "XDG_CACHE_HOME": "folder in which compiled kernels are kept; by default `~/.cache`",
+    "XDG_CONFIG_HOME": "set for the viewer, so that it sends no report of use",
+    "_ARGCOMPLETE": "set by a shell that completes a command line",
+}
+
+
+def unit(name):
+    """Return the unit of a key from the end of its name; "" for a pure number or a text."""
+    words = name.split("_")
+    # the longest end first; a name is never a unit only
+    for first in range(1, len(words)):
+        end = "_".join(words[first:])
+        if end in UNITS:
+            return UNITS[end]
+    return ""
+
+
+def value(content):
+    """Return a value of TOML as a page shows it."""
+    if isinstance(content, bool):
+        return f"`{str(content).lower()}`"
+    if isinstance(content, str):
+        return f'`"{content}"`' if content else ""
+    if isinstance(content, tuple):
+        return ", ".join(f"{one:g}" for one in content)
+    return "" if content is None else f"{content:g}"
+
+
+def allowed(row):
+    """Return the allowed values of a row."""
+    if isinstance(row.default, bool):
+        return "`true`, `false`"
+    if isinstance(row.default, str):
+        return ", ".join(f"`{choice}`" for choice in row.choices) or "text"
+    if row.low <= -1e300 and row.high >= 1e300:
+        return "any number"
+    if math.isinf(row.high):
+        return f"from {row.low:g}"
+    return f"{row.low:g} to {row.high:g}"
+
+
+def default(row):
+    """Return the default of a row; one outside the bounds means that it is not given."""
+    is_number = isinstance(row.default, int | float) and not isinstance(row.default, bool)
+    if is_number and not row.low <= row.default <= row.high:
+        return ""
+    return value(row.default)
+
+
+def key_table(rows):
+    """Return the lines of a table of keys."""
+    lines = ["| key | unit | default | allowed | meaning and source |", "|---|---|---|---|---|"]
+    for row in rows:
+        of_row = unit(row.name)
+        source = "" if row.source in ("-", of_row) else row.source
+        cells = (f"`{row.name}`", of_row, default(row), allowed(row), source)
+        lines.append(f"| {' | '.join(cells)} |")
+    return lines
+
+
+def scenario_keys():
+    """Return the page of all keys of a scenario."""
+    lines = [
+        "# Keys of a scenario",
+        "",
+        "For everybody who writes a scenario, a vehicle, a rig or another set: every key with its unit, "
+        f"default and allowed values. {WRITTEN}",
+        "",
+        "A scenario is a TOML file. Its sets (`vehicle`, `rig`, `adhesion`, `bus`, `pads`) are names of "
+        "files in `configs/`, or paths. A set may contain every table of this page. A later layer wins: "
+        "defaults, vehicle, rig, adhesion, bus, pads, the tables of the scenario, an extended model "
+        "(`--model`), `--set table.key=value`. `rollerrig list scenarios` prints the names.",
+        "",
+        "## At the top of the file",
+        "",
+    ]
+    heads = [row._replace(name=row.name.removesuffix("_set")) for row in scenario.HEAD]
+    lines += key_table(heads)
+    for section, rows in scenario.SECTIONS.items():
+        lines += ["", f"## [{section}]", "", f"{SECTIONS[section].capitalize()}.", ""]
+        if section == "mechanisms":
+            lines += mechanism_table()
+        else:
+            lines += key_table(rows)
+    lines += [
+        "",
+        "## [[demand]]",
+        "",
+        "Steps of the brake demand, rising in time.",
+        "",
+        *key_table(scenario.DEMAND),
+        "",
+        "## [[friction]]",
+        "",
+        "Steps of friction, each from a time (`from_s`) or a place (`from_m`). `axles` is a list of axles, by "
+        "default all; a value that is not given is that of `[adhesion]`.",
+        "",
+        *key_table(scenario.FRICTION),
+        "",
+        "## [[fault]]",
+        "",
+        "`name` is a [fault](faults.md), whose parameters are further keys.",
+        "",
+        *key_table(catalogue.WHEN),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def mechanism_table():
+    """Return the lines of the table of mechanisms, whose rows have their units as texts."""
+    lines = [
+        "| key | unit | default | allowed | what happens and source |",
+        "|---|---|---|---|---|",
+    ]
+    bounds = {row.name: row for row in mechanisms.rows()}
+    for mechanism in mechanisms.IN_PLANT:
+        meaning = f"{mechanism.text} ({mechanism.source})"
+        for parameter in mechanism.parameters:
+            row = bounds[f"{mechanism.name}_{parameter.name}"]
+            unit_text = "" if row.source == "-" else row.source
+            cells = (f"`{row.name}`", unit_text, default(row), allowed(row), meaning)
+            lines.append(f"| {' | '.join(cells)} |")
+            meaning = ""
+    return lines
+
+
+def other_keys():
+    """Return the page of the keys of other files than scenarios."""
+    lines = [
+        "# Keys of other files",
+        "",
+        "For everybody who writes a campaign, a sequence or settings of the reference unit: the keys of "
+        f"these files. {WRITTEN} Elsewhere: [datasets](datasets.md), [recorders](recorders.md), and the "
+        "maps of [units](units.md).",
+        "",
+        "## Campaign",
+        "",
+        "At the top of a plan (`configs/campaigns`). [How to write one](sequences.md#campaigns).",
+        "",
+        *key_table(campaign.ROWS),
+        "",
+        "A range in `[vary]`, for a random design:",
+        "",
+        *key_table(design.RANGE),
+        "",
+        "`[etcs]`, for the deceleration by steps of speed:",
+        "",
+        *key_table(speed_steps.ROWS),
+        "",
+        "## Reference unit",
+        "",
+        "`[wsp]` of a file in `configs/wsp`, which `wsp_config` of a scenario names.",
+        "",
+        *key_table(logic.ROWS),
+        "",
+        "## Sequence",
+        "",
+        "Their meaning: [sequences](sequences.md).",
+        "",
+        "| place | keys |",
+        "|---|---|",
+    ]
+    places = {"top": sequence.HEAD, "`[start]`": sequence.START, "`[[step]]`": sequence.STEP}
+    for place, keys in places.items():
+        names = ", ".join(f"`{key}`" for key in keys)
+        lines.append(f"| {place} | {names} |")
+    return "\n".join(lines) + "\n"
+
+
+def command_line():
+    """Return the page of all commands with their arguments."""
+    lines = [
+        "# Command line",
+        "",
+        "For everybody who runs `rollerrig`: every command with its arguments and options. "
+        f"{WRITTEN} `rollerrig COMMAND --help` prints the same.",
+        "",
+        "Every command also has `--json` (print one JSON object, and nothing else, on standard output). "
+        "What a command returns: [exit status](exit_status.md).",
+    ]
+    for name, parser in _commands().items():
+        verb = next(verb for verb in cli.VERBS if verb.name == name)
+        lines += ["", f"## {name}", "", str(parser.description), "", f"    {verb.example}", ""]
+        rows = [row for action in parser._actions if (row := _argument(parser, action))]
+        if rows:
+            lines += ["| argument | meaning |", "|---|---|", *rows]
+    return "\n".join(lines) + "\n"
+
+
+def _commands():
+    """Return the parser of each command, by name."""
+    for action in cli.parser()._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return dict(action.choices)
+    raise LookupError("the command line has no commands")
+
+
+def _argument(parser, action):
+    """Return the row of an argument; "" for a hidden one, and for those that all commands have."""
+    if action.help == argparse.SUPPRESS or {"--help", "--json"} & set(action.option_strings):
+        return ""
+    formatter = parser._get_formatter()
+    metavar = _metavar(action)
+    names = [f"`{option} {metavar}`".replace(" `", "`") for option in action.option_strings]
+    shown = ", ".join(names) or f"`{metavar}`"
+    text = _in_cell(formatter._expand_help(action)) if action.help else ""
+    of_action = action.default
+    has_default = isinstance(of_action, str | int | float) and not isinstance(of_action, bool)
+    if has_default and of_action != "" and "default" not in text:
+        text += f" (default: {of_action})"
+    return f"| {shown} | {text} |"
+
+
+def _metavar(action):
+    """Return the placeholder of a value; "" for a switch."""
+    if action.nargs == 0:
+        return ""
+    if isinstance(action.metavar, tuple):
+        return " ".join(action.metavar)
+    if action.metavar:
+        name = action.metavar
+    elif action.choices:
+        name = "{" + ",".join(map(str, action.choices)) + "}"
+    else:
+        name = action.dest.upper()
+    return f"{name} ..." if action.nargs in ("+", "*") else name
+
+
+def _in_cell(text):
+    """Return a text for a cell of a table."""
+    return re.sub(r"\s+", " ", text).replace("|", "\\|").replace("<", "&lt;")
+
+
+def signal_table():
+    """Return the page of all signals, with the columns of a record and the places on the bus."""
+    lines = [
+        "# Signals",
+        "",
+        "For everybody who reads a record or the bus: every quantity of the rig with its unit, its "
+        f"columns in `channels.parquet`, and its places on the bus. {WRITTEN}",
+        "",
+        "`1..4` stands for the axles of the default vehicle, counted from the leading end. A place is "
+        "node, index and sub-index (of axle 1), the type, and the value of one count. `drive` is the node "
+        "of the drive under the axle (1 to 4). [Which frames carry them](units.md); `rollerrig devices` "
+        "writes EDS, DBC and a table of these objects. Direction: as seen from the rig.",
+        "",
+        "| columns | unit | meaning | direction | places on the bus |",
+        "|---|---|---|---|---|",
+    ]
+    for signal in signals.SIGNALS:
+        columns = signals.columns(signal)
+        name = columns[0] if signal.axles == 1 else columns[0].replace("_1", "_1..4", 1)
+        unit_text = UNITS.get(signal.unit, signal.unit)
+        places = "; ".join(map(_place, signal.places))
+        cells = (f"`{name}`", unit_text, signal.text, signal.direction, places)
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
+def _place(place):
+    """Return a place of a signal on the bus, as text."""
+    node = "drive" if place.node == signals.DRIVE_UNDER_AXLE else f"node {place.node}"
+    scale = f"{place.scale:g}" + (f" x `{place.of}`" if place.of else "")
+    wraps = ", wraps" if place.wraps else ""
+    return f"{node} {place.index:04X}h:{place.sub} {place.kind} {scale}{wraps}"
+
+
+def run_files():
+    """Return the page of the files of a run."""
+    lines = [
+        "# Files of a run",
+        "",
+        "For everybody who reads the folder of a run (`--out`) with other programs: its files. "
+        f"{WRITTEN} The columns of `channels.parquet` are the [signals](signals.md). "
+        "[More about runs](runs.md).",
+        "",
+        "| file | content |",
+        "|---|---|",
+        *(f"| `{name}` | {FILES[name]} |" for name in run_folder.FILES),
+        f"| `{run_folder.MARK}` | marks a folder in which the next run may replace these files |",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def exit_status():
+    """Return the page of exit statuses and environment variables."""
+    lines = [
+        "# Exit status and environment",
+        "",
+        "For everybody who calls `rollerrig` from a script or from CI: what a command returns, and which "
+        f"variables of the environment act on it. {WRITTEN}",
+        "",
+        "## Exit status",
+        "",
+        "| status | meaning |",
+        "|---|---|",
+        *(f"| {status} | {text} |" for status, text in cli.EXIT_STATUSES.items()),
+        "",
+        "## Environment variables",
+        "",
+        "| variable | meaning |",
+        "|---|---|",
+        *(f"| `{name}` | {text} |" for name, text in ENVIRONMENT.items()),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+PAGES = {
+    "scenario_keys.md": scenario_keys,
+    "other_keys.md": other_keys,
+    "command_line.md": command_line,
+    "signals.md": signal_table,
+    "run_files.md": run_files,
+    "exit_status.md": exit_status,
+}
