@@ -77,7 +77,7 @@ def compare(options: argparse.Namespace) -> int:
 
     items: list[Any] = [_figure_table(runs, figures)]
     if failed:
-        items.append(_difference_table(failed))
+        items.append(_difference_table(runs, failed))
     if tolerances:
         items.append(f"{len(failed)} of {len(differences)} channels exceed their tolerance")
     if options.out:
@@ -119,7 +119,9 @@ def _figures(runs: "Sequence[Run]") -> list[_Figure]:
 
 def _figure_table(runs: "Sequence[Run]", figures: Sequence[_Figure]) -> tuple[Any, ...]:
     """Return the table of figures for `output.show`: one column per run, "-" for no value."""
-    head = ("", "unit", *(run.folder.name for run in runs))
+    from rollerrig.realtime.record.run_folder import short_names
+
+    head = ("", "unit", *short_names([run.folder for run in runs]))
     rows = []
     for figure in figures:
         cells = ["-" if value is None else f"{value:.4g}" for value in figure.values]
@@ -127,12 +129,18 @@ def _figure_table(runs: "Sequence[Run]", figures: Sequence[_Figure]) -> tuple[An
     return None, head, rows
 
 
-def _difference_table(differences: "Sequence[Difference]") -> tuple[Any, ...]:
+def _difference_table(
+    runs: "Sequence[Run]", differences: "Sequence[Difference]"
+) -> tuple[Any, ...]:
     """Return the table of the first differences for `output.show`."""
+    from rollerrig.realtime.record.run_folder import short_names
+
+    folders = [run.folder for run in runs]
+    names = dict(zip(map(str, folders), short_names(folders), strict=True))
     head = ("run", "channel", "largest difference", "rms", "at s", "tolerance")
     rows = [
         (
-            Path(difference.run).name,
+            names[difference.run],
             difference.channel,
             f"{difference.largest:.4g}",
             f"{difference.rms:.4g}",

@@ -6,6 +6,7 @@ is empty.
 """
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 from rollerrig.configs import user_files
@@ -67,3 +68,19 @@ def _is_run(folder: Path) -> bool:
         return "config_hash" in user_files.read_json(folder / SUMMARY, within=folder)
     except (ConfigError, TypeError):
         return False
+
+
+def short_names(folders: Sequence[Path]) -> list[str]:
+    """Return a name to show for each run's folder: its last part, or as many as make names differ.
+
+    The same folder, given twice, has the same name twice.
+    """
+    whole = [folder.resolve().parts for folder in folders]
+    names: list[str] = []
+    for parts in whole:
+        others = [other for other in whole if other != parts]
+        count = 1
+        while count < len(parts) and any(other[-count:] == parts[-count:] for other in others):
+            count += 1
+        names.append("/".join(parts[-count:]))
+    return names

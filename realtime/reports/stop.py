@@ -20,6 +20,7 @@ from matplotlib.textpath import TextPath
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, write_bytes, write_text, writing
 from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import Markup
@@ -260,9 +261,7 @@ def _looks(count: int) -> list[_Look]:
 
 def _run_names(runs: Sequence[Run]) -> list[str]:
     """Return what the legend says of each run: its folder, scenario and unit."""
-    names = [run.folder.resolve().name for run in runs]
-    if len(set(names)) < len(names):
-        names = [str(run.folder) for run in runs]
+    names = run_folder.short_names([run.folder for run in runs])
     described = []
     for name, run in zip(names, runs, strict=True):
         wsp = run.summary.get("wsp") or {}

@@ -248,7 +248,9 @@ def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
         ends=views.axis_ends(channels),
     )
     stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
-    stream.send_recording_name(" over ".join(run.folder.resolve().name for run in loaded))
+    stream.send_recording_name(
+        " over ".join(run_folder.short_names([run.folder for run in loaded]))
+    )
 
     prefixes = ["", *(f"{views.REFERENCES}/{name}" for name in names)]
     for run, prefix in zip(loaded, prefixes, strict=True):
@@ -270,8 +272,7 @@ def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
 def _entity_names(folders: Sequence[Path]) -> list[str]:
     """Return a unique name for each folder, of characters that an entity path may have."""
     names: list[str] = []
-    for folder in folders:
-        folder_name = folder.resolve().name
+    for folder_name in run_folder.short_names(folders):
         name = "".join(c if c.isalnum() or c in "-_" else "_" for c in folder_name)
         if name in names:
             name = f"{name}_{len(names) + 1}"

@@ -13,6 +13,7 @@ import sys
 import xml.etree.ElementTree as ET
 import zipfile
 import zlib
+from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -421,3 +422,9 @@ def test_check_never_recommends_that_everybody_may_write_to_a_device():
     if idle.mend:
         assert 'GROUP="realtime", MODE="0660"' in idle.mend
         assert "usermod" in idle.mend
+
+
+def test_runs_of_one_name_are_shown_with_as_many_parts_of_their_path_as_make_them_differ():
+    folders = [Path("a/mine/stop"), Path("b/mine/stop"), Path("c/other")]
+    assert run_folder.short_names(folders) == ["a/mine/stop", "b/mine/stop", "other"]
+    assert run_folder.short_names([Path("runs/a"), Path("runs/a")]) == ["a", "a"]
