@@ -1,5 +1,7 @@
-"""Every tutorial is done as it stands: its files are written, its commands run, in the order of the
-page.
+"""A test follows every tutorial: it writes the files and runs the commands of the page in their order.
+
+A fenced block after a command shows lines of its output. Each line must be in the output of that
+command; "..." replaces any text.
 """
 
 import os
@@ -11,11 +13,20 @@ from pathlib import Path
 
 import pytest
 
-PAGES = ("tutorial_unit.md", "tutorial_ci.md", "tutorial_data.md", "tutorial_modbus.md")
+PAGES = (
+    "tutorial_unit.md",
+    "tutorial_judge.md",
+    "tutorial_kwet.md",
+    "tutorial_ci.md",
+    "tutorial_data.md",
+    "tutorial_modbus.md",
+)
 # a block of indented lines, and the paragraph before it
 BLOCK = re.compile(
     r"^(?P<before>\S[^\n]*)\n\n(?P<block>(?: {4}[^\n]*\n|\n(?= {4}))+)", re.MULTILINE
 )
+# a fenced block, which follows a block of commands
+OUTPUT = re.compile(r"\n```text\n(?P<lines>.*?)```\n", re.DOTALL)
 # where several tests run at a time: any free port, and Modbus at one of the test's own where the
 # page has it
 ALONE = "--set bus.interface=hub --set bus.socketcand_port=0 --set modbus."
@@ -32,7 +43,8 @@ def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     done = 0
-    for found in BLOCK.finditer((docs / page).read_text().replace("5020", str(port))):
+    whole = (docs / page).read_text().replace("5020", str(port))
+    for found in BLOCK.finditer(whole):
         text = re.sub(r"^ {4}", "", found["block"], flags=re.MULTILINE)
         if name := re.fullmatch(r"`([\w.]+)`:", found["before"]):
             (tmp_path / name[1]).write_text(text)
@@ -54,5 +66,14 @@ def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
             check=False,
         )
         assert told.returncode == 0, commands + told.stdout + told.stderr
+        if shown := OUTPUT.match(whole, found.end()):
+            is_in_output(shown["lines"], told.stdout + told.stderr)
         done += 1
     assert done >= 3
+
+
+def is_in_output(lines: str, output: str):
+    """Assert that each line is in the output of a command."""
+    for line in lines.splitlines():
+        pattern = re.escape(line.strip()).replace(r"\.\.\.", ".*")
+        assert re.search(pattern, output), f"not in the output: {line}\n{output}"

@@ -48,10 +48,12 @@ def call(options: argparse.Namespace) -> int:
     table = etcs.table(dry, wet, options.available_adhesion)
     out = options.out or options.dry
     files = etcs_report.write(table, out, options.pdf)
+    # a terminal is too narrow for a column per confidence level: here each level is a row
+    head, *rows = zip(etcs_report.HEAD, *etcs_report.rows(table), strict=True)
     return output.show(
         options,
         table | {"files": [str(file) for file in files]},
-        ("Kdry_rst (lower bound) and Kwet_rst", etcs_report.HEAD, etcs_report.rows(table)),
+        ("Kdry_rst (lower bound) and Kwet_rst", head, rows),
         etcs.NOT_A_CERTIFICATE,
         f"report: {files[-1]}",
     )
