@@ -5,6 +5,7 @@ The formulas are in `statistics.corrections`. The decelerations are those of `sp
 
 import hashlib
 import math
+import shlex
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -60,6 +61,11 @@ class Sample(NamedTuple):
 
 def sample(folder: Path) -> Sample:
     """Return the decelerations of a result folder. Raises ConfigError."""
+    if not (folder / "plan.json").exists():
+        raise ConfigError(
+            f"{folder}: no result folder of a campaign; make one with 'rollerrig campaign etcs_dry "
+            f"--out {shlex.quote(str(folder))}'"
+        )
     content = user_files.read_json(folder / "plan.json", within=folder)
     given = content.get("etcs") if isinstance(content, dict) else None
     if given is None:

@@ -217,3 +217,12 @@ def test_campaigns_that_cannot_give_the_factors_are_refused_with_the_remedy(plan
     (other / "plan.json").write_text('{"fingerprint": "x"}')
     with pytest.raises(ConfigError, match=r"has no table \[etcs\]"):
         etcs.sample(other)
+
+
+def test_a_folder_that_no_campaign_has_made_is_refused_with_the_command_that_makes_one(
+    tmp_path, capsys
+):
+    assert cli.main(["etcs", str(tmp_path / "nothing")]) == 2
+    message = " ".join(capsys.readouterr().err.split())
+    assert "no result folder of a campaign" in message
+    assert "rollerrig campaign etcs_dry --out" in message
