@@ -117,6 +117,7 @@ OUTSIDE = {
 BY_COMPUTED_NAME = {
     "realtime/commands/bench",
     "realtime/campaign/campaign",
+    "realtime/campaign/large",
     "realtime/commands/clone",
     "realtime/cli",
 }

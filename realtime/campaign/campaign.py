@@ -3,7 +3,8 @@
 A plan is resolved into numbered runs, and these are cut into chunks. A chunk is one file of the
 result. It is written whole when its runs are done. Therefore a campaign that was killed continues
 where it stopped, and no finished run is computed again. The result does not depend on how the
-chunks were spread: over the cores of this machine, or over a Dask cluster.
+chunks were spread: over the cores of this machine, or over a Dask cluster (`spreading`). A large
+campaign keeps no rows of all runs (`large`).
 """
 
 import hashlib
@@ -11,8 +12,6 @@ import json
 import re
 import shlex
 from collections.abc import Iterator, Sequence
-from concurrent.futures import as_completed
-from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,10 +22,9 @@ import pyarrow.parquet as pq
 from rollerrig.configs import store, table, unpacking, user_files
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
-from rollerrig.configs.processes import children
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import bench_runs, design, four_stops, speed_steps
+from rollerrig.realtime.campaign import bench_runs, design, four_stops, speed_steps, spreading
 from rollerrig.realtime.record import figures, summary
 from rollerrig.wsp_interface import unit_choice
 
@@ -36,10 +34,13 @@ ROWS = (
     choice("scenario", "velim_a1", (), "configs/scenarios"),
     choice("unit", "reference", (), "reference, none, or package.module:function"),
     choice("design", design.MATRIX, design.DESIGNS, "how values are combined"),
-    integer("runs", 64, 1, 10_000_000, "of a random design"),
+    integer("runs", 64, 1, 1_000_000_000, "of a random design"),
     integer("seed", 0, 0, 2**31 - 1, "of a random design"),
-    integer("chunk", 20, 1, 10_000, "runs in one file of the result"),
+    integer("chunk", 20, 1, 10_000, "runs that one worker does at a time"),
+    integer("rows_up_to", 200_000, 0, 10_000_000, "runs of a random design that keep their rows"),
 )
+# runs in a chunk of a large campaign, if the plan states no other
+_LARGE_CHUNK = 200
 # units that a campaign knows without importing a module
 _NAMED_UNITS = ("reference", "none")
 # package.module:function
@@ -50,8 +51,6 @@ _UNIT_IS = (
 )
 # the option of the command line without which a plan runs no code
 ALLOW_CODE = "--allow-code"
-# after worker processes of this machine have died so often, a campaign stops with an error
-DEATHS = 4
 
 Row = dict[str, Any]  # one run of the result, by the names of its columns
 
@@ -61,7 +60,7 @@ class Plan(NamedTuple):
 
     head: dict[str, Any]  # by the names of ROWS
     axes: tuple[str, ...]
-    points: tuple[tuple[Any, ...], ...]
+    points: Sequence[tuple[Any, ...]]
     first: int = 0  # number of the first run in `points`
     # of a random design, for each axis: the range, see `design.Points`
     ranges: tuple[dict[str, Any], ...] = ()
@@ -76,6 +75,11 @@ class Plan(NamedTuple):
         size = self.head["chunk"]
         # rounded up
         return range(-(-len(self.points) // size))
+
+    @property
+    def is_large(self) -> bool:
+        """Whether the rows of most runs are not kept."""
+        return design.is_large(self.head)
 
 
 # --- the plan ---
@@ -96,6 +100,8 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
     correlations = content.pop("correlation", [])
     steps_table = content.pop("etcs", None)
     head = table.read(ROWS, content, str(path))
+    if "chunk" not in content and design.is_large(head):
+        head["chunk"] = _LARGE_CHUNK
     # the path of a scenario is relative to the plan, but workers may run elsewhere
     if head["scenario"].endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
@@ -207,7 +213,7 @@ def command(plan: Plan, number: int) -> str:
 # --- a chunk ---
 
 
-def _piece(plan: Plan, chunk: int) -> Plan:
+def piece(plan: Plan, chunk: int) -> Plan:
     """Return the plan with the runs of one chunk only, which is all that a worker needs."""
     size = plan.head["chunk"]
     begin = chunk * size - plan.first
@@ -220,10 +226,10 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
     A run that fails has an error and no figures. A run that is not valid has its reasons and no
     figures.
     """
-    piece = _piece(plan, chunk)
+    of_chunk = piece(plan, chunk)
     rows = {
-        number: _empty_row(plan, number, point)
-        for number, point in enumerate(piece.points, start=piece.first)
+        number: empty_row(plan, number, point)
+        for number, point in enumerate(of_chunk.points, start=of_chunk.first)
     }
 
     unit_command = unit_choice.command_of(plan.head["unit"])
@@ -268,7 +274,7 @@ def _fill(row: Row, found: Row) -> None:
         row[key] = "; ".join(found[key]) or None
 
 
-def _empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
+def empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
     """Return the row of a run without results; the order of the keys is that of the columns."""
     results = (
         *("stopped", "ended", "valid", "invalid_because", "warnings"),
@@ -306,21 +312,21 @@ def open_result(plan: Plan, out: Path) -> list[int]:
 
     Raises ConfigError if the folder holds the results of another plan.
     """
-    # the names of the columns belong to it: an older version may have written others
-    columns = list(_empty_row(plan, plan.first, plan.points[0]))
-    of_plan: list[Any] = [plan.head, plan.axes, plan.points, columns]
-    if plan.steps is not None:
-        of_plan.append(plan.steps)
-    identity = json.dumps(of_plan, sort_keys=True)
-    fingerprint = hashlib.sha256(identity.encode()).hexdigest()[:16]
+    claim(plan, out)
+    return [chunk for chunk in plan.chunks if not part(out, chunk).is_file()]
+
+
+def claim(plan: Plan, out: Path) -> None:
+    """Create a result folder for a plan, or check that it holds this plan. Raises ConfigError."""
+    found = fingerprint(plan)
     mark = out / "plan.json"
-    if mark.exists() and _fingerprint(mark, out) != fingerprint:
+    if mark.exists() and _fingerprint(mark, out) != found:
         raise ConfigError(
             f"{out} holds the results of another plan or version; give a new folder with --out, or "
             "remove it"
         )
     content = {
-        "fingerprint": fingerprint,
+        "fingerprint": found,
         "head": plan.head,
         "axes": plan.axes,
         "runs": len(plan.points),
@@ -330,7 +336,22 @@ def open_result(plan: Plan, out: Path) -> list[int]:
     with writing(out):
         make_folder(out, "results")
         write_text(mark, json.dumps(content, indent=1))
-    return [chunk for chunk in plan.chunks if not part(out, chunk).is_file()]
+
+
+def fingerprint(plan: Plan) -> str:
+    """Return a hash of all that decides the results of a plan, and their columns."""
+    # an older version may have written other columns
+    columns = list(empty_row(plan, plan.first, plan.points[0]))
+    head = dict(plan.head)
+    # how many rows are kept changes no row
+    rows_up_to = head.pop("rows_up_to")
+    of_plan: list[Any] = [head, plan.axes, design.identity(plan.points), columns]
+    if plan.steps is not None:
+        of_plan.append(plan.steps)
+    if plan.is_large:
+        of_plan.append(rows_up_to)
+    identity = json.dumps(of_plan, sort_keys=True)
+    return hashlib.sha256(identity.encode()).hexdigest()[:16]
 
 
 def _fingerprint(mark: Path, out: Path) -> Any:
@@ -351,12 +372,17 @@ def write_chunk(out: Path, chunk: int, rows: list[Row]) -> None:
     path = part(out, chunk)
     try:
         with replaced(path) as new:
-            pq.write_table(pa.Table.from_pylist(rows, schema=_schema(rows[0])), new)
+            pq.write_table(as_table(rows), new)
     except OSError as error:
         raise RollerrigError(
             f"{path}: cannot be written: {error}; finished chunks are kept: make room, and repeat "
             "the command to continue"
         ) from None
+
+
+def as_table(rows: Sequence[Row]) -> pa.Table:
+    """Return rows as a table; there must be at least one."""
+    return pa.Table.from_pylist(rows, schema=_schema(rows[0]))
 
 
 def _schema(row: Row) -> pa.Schema:
@@ -400,67 +426,10 @@ def result(out: Path) -> pa.Table:
     return pa.concat_tables(tables).sort_by("run")
 
 
-# --- spreading ---
+def work(plan: Plan) -> spreading.Work:
+    """Return what does a chunk of a campaign and returns its rows, for `spreading`."""
 
+    def call(chunk: int) -> tuple[Any, ...]:
+        return run_chunk, piece(plan, chunk), chunk
 
-def spread_local(
-    plan: Plan, chunks: Sequence[int], workers: int
-) -> Iterator[tuple[int, list[Row]]]:
-    """Run chunks in processes of this machine; yield each with its rows when it is done.
-
-    If a process dies, the unfinished chunks are run again. Raises RollerrigError after DEATHS such
-    failures.
-    """
-    left = dict.fromkeys(chunks)
-    for _ in range(DEATHS):
-        with children.pool(workers) as pool:
-            futures = {pool.submit(run_chunk, _piece(plan, chunk), chunk): chunk for chunk in left}
-            try:
-                for future in as_completed(futures):
-                    rows = future.result()
-                    chunk = futures[future]
-                    del left[chunk]
-                    yield chunk, rows
-                return
-            except BrokenProcessPool:
-                continue
-    raise RollerrigError(
-        f"worker processes died {DEATHS} times (killed, or out of memory?): {len(left)} chunks are "
-        "left, and finished chunks are kept; repeat the command with fewer --workers to continue"
-    )
-
-
-def spread_dask(plan: Plan, chunks: Sequence[int], address: str) -> Iterator[tuple[int, list[Row]]]:
-    """Run chunks on a Dask cluster; yield each with its rows when it is done.
-
-    The work of a worker that dies goes to another worker. Raises ConfigError without Dask or a
-    scheduler, and RollerrigError if the cluster fails.
-    """
-    try:
-        from distributed import CancelledError, Client, KilledWorker
-        from distributed import as_completed as completed
-        from distributed.comm import CommClosedError
-    except ImportError:
-        raise ConfigError("--scheduler needs Dask: pip install 'rollerrig[cluster]'") from None
-    try:
-        client = Client(address, timeout=10)
-    except OSError as error:
-        raise ConfigError(
-            f"--scheduler {address}: no Dask scheduler answers ({error}); start one with "
-            "'dask scheduler --host 127.0.0.1' and workers with 'dask worker ADDRESS'"
-        ) from None
-    with client:
-        # nothing is scattered: data that only a lost worker had would be lost with it
-        futures = {
-            client.submit(run_chunk, _piece(plan, chunk), chunk, pure=False, retries=3): chunk
-            for chunk in chunks
-        }
-        try:
-            for future, rows in completed(futures, with_results=True):
-                yield futures[future], rows
-                future.release()
-        except (KilledWorker, CommClosedError, CancelledError, OSError) as error:
-            raise RollerrigError(
-                f"--scheduler {address}: the cluster failed ({error}); finished chunks are kept: "
-                "repeat the command to continue"
-            ) from None
+    return call

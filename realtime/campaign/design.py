@@ -15,6 +15,7 @@ from scipy.stats import qmc
 
 from rollerrig.configs import table
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.campaign.drawn_rows import DrawnRows
 from rollerrig.realtime.campaign.statistics import drivers, laws
 
 MATRIX = "matrix"
@@ -41,7 +42,7 @@ class Points(NamedTuple):
     """
 
     axes: tuple[str, ...]
-    rows: tuple[tuple[Any, ...], ...]
+    rows: Sequence[tuple[Any, ...]]
     sources: tuple[tuple[str, str, str], ...]
     ranges: tuple[dict[str, Any], ...] = ()
 
@@ -51,7 +52,8 @@ def points(
 ) -> Points:
     """Return the runs of a plan from its tables. Raises ConfigError.
 
-    `head` has design, runs and seed.
+    `head` has design, runs, seed and rows_up_to: the rows of a random design with more runs are
+    drawn when they are needed.
     """
     for name, given in (("vary", vary), ("inputs", inputs)):
         if not isinstance(given, dict):
@@ -104,21 +106,39 @@ def _drawn(
             f"{path}: Sobol indices are for independent inputs, so a {SALTELLI} design has no "
             f'[[correlation]]; remove it, or set design = "{INDEPENDENT}"'
         )
-    shares = laws.correlated(_unit_cube(head, len(axes), path), matrix)
-    columns = [law.at(shares[:, place]).tolist() for place, law in enumerate(all_laws)]
+    rows: Sequence[tuple[Any, ...]]
+    if is_large(head):
+        identity = [vary, inputs, correlations]
+        rows = DrawnRows(head["runs"], head["seed"], all_laws, matrix, identity)
+    else:
+        shares = laws.correlated(_unit_cube(head, len(axes), path), matrix)
+        columns = [law.at(shares[:, place]).tolist() for place, law in enumerate(all_laws)]
+        rows = tuple(zip(*columns, strict=True))
     ranges = []
-    for law, column in zip(all_laws, columns, strict=True):
-        low, high = min(column), max(column)
+    ends = extremes(rows, axes)
+    for place, law in enumerate(all_laws):
+        low_run, high_run = ends[law.name]
+        low, high = rows[low_run][place], rows[high_run][place]
         if law.name in vary:
             low, high = vary[law.name]["low"], vary[law.name]["high"]
         is_log = law.name in vary and bool(vary[law.name].get("log"))
         ranges.append({"low": low, "high": high, "log": is_log, "law": law.text})
     return Points(
         axes,
-        tuple(zip(*columns, strict=True)),
+        rows,
         tuple((law.name, law.text, law.source) for law in all_laws),
         tuple(ranges),
     )
+
+
+def is_large(head: Mapping[str, Any]) -> bool:
+    """Return whether a plan keeps no rows of all runs; `head` are the values at its top."""
+    return bool(head["design"] == INDEPENDENT and head["runs"] > head["rows_up_to"])
+
+
+def identity(rows: Sequence[tuple[Any, ...]]) -> Any:
+    """Return what decides the values of all runs, for the fingerprint of a plan."""
+    return rows.identity if isinstance(rows, DrawnRows) else rows
 
 
 def _range(key: str, span: Any, design: str, path: Path) -> laws.Law:
@@ -169,6 +189,8 @@ def _unit_cube(head: Mapping[str, Any], dimensions: int, path: Path) -> np.ndarr
 
 def extremes(rows: Sequence[tuple[Any, ...]], axes: Sequence[str]) -> dict[str, tuple[int, int]]:
     """Return, for each numeric input, the runs with its least and its greatest value."""
+    if isinstance(rows, DrawnRows):
+        return dict(zip(axes, rows.extremes, strict=True))
     found = {}
     for place, axis in enumerate(axes):
         column = [row[place] for row in rows]

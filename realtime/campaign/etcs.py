@@ -14,8 +14,15 @@ import numpy as np
 from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, design, four_stops, speed_steps, stopping
-from rollerrig.realtime.campaign.statistics import corrections
+from rollerrig.realtime.campaign import (
+    campaign,
+    design,
+    four_stops,
+    large,
+    speed_steps,
+    stopping,
+)
+from rollerrig.realtime.campaign.statistics import corrections, draws
 
 NOT_A_CERTIFICATE = (
     "Not a certificate: these numbers show what this model did over the laws of its inputs. They "
@@ -37,13 +44,27 @@ ASSUMPTIONS = (
 )
 
 
+class Step(NamedTuple):
+    """The decelerations of one step in m/s2; runs that began below the step are left out.
+
+    weakness: the order statistics of the negative decelerations.
+    """
+
+    weakness: draws.Draws
+    moments: draws.Moments
+
+    @property
+    def size(self) -> int:
+        """The number of decelerations."""
+        return self.weakness.size
+
+
 class Sample(NamedTuple):
     """The decelerations of a campaign.
 
     folder: of its results.
     steps: of its plan.
-    by_step: decelerations in m/s2 of each step (runs,); runs that began below the step are left
-    out.
+    by_step: the decelerations of each step.
     runs, left_out: all runs, and those that failed or are not valid and do not count.
     head: the top of the plan. sources: the laws of its inputs.
     digest: of all files of the results.
@@ -51,7 +72,7 @@ class Sample(NamedTuple):
 
     folder: Path
     steps: speed_steps.Steps
-    by_step: list[np.ndarray]
+    by_step: list[Step]
     runs: int
     left_out: int
     head: dict[str, Any]
@@ -80,33 +101,50 @@ def sample(folder: Path) -> Sample:
             f"{folder}: a {head.get('design')} design is no sample of independent draws, and the "
             f'levels need one; set design = "{design.INDEPENDENT}" in the plan and run it again'
         )
-    table = campaign.result(folder)
-    if table.num_rows != content.get("runs"):
+    found = _of_large(folder, steps) if large.is_in(folder) else _of_rows(folder, steps)
+    by_step, runs, left_out = found
+    if runs != content.get("runs"):
         raise ConfigError(
-            f"{folder}: has {table.num_rows} of {content.get('runs')} runs; repeat its 'rollerrig "
-            "campaign' to finish it"
+            f"{folder}: has {runs} of {content.get('runs')} runs; repeat its 'rollerrig campaign' to "
+            "finish it"
         )
-    counts, _ = stopping.counted(table)
-    by_step = []
-    for column in steps.columns:
-        values_m_s2 = table[column].to_numpy().astype(float)[counts]
-        by_step.append(values_m_s2[np.isfinite(values_m_s2)])
     return Sample(
         folder,
         steps,
         by_step,
-        runs=table.num_rows,
-        left_out=int((~counts).sum()),
+        runs=runs,
+        left_out=left_out,
         head=head,
         sources=content.get("sources", []),
         digest=_digest(folder),
     )
 
 
+def _of_rows(folder: Path, steps: speed_steps.Steps) -> tuple[list[Step], int, int]:
+    """Return the decelerations of each step, the number of runs, and of those left out."""
+    table = campaign.result(folder)
+    counts, _ = stopping.counted(table)
+    by_step = []
+    for column in steps.columns:
+        values_m_s2 = table[column].to_numpy().astype(float)[counts]
+        values_m_s2 = values_m_s2[np.isfinite(values_m_s2)]
+        by_step.append(Step(draws.of(-values_m_s2), draws.moments(values_m_s2)))
+    return by_step, table.num_rows, int((~counts).sum())
+
+
+def _of_large(folder: Path, steps: speed_steps.Steps) -> tuple[list[Step], int, int]:
+    """Return the same of a campaign without rows of all runs."""
+    kept = large.read((large.DISTANCE, *steps.columns), folder)
+    whole = kept.whole
+    by_step = [Step(kept.draws(column), whole.moments[column]) for column in steps.columns]
+    return by_step, whole.runs, whole.runs - whole.counted
+
+
 def _digest(folder: Path) -> str:
     """Return the SHA-256 of the files of a result, in their order."""
     found = hashlib.sha256()
-    for path in sorted((folder / "results").glob("part-*.parquet")):
+    results = folder / "results"
+    for path in sorted((*results.glob("part-*.parquet"), *results.glob("kept-*/*"))):
         found.update(user_files.read_bytes(path, user_files.PARQUET, within=folder))
     return found.hexdigest()
 
@@ -155,22 +193,24 @@ def table(
     nominal = nominal_m_s2(dry)
     rows = []
     for place, (low_km_h, high_km_h) in enumerate(dry.steps.pairs_km_h):
-        values_m_s2 = dry.by_step[place]
-        if not values_m_s2.size:
+        of_dry = dry.by_step[place]
+        if not of_dry.size:
             raise ConfigError(
                 f"{dry.folder}: no run has a deceleration from {high_km_h:g} to {low_km_h:g} km/h; "
                 "begin faster, or remove this step from speeds_km_h"
             )
-        found = corrections.corrections(values_m_s2 / nominal[place], confidence)
+        found = corrections.corrections(of_dry.weakness.divided(nominal[place]), confidence)
         wet_ratio = None
         if wet is not None:
-            wet_ratio = corrections.wet_ratio(wet.by_step[place], values_m_s2, confidence)
+            wet_ratio = corrections.wet_ratio(
+                wet.by_step[place].moments, of_dry.moments, confidence
+            )
         rows.append(
             {
                 "from_km_h": low_km_h,
                 "to_km_h": high_km_h,
-                "runs_dry": int(values_m_s2.size),
-                "runs_wet": int(wet.by_step[place].size) if wet is not None else 0,
+                "runs_dry": of_dry.size,
+                "runs_wet": wet.by_step[place].size if wet is not None else 0,
                 "nominal_m_s2": nominal[place],
                 "kdry_rst": [
                     _level(correction, nominal[place], wet_ratio, available_adhesion)

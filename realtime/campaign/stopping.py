@@ -22,8 +22,8 @@ import pyarrow as pa
 from scipy import stats
 
 from rollerrig.realtime.campaign import campaign, design
+from rollerrig.realtime.campaign.statistics import draws, quantiles, tail
 from rollerrig.realtime.campaign.statistics import drivers as drivers_of
-from rollerrig.realtime.campaign.statistics import quantiles, tail
 
 CONFIDENCE = quantiles.CONFIDENCE  # of the upper bounds
 QUANTILES = (0.5, 0.9, 0.95, 0.99)
@@ -54,13 +54,17 @@ def _did_not_stop(table: pa.Table) -> np.ndarray:
     return np.array([row == (False, False, "finished") for row in rows], dtype=bool)
 
 
-def bounds(table: pa.Table) -> list[dict[str, Any]]:
+def distances(table: pa.Table) -> draws.Draws:
+    """Return the order statistics of the stopping distances in m of the runs that count."""
+    return draws.of(counted(table)[1])
+
+
+def bounds(distance_m: draws.Draws) -> list[dict[str, Any]]:
     """Return estimate and upper bound for each of QUANTILES.
 
     None instead of a number: there are too few runs, or the value is beyond all runs that stopped.
     Empty if no run counts.
     """
-    _, distance_m = counted(table)
     if not distance_m.size:
         return []
     found = []
@@ -121,7 +125,7 @@ class Extrapolation(NamedTuple):
     stability: list[tail.Stability]
 
 
-def extrapolation(plan: campaign.Plan, table: pa.Table) -> Extrapolation:
+def extrapolation(plan: campaign.Plan, distance_m: draws.Draws) -> Extrapolation:
     """Return the stopping distances that few runs exceed [S3]."""
     name = plan.head["design"]
     if name != design.INDEPENDENT:
@@ -130,7 +134,6 @@ def extrapolation(plan: campaign.Plan, table: pa.Table) -> Extrapolation:
             f'set design = "{design.INDEPENDENT}"'
         )
         return Extrapolation(None, reason, [], [])
-    _, distance_m = counted(table)
     try:
         law = tail.fit(distance_m)
     except tail.NoTailError as error:
@@ -139,9 +142,9 @@ def extrapolation(plan: campaign.Plan, table: pa.Table) -> Extrapolation:
     return Extrapolation(law, "", values, tail.stability(distance_m, EXCEEDED[-1]))
 
 
-def extrapolated(plan: campaign.Plan, table: pa.Table) -> dict[str, Any]:
+def extrapolated(plan: campaign.Plan, distance_m: draws.Draws) -> dict[str, Any]:
     """Return the extrapolation [S3] as numbers for programs; None instead of a missing number."""
-    found = extrapolation(plan, table)
+    found = extrapolation(plan, distance_m)
     if found.law is None:
         return {"reason": found.reason, "values": []}
     return {

@@ -11,6 +11,7 @@ from rollerrig.configs.table import nearest
 from rollerrig.realtime.commands import output
 
 if TYPE_CHECKING:
+    from rollerrig.realtime.campaign import spreading
     from rollerrig.realtime.campaign.campaign import Plan
 
 # runs that are not valid and that the terminal lists; the report lists all of them
@@ -69,7 +70,7 @@ def call(options: argparse.Namespace) -> int:
 
     Returns FAILED if a run had an error, INVALID if a run is not valid, and otherwise PASS.
     """
-    from rollerrig.realtime.campaign import campaign, stopping
+    from rollerrig.realtime.campaign import campaign, large, outcome, stopping
     from rollerrig.realtime.record import figures
     from rollerrig.realtime.reports import campaign as campaign_report
     from rollerrig.realtime.reports import pdf
@@ -87,16 +88,22 @@ def call(options: argparse.Namespace) -> int:
             f"--workers {options.workers}: allowed are numbers from 1, or 0 for the number of cores"
         )
 
+    if plan.is_large and options.worst != large.DISTANCE:
+        raise ConfigError(
+            f"--worst {options.worst}: of more than {plan.head['rows_up_to']} runs only those with the "
+            f"longest stopping distance keep their rows; use --worst {large.DISTANCE}, or a larger "
+            "rows_up_to in the plan"
+        )
+
     out = options.out or Path("campaigns") / Path(options.plan).stem
     _run_chunks(options, plan, out)
 
-    table = campaign.result(out)
-    report = campaign_report.write(plan, table, out, options.worst, options.pdf, about)
-    failed = sum(error is not None for error in table["error"].to_pylist())
-    worst = campaign_report.worst(plan, table, options.worst)
-    not_valid = campaign_report.not_valid(plan, table)
+    found = outcome.read(plan, out)
+    report = campaign_report.write(plan, found, out, options.worst, options.pdf, about)
+    worst = campaign_report.worst(plan, found.longest, options.worst)
+    not_valid = campaign_report.not_valid(plan, found)
 
-    lines = [f"{table.num_rows} runs, {len(not_valid)} not valid; the worst {options.worst}:"]
+    lines = [f"{found.runs} runs, {found.not_valid} not valid; the worst {options.worst}:"]
     for case in worst:
         value = campaign_report.read(options.worst, case[options.worst])
         lines.append(f"  run {case['run']}: {value}: {case['replay']}")
@@ -108,23 +115,23 @@ def call(options: argparse.Namespace) -> int:
         options,
         {
             "folder": str(out),
-            "runs": table.num_rows,
-            "failed": failed,
-            "not_valid": len(not_valid),
+            "runs": found.runs,
+            "failed": found.failed,
+            "not_valid": found.not_valid,
             "report": str(report),
             "worst": worst,
-            "stopping_distance": stopping.bounds(table),
-            "tail": stopping.extrapolated(plan, table),
+            "stopping_distance": stopping.bounds(found.distance_m),
+            "tail": stopping.extrapolated(plan, found.distance_m),
             "not_valid_runs": not_valid,
-            "warnings": campaign_report.warnings(table),
+            "warnings": campaign_report.warnings(found),
         },
-        (plan.head["title"] or None, campaign_report.HEAD, campaign_report.cells(table)),
+        (plan.head["title"] or None, campaign_report.HEAD, campaign_report.cells(found)),
         *lines,
     )
 
-    if failed:
+    if found.failed:
         return output.FAILED
-    if not_valid:
+    if found.not_valid:
         return output.INVALID
     return output.PASS
 
@@ -142,17 +149,15 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
         TimeRemainingColumn,
     )
 
-    from rollerrig.realtime.campaign import campaign
+    from rollerrig.realtime.campaign import campaign, large
 
-    chunks_to_do = campaign.open_result(plan, out)
-
-    # both are generators: nothing runs, and no scheduler is needed, before the first chunk is taken
-    finished_chunks: Iterator[tuple[int, list[dict[str, Any]]]]
-    if options.scheduler:
-        finished_chunks = campaign.spread_dask(plan, chunks_to_do, options.scheduler)
+    merger = None
+    if plan.is_large:
+        campaign.claim(plan, out)
+        merger = large.Merger(plan, out)
+        chunks_to_do = list(plan.chunks)[merger.kept.chunks :]
     else:
-        workers = options.workers or os.cpu_count() or 1
-        finished_chunks = campaign.spread_local(plan, chunks_to_do, workers)
+        chunks_to_do = campaign.open_result(plan, out)
 
     run_count = len(plan.points)
     console = output.console(error=True)
@@ -176,6 +181,23 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
 
         if not chunks_to_do:
             return
-        for chunk, rows in finished_chunks:
-            campaign.write_chunk(out, chunk, rows)
-            bar.advance(task, len(rows))
+        if merger is None:
+            for chunk, rows in _finished(options, campaign.work(plan), chunks_to_do):
+                campaign.write_chunk(out, chunk, rows)
+                bar.advance(task, len(rows))
+            return
+        with merger.writing():
+            for chunk, found in _finished(options, large.work(plan, merger.kept), chunks_to_do):
+                merger.add(chunk, found)
+                bar.advance(task, found.runs)
+
+
+def _finished(
+    options: argparse.Namespace, work: "spreading.Work", chunks: list[int]
+) -> Iterator[tuple[int, Any]]:
+    """Yield each chunk with its result when it is done, on this machine or on a cluster."""
+    from rollerrig.realtime.campaign import spreading
+
+    if options.scheduler:
+        return spreading.on_a_cluster(work, chunks, options.scheduler)
+    return spreading.on_this_machine(work, chunks, options.workers or os.cpu_count() or 1)

@@ -8,7 +8,6 @@ varied, and room to sign.
 
 import math
 import textwrap
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
@@ -23,12 +22,13 @@ from matplotlib.patches import Rectangle
 
 from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.campaign import campaign, stopping
+from rollerrig.realtime.campaign.outcome import QUANTILES, Outcome
+from rollerrig.realtime.campaign.statistics import draws
 from rollerrig.realtime.record import figures
 from rollerrig.realtime.reports import page, pdf
 from rollerrig.realtime.reports.statistics import tail
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER
 
-QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 HEAD = ("figure", *(f"{100 * q:g} %" for q in QUANTILES))
 
 _RANGES_HEAD = ("input", "from", "to", "spread", "key")
@@ -66,25 +66,14 @@ _UNITS = {
 _NORMAL_95 = 1.96
 
 
-def quantiles(table: pa.Table) -> list[tuple[str, list[float]]]:
-    """Return rows of (figure, its quantiles); figures that no run has are left out."""
-    rows = []
-    for name in figures.BY_NAME:
-        values = _values(table, name)
-        known = values[np.isfinite(values)]
-        if known.size:
-            rows.append((name, np.quantile(known, QUANTILES).tolist()))
-    return rows
-
-
 def _values(table: pa.Table, column: str) -> np.ndarray:
     """Return a column as numbers (n,)."""
     return table[column].to_numpy().astype(float)
 
 
-def worst(plan: campaign.Plan, table: pa.Table, figure: str) -> list[dict[str, Any]]:
+def worst(plan: campaign.Plan, rows: pa.Table, figure: str) -> list[dict[str, Any]]:
     """Return the valid runs that do not have a figure, then those with the worst one."""
-    valid = table.filter(table["invalid_because"].is_null())
+    valid = rows.filter(rows["invalid_because"].is_null())
     values = _values(valid, figure)
     # a figure without a better direction is worst where it is largest
     sign = -(figures.BY_NAME[figure].better or -1)
@@ -108,10 +97,13 @@ def _known(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else float(value)
 
 
-def not_valid(plan: campaign.Plan, table: pa.Table) -> list[dict[str, Any]]:
-    """Return the runs that are not valid; no figure includes them."""
-    runs = table["run"].to_pylist()
-    reasons = table["invalid_because"].to_pylist()
+def not_valid(plan: campaign.Plan, outcome: Outcome) -> list[dict[str, Any]]:
+    """Return the runs that are not valid; no figure includes them.
+
+    A large campaign lists only the first ones.
+    """
+    runs = outcome.invalid["run"].to_pylist()
+    reasons = outcome.invalid["invalid_because"].to_pylist()
     return [
         {"run": run, "because": reason, "replay": campaign.command(plan, run)}
         for run, reason in zip(runs, reasons, strict=True)
@@ -119,24 +111,22 @@ def not_valid(plan: campaign.Plan, table: pa.Table) -> list[dict[str, Any]]:
     ]
 
 
-def warnings(table: pa.Table) -> list[str]:
+def warnings(outcome: Outcome) -> list[str]:
     """Return what was planned but did not happen, once each, with the number of its runs."""
-    counted = Counter(text for text in table["warnings"].to_pylist() if text)
-    return [f"{text} ({count} of {table.num_rows} runs)" for text, count in counted.items()]
+    return [f"{text} ({count} of {outcome.runs} runs)" for text, count in outcome.warnings.items()]
 
 
-def cells(table: pa.Table) -> list[list[str]]:
+def cells(outcome: Outcome) -> list[list[str]]:
     """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
-    rows = [[name, *(f"{value:.4g}" for value in values)] for name, values in quantiles(table)]
-    left_out = table.num_rows - table["invalid_because"].null_count
+    rows = [[name, *(f"{value:.4g}" for value in values)] for name, values in outcome.quantiles]
     empty = [""] * (len(QUANTILES) - 1)
-    rows.append(["not valid (runs, left out)", str(left_out), *empty])
+    rows.append(["not valid (runs, left out)", str(outcome.not_valid), *empty])
     return rows
 
 
 def write(
     plan: campaign.Plan,
-    table: pa.Table,
+    outcome: Outcome,
     out: Path,
     figure: str,
     on_paper: bool = False,
@@ -148,21 +138,20 @@ def write(
     """
     path = out / "report.html"
     when = datetime.now(UTC)
-    write_text(path, _page(plan, table, figure, when, about or {}))
+    write_text(path, _page(plan, outcome, figure, when, about or {}))
     if on_paper:
         with page.on_paper():
-            pdf.write(_page(plan, table, figure, when, about or {}), path.with_suffix(".pdf"))
+            pdf.write(_page(plan, outcome, figure, when, about or {}), path.with_suffix(".pdf"))
     return path
 
 
 def _title_block(
-    plan: campaign.Plan, table: pa.Table, when: datetime, about: Mapping[str, str]
+    plan: campaign.Plan, outcome: Outcome, when: datetime, about: Mapping[str, str]
 ) -> dict[str, str]:
     """Return what was tested, with which plan, and when."""
     unit = plan.head["unit"]
     if unit == "reference":
         unit = "reference WSP of rollerrig (simulated)"
-    left_out = table.num_rows - table["invalid_because"].null_count
     block = page.title_block(
         {
             "unit under test": unit,
@@ -175,7 +164,7 @@ def _title_block(
     return block | {
         "scenario": Path(plan.head["scenario"]).stem,
         "design": f"{plan.head['design']}{seed}",
-        "runs": f"{table.num_rows}, of which {left_out} are not valid and left out",
+        "runs": f"{outcome.runs}, of which {outcome.not_valid} are not valid and left out",
         "date": f"{when:%Y-%m-%d %H:%M} UTC",
         "tested with": f"rollerrig {metadata.version('rollerrig')}",
     }
@@ -213,11 +202,12 @@ def _range_rows(plan: campaign.Plan) -> list[tuple[str, ...]]:
 
 
 def _page(
-    plan: campaign.Plan, table: pa.Table, figure: str, when: datetime, about: Mapping[str, str]
+    plan: campaign.Plan, outcome: Outcome, figure: str, when: datetime, about: Mapping[str, str]
 ) -> str:
-    left_out = not_valid(plan, table)
+    table = outcome.rows
+    left_out = not_valid(plan, outcome)
     varied = _varied(plan, table)
-    all_quantiles = quantiles(table)
+    all_quantiles = outcome.quantiles
     # figures that differ between runs are drawn, the others are listed
     differing = [name for name, values in all_quantiles if values[0] < values[-1]]
     # stable: the stopping distance first, then in the order of the table
@@ -229,29 +219,30 @@ def _page(
     ]
 
     parts: list[str] = [
-        page.facts(_title_block(plan, table, when, about)),
+        page.facts(_title_block(plan, outcome, when, about)),
         page.paragraph(
             page.element("b", f"{DISCLAIMER.capitalize()}."),
             " Simulated rig and vehicle.",
             kind="note",
         ),
-        *(page.paragraph(f"Warning: {text}", kind="note") for text in warnings(table)),
-        *_stopping(plan, table),
+        *(page.paragraph(f"Warning: {text}", kind="note") for text in warnings(outcome)),
+        *_kept(outcome),
+        *_stopping(plan, outcome),
         page.element("h2", "What was varied"),
         page.table(_RANGES_HEAD, _range_rows(plan)),
         page.element("h2", f"Worst {_title(figure)}"),
         page.table(
             ("run", _title(figure), *map(input_title, plan.axes), "to see it"),
-            _worst_rows(plan, table, figure),
+            _worst_rows(plan, outcome, figure),
         ),
     ]
     pair = _pair(table, varied, figure)
     if pair is not None:
         draw = partial(_draw_map, plan=plan, table=table, pair=pair, figure=figure)
         parts.append(page.picture(draw, (8.0, 4.6)))
-    parts += tail.parts(plan, table)
+    parts += tail.parts(plan, outcome)
 
-    parts += [page.element("h2", "All figures"), page.table(HEAD, cells(table))]
+    parts += [page.element("h2", "All figures"), page.table(HEAD, cells(outcome))]
     if constant:
         parts.append(page.paragraph(f"The same in every run: {', '.join(constant)}."))
     if differing:
@@ -263,15 +254,31 @@ def _page(
         for case in left_out
     ]
     parts += [
-        page.element("h2", f"Not valid: {len(left_out)} of {table.num_rows} runs"),
+        page.element("h2", f"Not valid: {outcome.not_valid} of {outcome.runs} runs"),
         page.table(("run", "why", "to see it"), rows),
         page.signatures(about),
     ]
     return page.page(plan.head["title"] or "Campaign", *parts)
 
 
-def _worst_rows(plan: campaign.Plan, table: pa.Table, figure: str) -> list[tuple[str, ...]]:
+def _kept(outcome: Outcome) -> list[page.Markup]:
+    """Return what of a large campaign the page is made of; nothing if it has all rows."""
+    if outcome.has_all_rows:
+        return []
+    return [
+        page.paragraph(
+            f"This campaign keeps no rows of all runs. Quantiles are from sketches (within "
+            f"{100 * draws.ACCURACY:g} %), bounds and the law of the tail from the "
+            f"{outcome.longest.num_rows} longest stops, pictures and correlations from the first "
+            f"{outcome.rows.num_rows} runs.",
+            kind="note",
+        )
+    ]
+
+
+def _worst_rows(plan: campaign.Plan, outcome: Outcome, figure: str) -> list[tuple[str, ...]]:
     """Return the worst runs with their inputs."""
+    table = outcome.longest
     row_of_run = {run: row for row, run in enumerate(table["run"].to_pylist())}
     rows = []
     for case in worst(plan, table, figure):
@@ -415,27 +422,26 @@ def _draw_distributions(
 # --- stopping distance ---
 
 
-def _stopping(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
+def _stopping(plan: campaign.Plan, outcome: Outcome) -> list[page.Markup]:
     """Return the part of the page about the stopping distance.
 
     It is empty for a matrix, which is not a sample, and for too few runs.
     """
-    counts, distance_m = stopping.counted(table)
+    distance_m = outcome.distance_m
     if plan.head["design"] == "matrix" or distance_m.size < stopping.FEWEST:
         return []
 
     confidence = f"{100 * stopping.CONFIDENCE:g} %"
-    noise = _NORMAL_95 / math.sqrt(max(distance_m.size - 1, 1))
+    correlated = outcome.rows.num_rows if not outcome.has_all_rows else distance_m.size
+    noise = _NORMAL_95 / math.sqrt(max(correlated - 1, 1))
     drivers = [
         (input_title(key), f"{whole:+.2f}", f"{tail:+.2f}")
-        for key, whole, tail in stopping.drivers(plan, table)
+        for key, whole, tail in stopping.drivers(plan, outcome.rows)
     ]
     return [
         page.element("h2", "Stopping distance"),
         page.paragraph("It counts from the first brake demand to standstill."),
-        page.paragraph(
-            _stopping_words(plan.head["design"], distance_m, int((~counts).sum())), kind="note"
-        ),
+        page.paragraph(_stopping_words(plan.head["design"], outcome), kind="note"),
         page.table(
             (
                 "quantile",
@@ -443,7 +449,7 @@ def _stopping(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
                 f"bound with a confidence of {confidence}, m",
                 "rank of the bound",
             ),
-            [_bound_row(bound) for bound in stopping.bounds(table)],
+            [_bound_row(bound) for bound in stopping.bounds(distance_m)],
         ),
         page.table(
             (
@@ -454,15 +460,14 @@ def _stopping(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
             drivers,
         ),
         page.paragraph(
-            f"Without any dependence a correlation of {distance_m.size} runs is within {noise:.2f} of 0 in "
+            f"Without any dependence a correlation of {correlated} runs is within {noise:.2f} of 0 in "
             "19 of 20 campaigns."
         ),
-        page.picture(partial(_draw_exceedance, table=table), (11.0, 3.6)),
+        page.picture(partial(_draw_exceedance, outcome=outcome), (11.0, 3.6)),
     ]
 
 
-def _stopping_words(design: str, distance_m: np.ndarray, left_out: int) -> str:
-    not_stopped = int(np.isinf(distance_m).sum())
+def _stopping_words(design: str, outcome: Outcome) -> str:
     even = ""
     if design != "random":
         even = (
@@ -470,8 +475,8 @@ def _stopping_words(design: str, distance_m: np.ndarray, left_out: int) -> str:
             'bounds are made: use them for orientation, and design = "random" for a statement.'
         )
     return (
-        f"{distance_m.size} runs count; {not_stopped} of them had not stopped at the end of their time "
-        f"and count as longer than any other. {left_out} more failed or are not valid and do not count."
+        f"{outcome.distance_m.size} runs count; {outcome.not_stopped} of them had not stopped at the end of their time "
+        f"and count as longer than any other. {outcome.uncounted} more failed or are not valid and do not count."
         f"{even} This is not a certificate: it shows what this plant did over the ranges of this plan, "
         "with the frequency of the drawn values. It does not show how often a railway meets them."
     )
@@ -491,18 +496,18 @@ def _metres(value_m: float | None) -> str:
     return "not stopped" if value_m is None else f"{value_m:.1f}"
 
 
-def _draw_exceedance(drawn: Figure, table: pa.Table) -> None:
+def _draw_exceedance(drawn: Figure, outcome: Outcome) -> None:
     """Draw the distribution of the stopping distance, and the share of runs that go further."""
-    _, all_m = stopping.counted(table)
-    distance_m = np.sort(all_m)
-    stopped_m = distance_m[np.isfinite(distance_m)]
+    distance_m = outcome.distance_m
+    _, counted_m = stopping.counted(outcome.rows)
     counts, exceeded = drawn.subplots(1, 2)
-    counts.hist(stopped_m, bins=40)
+    counts.hist(counted_m[np.isfinite(counted_m)], bins=40)
     counts.set(xlabel="stopping distance, m", ylabel="runs")
 
-    share = 1.0 - np.arange(1, stopped_m.size + 1) / distance_m.size
-    exceeded.step(stopped_m, share, where="post")
-    for bound in stopping.bounds(table):
+    ranks = tail.shown_ranks(distance_m.size - outcome.not_stopped)
+    values_m = [distance_m.at(rank) for rank in ranks.tolist()]
+    exceeded.step(values_m, 1.0 - ranks / distance_m.size, where="post")
+    for bound in stopping.bounds(distance_m):
         if bound["bound_m"] is not None:
             exceeded.plot(bound["bound_m"], 1.0 - bound["quantile"], "v", color=page.VERMILION)
     exceeded.set(

@@ -18,7 +18,7 @@ import pytest
 from pypdf import PdfReader
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.campaign import campaign, design, stopping
+from rollerrig.realtime.campaign import campaign, design, outcome, spreading, stopping
 from rollerrig.realtime.reports import campaign as report
 
 PLAN = """
@@ -175,7 +175,7 @@ def test_the_worst_runs_are_worst_in_the_direction_of_their_figure(plan_file):
 def test_the_page_shows_every_figure_against_what_was_varied(plan_file, tmp_path):
     plan = campaign.load(plan_file())
     run_serially(plan, tmp_path)
-    page = report.write(plan, campaign.result(tmp_path), tmp_path, "stop_distance_m").read_text()
+    page = report.write(plan, outcome.read(plan, tmp_path), tmp_path, "stop_distance_m").read_text()
     # a map over two inputs, and the figures against each input
     assert page.count("<svg") == 2
     assert page.index("Worst distance from the start") < page.index("<svg")
@@ -194,7 +194,7 @@ def test_the_page_begins_with_a_title_block_and_the_stopping_distance(plan_file,
     plan = campaign.load(plan_file("sobol", RANGES))
     run_serially(plan, tmp_path)
     about = {"document number": "R-12", "revision": "B", "tested by": "A. Meier"}
-    path = report.write(plan, campaign.result(tmp_path), tmp_path, "stop_time_s", True, about)
+    path = report.write(plan, outcome.read(plan, tmp_path), tmp_path, "stop_time_s", True, about)
     page = path.read_text()
     headings = re.findall(r"<h2[^>]*>(.*?)</h2>", page)
     assert headings[:2] == ["Stopping distance", "What was varied"]
@@ -245,7 +245,9 @@ def test_a_worker_that_dies_costs_no_run(plan_file, tmp_path, monkeypatch):
     monkeypatch.setenv("ROLLERRIG_TEST_DEAD", str(tmp_path / "dead"))
     plan = campaign.load(plan_file(), True, unit=f"{__name__}:dying_unit", design="matrix")
     out = tmp_path / "out"
-    for chunk, rows in campaign.spread_local(plan, campaign.open_result(plan, out), 2):
+    for chunk, rows in spreading.on_this_machine(
+        campaign.work(plan), campaign.open_result(plan, out), 2
+    ):
         campaign.write_chunk(out, chunk, rows)
     assert (tmp_path / "dead").exists()
     assert content(out)["run"] == list(range(RUNS))
@@ -328,7 +330,9 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(pla
     try:
         out = tmp_path / "cluster"
         chunks = campaign.open_result(plan, out)
-        for count, (chunk, rows) in enumerate(campaign.spread_dask(plan, chunks, address)):
+        for count, (chunk, rows) in enumerate(
+            spreading.on_a_cluster(campaign.work(plan), chunks, address)
+        ):
             campaign.write_chunk(out, chunk, rows)
             if count == 0:
                 workers[0].send_signal(signal.SIGKILL)

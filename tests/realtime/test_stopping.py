@@ -6,7 +6,8 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from rollerrig.realtime.campaign import campaign, stopping
+from rollerrig.realtime.campaign import campaign, outcome, stopping
+from rollerrig.realtime.record import figures
 from rollerrig.realtime.reports import campaign as report
 
 NOT_STOPPED = "the coach did not stop within 180 s (duration_max_s)"
@@ -37,7 +38,7 @@ def test_runs_that_did_not_stop_are_longer_than_any_other_and_failed_runs_do_not
     counts, distance_m = stopping.counted(table)
     assert counts.all()
     assert np.isinf(distance_m).sum() == 5
-    assert stopping.bounds(table)[-2] == {
+    assert stopping.bounds(stopping.distances(table))[-2] == {
         "quantile": 0.95,
         "rank": 99,
         "needs": 59,
@@ -89,10 +90,12 @@ def test_the_input_that_drives_all_distances_comes_first_and_a_driver_of_the_tai
 
 def test_the_page_states_that_it_is_no_certificate_and_a_matrix_gives_no_statistics():
     a = np.linspace(0.0, 1.0, 60)
-    table = runs(100.0 + a, a=a, b=a)
-    text = "".join(report._stopping(plan(), table))
+    others = dict.fromkeys(set(figures.BY_NAME) - {"braking_distance_m"}, a)
+    table = runs(100.0 + a, a=a, b=a, warnings=pa.nulls(60, pa.string()), **others)
+    found = outcome.of_rows(table)
+    text = "".join(report._stopping(plan(), found))
     assert "not a certificate" in text
     assert "needs 299 runs" in text
     assert text.count("<svg") == 1
-    assert "for orientation" in "".join(report._stopping(plan("sobol"), table))
-    assert report._stopping(plan("matrix"), table) == []
+    assert "for orientation" in "".join(report._stopping(plan("sobol"), found))
+    assert report._stopping(plan("matrix"), found) == []

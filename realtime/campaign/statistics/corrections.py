@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from rollerrig.realtime.campaign.statistics import quantiles, tail
+from rollerrig.realtime.campaign.statistics import draws, quantiles, tail
 
 LEVELS = tuple(range(10))  # M_NVEBCL
 BY_RANK = "rank"  # the runs reach the level
@@ -61,10 +61,13 @@ def failing_share(level: int) -> float:
 
 
 def corrections(
-    ratios: np.ndarray, confidence: float = 0.95, levels: Sequence[int] = LEVELS
+    ratios: np.ndarray | draws.Draws, confidence: float = 0.95, levels: Sequence[int] = LEVELS
 ) -> list[Correction]:
-    """Return Kdry_rst for each level from the ratios (n,) of one step [C2]; n > 0."""
-    weakness = -ratios
+    """Return Kdry_rst for each level from the ratios (n,) of one step [C2]; n > 0.
+
+    Draws are those of the negative ratios, because the weakest brakes are their largest values.
+    """
+    weakness = ratios if isinstance(ratios, draws.Draws) else draws.of(-ratios)
     law: tail.Tail | None = None
     reason = ""
     try:
@@ -75,7 +78,7 @@ def corrections(
 
 
 def _correction(
-    weakness: np.ndarray, law: tail.Tail | None, reason: str, level: int, confidence: float
+    weakness: draws.Draws, law: tail.Tail | None, reason: str, level: int, confidence: float
 ) -> Correction:
     """Return Kdry_rst for one level; `weakness` are the negative ratios."""
     share = failing_share(level)
@@ -106,17 +109,17 @@ def _correction(
     )
 
 
-def wet_ratio(wet: np.ndarray, dry: np.ndarray, confidence: float = 0.95) -> Ratio:
+def wet_ratio(wet: draws.Moments, dry: draws.Moments, confidence: float = 0.95) -> Ratio:
     """Return Kwet_rst from the decelerations on wet and on dry rails [C3]; NaN if there is none.
 
     The two samples are independent of one another. Their means are above 0.
     """
-    if wet.size < 2 or dry.size < 2 or not wet.mean() > 0.0 or not dry.mean() > 0.0:
+    if wet.number < 2 or dry.number < 2 or not wet.mean > 0.0 or not dry.mean > 0.0:
         return Ratio(math.nan, math.nan, math.nan)
-    ratio = float(wet.mean() / dry.mean())
+    ratio = wet.mean / dry.mean
     variance = 0.0
     for sample in (wet, dry):
-        variance += float(sample.var(ddof=1) / (sample.size * sample.mean() ** 2))
+        variance += sample.variance / (sample.number * sample.mean**2)
     reach = float(stats.norm.ppf(0.5 + 0.5 * confidence)) * math.sqrt(variance)
     return Ratio(ratio, ratio * math.exp(-reach), ratio * math.exp(reach))
 

@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
+from rollerrig.realtime.campaign.statistics import draws
+
 CONFIDENCE = 0.95  # of a one-sided bound, if the caller requires no other
 
 
@@ -61,19 +63,21 @@ def fewest(quantile: float, confidence: float = CONFIDENCE) -> int:
     return math.ceil(math.log(1.0 - confidence) / math.log(quantile))
 
 
-def upper_bound(values: np.ndarray, quantile: float, confidence: float = CONFIDENCE) -> UpperBound:
+def upper_bound(
+    values: np.ndarray | draws.Draws, quantile: float, confidence: float = CONFIDENCE
+) -> UpperBound:
     """Return the estimate of a quantile, and its upper bound [Q1].
 
     `values` (n,) are independent draws, n > 0; inf is larger than any other.
     """
-    ordered = np.sort(values)
+    ordered = draws.of(values)
     bound_rank = rank(ordered.size, quantile, confidence)
-    estimate = ordered[max(math.ceil(quantile * ordered.size), 1) - 1]
+    estimate = ordered.at(max(math.ceil(quantile * ordered.size), 1))
     return UpperBound(
         quantile=quantile,
-        estimate=float(estimate),
+        estimate=estimate,
         rank=bound_rank,
-        bound=float(ordered[bound_rank - 1]) if bound_rank else math.inf,
+        bound=ordered.above(bound_rank) if bound_rank else math.inf,
         confidence=reached(ordered.size, quantile, bound_rank) if bound_rank else 0.0,
         needs=fewest(quantile, confidence),
     )
@@ -90,9 +94,11 @@ class Interval(NamedTuple):
     confidence: float
 
 
-def interval(values: np.ndarray, quantile: float, confidence: float = CONFIDENCE) -> Interval:
+def interval(
+    values: np.ndarray | draws.Draws, quantile: float, confidence: float = CONFIDENCE
+) -> Interval:
     """Return the two-sided interval of a quantile [Q3]; `values` (n,) as in `upper_bound`."""
-    ordered = np.sort(values)
+    ordered = draws.of(values)
     missed = 0.5 * (1.0 - confidence)
     # the draw of rank k is above the quantile with the probability P(B <= k - 1)
     low_rank = int(stats.binom.ppf(missed, ordered.size, quantile))
@@ -100,8 +106,8 @@ def interval(values: np.ndarray, quantile: float, confidence: float = CONFIDENCE
     low_misses = reached(ordered.size, quantile, low_rank) if low_rank else 0.0
     high_reaches = reached(ordered.size, quantile, high_rank) if high_rank else 1.0
     return Interval(
-        low=float(ordered[low_rank - 1]) if low_rank else -math.inf,
-        high=float(ordered[high_rank - 1]) if high_rank else math.inf,
+        low=ordered.below(low_rank) if low_rank else -math.inf,
+        high=ordered.above(high_rank) if high_rank else math.inf,
         confidence=high_reaches - low_misses,
     )
 

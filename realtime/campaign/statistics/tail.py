@@ -24,6 +24,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import optimize, stats
 
+from rollerrig.realtime.campaign.statistics import draws
+
 SHARE = 0.1  # of the draws that are above the threshold, if the caller requires no other
 FEWEST = 50  # excesses: fewer give no interval that keeps its level
 LEAST_SHAPE = -0.5  # below it the likelihood is not regular
@@ -73,25 +75,27 @@ class Extrapolated(NamedTuple):
     bound: float
 
 
-def fit(values: np.ndarray, share: float = SHARE) -> Tail:
+def fit(values: np.ndarray | draws.Draws, share: float = SHARE) -> Tail:
     """Return the law of the largest draws [T3]; `values` (n,) are independent draws.
 
-    `share` of the draws are above the threshold. Raises NoTailError.
+    `share` of the draws are above the threshold; fewer if fewer of the largest draws are kept.
+    Raises NoTailError.
     """
-    ordered = np.sort(values)
-    excess_count = int(share * ordered.size)
+    ordered = draws.of(values)
+    largest = ordered.largest
+    excess_count = max(min(int(share * ordered.size), largest.size - 1), 0)
     if excess_count < FEWEST:
         raise NoTailError(
             f"{ordered.size} runs have {excess_count} in their tail of {100 * share:g} %; "
             f"at least {FEWEST} are needed, so {math.ceil(FEWEST / share)} runs"
         )
-    if not np.isfinite(ordered[-1]):
+    if not np.isfinite(largest[-1]):
         raise NoTailError(
             "some runs have no finite value (they did not stop), so the law of the longest is "
             "unknown; raise duration_max_s until all runs stop"
         )
-    threshold = ordered[-excess_count - 1]
-    excesses = ordered[-excess_count:] - threshold
+    threshold = largest[-excess_count - 1]
+    excesses = largest[-excess_count:] - threshold
     if not excesses[0] > 0.0 or np.unique(excesses).size < FEWEST:
         raise NoTailError(
             "many of the longest runs have the same value, so the law of the tail is not "
@@ -267,15 +271,21 @@ class Stability(NamedTuple):
     estimate: float
 
 
-def stability(values: np.ndarray, exceeded_share: float) -> list[Stability]:
+def stability(values: np.ndarray | draws.Draws, exceeded_share: float) -> list[Stability]:
     """Return the fits above several thresholds; their values agree if the law [T1] holds.
 
-    Thresholds at which there is no fit are left out.
+    Thresholds at which there is no fit are left out, and so are those below the draws that are
+    kept.
     """
+    ordered = draws.of(values)
+    kept_share = (ordered.largest.size - 1) / ordered.size
+    middle = min(SHARE, kept_share)
     found = []
-    for share in (2.0 * SHARE, SHARE, 0.5 * SHARE):
+    for share in (2.0 * middle, middle, 0.5 * middle):
+        if share > kept_share:
+            continue
         try:
-            tail = fit(values, share)
+            tail = fit(ordered, share)
         except NoTailError:
             continue
         estimate = tail.threshold + excess(tail, exceeded_share)

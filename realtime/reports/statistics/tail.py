@@ -8,18 +8,21 @@ import pyarrow as pa
 from matplotlib.figure import Figure
 
 from rollerrig.realtime.campaign import campaign, design, stopping
-from rollerrig.realtime.campaign.statistics import drivers, tail
+from rollerrig.realtime.campaign.outcome import Outcome
+from rollerrig.realtime.campaign.statistics import draws, drivers, tail
 from rollerrig.realtime.reports import page
 
 # shares that the curve of the law is drawn for
 _CURVE = 60
+# draws that a picture shows
+_POINTS = 5_000
 
 
-def parts(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
+def parts(plan: campaign.Plan, outcome: Outcome) -> list[page.Markup]:
     """Return the part of the page; it is empty for a matrix, which is not a sample."""
     if plan.head["design"] == design.MATRIX:
         return []
-    return [*_inputs(plan), *_indices(plan, table), *_tail(plan, table)]
+    return [*_inputs(plan), *_indices(plan, outcome.rows), *_tail(plan, outcome.distance_m)]
 
 
 def _inputs(plan: campaign.Plan) -> list[page.Markup]:
@@ -72,12 +75,19 @@ def _interval(estimate: drivers.Estimate) -> str:
     return f"{estimate.low:.3f} to {estimate.high:.3f}"
 
 
-def _tail(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
+def shown_ranks(size: int) -> np.ndarray:
+    """Return the ranks of the draws that a curve shows: all, or more of the largest ones."""
+    if size <= _POINTS:
+        return np.arange(1, size + 1)
+    from_largest = np.unique(np.geomspace(1.0, size, _POINTS).astype(np.int64))
+    return size + 1 - from_largest[::-1]
+
+
+def _tail(plan: campaign.Plan, distance_m: draws.Draws) -> list[page.Markup]:
     """Return the extrapolation of the longest stops, or why there is none."""
-    _, distance_m = stopping.counted(table)
     if distance_m.size < stopping.FEWEST:
         return []
-    found = stopping.extrapolation(plan, table)
+    found = stopping.extrapolation(plan, distance_m)
     title = page.element("h2", "Stops longer than those of this campaign")
     if found.law is None:
         return [title, page.paragraph(f"No extrapolation: {found.reason}.", kind="note")]
@@ -85,7 +95,7 @@ def _tail(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
     return [
         title,
         page.paragraph(
-            f"A generalised Pareto law for the longest {100 * law.share:g} % ({law.excesses.size} "
+            f"A generalised Pareto law for the longest {100 * law.share:.3g} % ({law.excesses.size} "
             f"runs above {law.threshold:.1f} m): shape {law.shape:+.3f}, scale {law.scale:.2f} m. "
             "Intervals of 95 % from the profile likelihood. They hold if the tail follows this law, "
             "which no sample can prove; they do not include errors of the plant or of the laws of "
@@ -123,15 +133,16 @@ def _tail(plan: campaign.Plan, table: pa.Table) -> list[page.Markup]:
     ]
 
 
-def _draw(drawn: Figure, found: stopping.Extrapolation, distance_m: np.ndarray) -> None:
+def _draw(drawn: Figure, found: stopping.Extrapolation, distance_m: draws.Draws) -> None:
     """Draw the share of the runs that go further, the law of the tail, and its intervals."""
     law = found.law
     if law is None:
         return
-    ordered_m = np.sort(distance_m)
-    share = 1.0 - (np.arange(1, ordered_m.size + 1) - 0.5) / ordered_m.size
+    ranks = shown_ranks(distance_m.size)
+    values_m = [distance_m.at(rank) for rank in ranks.tolist()]
+    share = 1.0 - (ranks - 0.5) / distance_m.size
     plot = drawn.subplots()
-    plot.plot(ordered_m, share, ".", markersize=3, label="runs")
+    plot.plot(values_m, share, ".", markersize=3, label="runs")
 
     lowest = math.log10(stopping.EXCEEDED[-1])
     shares = np.logspace(math.log10(law.share), lowest, _CURVE)

@@ -10,7 +10,7 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 from rollerrig.realtime.campaign import campaign, etcs, speed_steps
-from rollerrig.realtime.campaign.statistics import corrections
+from rollerrig.realtime.campaign.statistics import corrections, draws
 
 CAMPAIGNS = 200
 RUNS = 3000
@@ -57,7 +57,7 @@ def test_intervals_of_kwet_rst_hold_the_true_ratio_in_93_to_97_of_100():
     for _ in range(tries):
         dry = rng.normal(1.1, 0.06, 200)
         wet = rng.gamma(20.0, 0.7 / 20.0, 150)
-        found = corrections.wet_ratio(wet, dry)
+        found = corrections.wet_ratio(draws.moments(wet), draws.moments(dry))
         covered += found.low <= 0.7 / 1.1 <= found.high
     assert 0.93 <= covered / tries <= 0.97
 

@@ -1,0 +1,103 @@
+"""What a campaign has found, for its report: from all rows, or from what a large one keeps."""
+
+from collections import Counter
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.campaign import campaign, large, stopping
+from rollerrig.realtime.campaign.statistics import draws
+from rollerrig.realtime.record import figures
+
+QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
+
+
+class Outcome(NamedTuple):
+    """The results of a campaign.
+
+    runs, failed, not_valid: numbers of runs.
+    rows: the rows that pictures and correlations are made of: all, or the first ones.
+    longest: rows in which the worst runs are.
+    invalid: rows of runs that failed or are not valid: all, or the first ones.
+    distance_m: order statistics of the stopping distance of the runs that count.
+    uncounted, not_stopped: numbers of runs that do not count, and that count as inf.
+    quantiles: (figure, its values at QUANTILES); figures that no run has are left out.
+    warnings: what was planned but did not happen, with the number of its runs.
+    """
+
+    runs: int
+    failed: int
+    not_valid: int
+    rows: pa.Table
+    longest: pa.Table
+    invalid: pa.Table
+    distance_m: draws.Draws
+    uncounted: int
+    not_stopped: int
+    quantiles: list[tuple[str, list[float]]]
+    warnings: dict[str, int]
+
+    @property
+    def has_all_rows(self) -> bool:
+        """Whether `rows` has all runs."""
+        return self.rows.num_rows == self.runs
+
+
+def read(plan: campaign.Plan, out: Path) -> Outcome:
+    """Return the results in a folder. Raises ConfigError if there are none."""
+    if not plan.is_large:
+        return of_rows(campaign.result(out))
+    kept = large.read(large.tails_of(plan), out)
+    if kept.whole.first is None:
+        raise ConfigError(f"{out}: no results; repeat its 'rollerrig campaign'")
+    return of_kept(kept)
+
+
+def of_rows(table: pa.Table) -> Outcome:
+    """Return the results in the rows of all runs."""
+    counts, distance_m = stopping.counted(table)
+    quantiles = []
+    for name in figures.BY_NAME:
+        values = table[name].to_numpy().astype(float)
+        known = values[np.isfinite(values)]
+        if known.size:
+            quantiles.append((name, np.quantile(known, QUANTILES).tolist()))
+    return Outcome(
+        runs=table.num_rows,
+        failed=table.num_rows - table["error"].null_count,
+        not_valid=table.num_rows - table["invalid_because"].null_count,
+        rows=table,
+        longest=table,
+        invalid=table,
+        distance_m=draws.of(distance_m),
+        uncounted=int((~counts).sum()),
+        not_stopped=int(np.isinf(distance_m).sum()),
+        quantiles=quantiles,
+        warnings=dict(Counter(text for text in table["warnings"].to_pylist() if text)),
+    )
+
+
+def of_kept(kept: large.Kept) -> Outcome:
+    """Return the results of a large campaign."""
+    whole = kept.whole
+    quantiles = []
+    for name in figures.BY_NAME:
+        values = kept.quantiles(name, QUANTILES)
+        if values:
+            quantiles.append((name, values))
+    return Outcome(
+        runs=whole.runs,
+        failed=whole.failed,
+        not_valid=whole.not_valid,
+        rows=whole.first,
+        longest=whole.tails.get(large.DISTANCE, whole.first),
+        invalid=whole.invalid,
+        distance_m=kept.draws(large.DISTANCE),
+        uncounted=whole.runs - whole.counted,
+        not_stopped=whole.not_stopped,
+        quantiles=quantiles,
+        warnings=whole.warnings,
+    )
