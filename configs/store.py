@@ -19,6 +19,7 @@ _SINGULAR = {
     "campaigns": "campaign",
     "criteria": "profile of criteria",
     "models": "extended model",
+    "programmes": "test programme",
     "rigs": "rig",
     "scenarios": "scenario",
     "sequences": "sequence",

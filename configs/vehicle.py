@@ -46,6 +46,16 @@ def axles_of_group(group: int) -> int:
     return min(AXLES - AXLES_OF_GROUP * group, AXLES_OF_GROUP)
 
 
+def wheelsets_of(place: int) -> range:
+    """Return the wheelsets, counted from 1, of a place: n wheelset n, -n bogie n, 0 all."""
+    if place > 0:
+        return range(place, place + 1)
+    if place < 0:
+        last = -place * AXLES_OF_BOGIE
+        return range(last - AXLES_OF_BOGIE + 1, last + 1)
+    return range(1, AXLES + 1)
+
+
 def check_axles(axles: Any, where: str) -> None:
     """Check the number of axles of a vehicle.
 

@@ -16,9 +16,10 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.panel import Panel, Series
+from rollerrig.realtime.reports.cause_sentences import place_in_words
 from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED
 from rollerrig.rig.identify.causes.candidates import Explanation
-from rollerrig.rig.identify.causes.courses import covariate, vehicle_samples
+from rollerrig.rig.identify.causes.courses import covariate, of_axle, vehicle_samples
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import gain
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
@@ -177,13 +178,13 @@ def cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> Panel:
     # a cause on one axle shows there; a cause on all axles is shown together
     on = np.full(x.size, True)
     if axle and not is_of_vehicle:
-        on = np.repeat(design.axle, np.diff(design.start)) == axle - 1
+        on = of_axle(design, axle) > 0.0
     edges = _edges(x[on])
     points = binned(x[on], left_without[on], block[on], edges)
     law = binned(x[on], (left_without - left_with)[on], block[on], edges)
 
     return Panel(
-        title=mechanism.text + (f", axle {axle}" if axle else ""),
+        title=mechanism.text + (f", {place_in_words(axle)}" if axle else ""),
         x_label=_TITLES[name],
         y_label="error of the speed 5 s ahead, m/s" if is_of_vehicle else "adhesion",
         series=(

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.realtime.pictures.panel import Panel
 from rollerrig.realtime.reports import cause_pictures as pictures
 from rollerrig.realtime.reports import cause_sentences as sentences
@@ -165,7 +166,7 @@ def _cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> dict[str, Any]:
     ]
     return {
         "name": cause.name,
-        "axles": [cause.axle] if cause.axle else None,
+        "axles": list(wheelsets_of(cause.axle)) if cause.axle else None,
         "parameters": {name: _estimate(found) for name, found in parameters.items()},
         "evidence": {
             "likelihood": identified.likelihood_ratio,

@@ -6,9 +6,11 @@ The words for causes come from the table of mechanisms.
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.realtime.reports.hints import first_screen, sizes
 from rollerrig.rig.identify.decide import decision, estimates, evidence, thresholds
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.coherence import Contradicted, Contradiction
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
 from rollerrig.rig.identify.decide.estimates import Estimate
@@ -19,6 +21,7 @@ from rollerrig.rig.mechanisms.mechanism import ALONE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 MOST_COVARIATES_SHOWN = 3
+MOST_RUNS_SHOWN = 3
 
 # subject and verb of a sentence, for the causes with `unknown_in_other_runs`
 UNKNOWN_SHAPES = {
@@ -49,6 +52,14 @@ def covariate_of(test: ScoreTest) -> str:
     """
     covariate = test.name.removeprefix("along ")
     return covariate.replace("one axle", f"axle {test.axle}")
+
+
+def place_in_words(axle: int) -> str:
+    """Return where a cause acts: a wheelset, a bogie, or all wheelsets."""
+    if axle < 0:
+        wheelsets = " and ".join(str(wheelset) for wheelset in wheelsets_of(axle))
+        return f"bogie {-axle} (wheelsets {wheelsets})"
+    return f"wheelset {axle}" if axle else "all wheelsets"
 
 
 def worst_covariates(diagnosis: Diagnosis) -> list[str]:
@@ -123,8 +134,43 @@ def note_sentence(note: Note) -> str:
                 f"{number(100.0 * note.share, 2)} %, inside your {number(100.0 * note.tolerance, 2)} % "
                 "(calibration_fraction)"
             )
+        case NoteCode.NO_TRIGGER | NoteCode.OTHER_PLACES | NoteCode.OTHER_FORCE:
+            assert note.contradicted is not None
+            return _contradicted_sentence(note.contradicted)
+        case NoteCode.TWO_FORCES:
+            return (
+                f"{causes} together leave a remainder along {remainder}: they are two wrong forms of "
+                "one force, and are not reported as causes"
+            )
         case NoteCode.SMALL_REMAINDER:
             return f"a small remainder is left along {remainder}"
+
+
+def _contradicted_sentence(contradicted: Contradicted) -> str:
+    """Return the sentence on a cause that does not show what its mechanism demands."""
+    name = contradicted.cause.name
+    size = sizes.in_words(name, contradicted.cause.values[0])
+    if contradicted.what is Contradiction.OTHER_FORCE:
+        return (
+            f"{size} ({name}) would fit the wheels or the vehicle, but not both: one torque would slow "
+            "both, so it is not reported as a cause"
+        )
+    unit_of_window = "s" if contradicted.what is Contradiction.NO_TRIGGER else "m"
+    spans = [
+        f"from {number(max(window.start, 0.0))} to {number(window.end)} {unit_of_window} in run {window.run}"
+        for window in contradicted.windows[:MOST_RUNS_SHOWN]
+    ]
+    more = len(contradicted.windows) - len(spans)
+    where = ", ".join(spans) + (f" and in {more} more runs" if more else "")
+    if contradicted.what is Contradiction.NO_TRIGGER:
+        return (
+            f"something raises friction {where}; it follows neither the brake, nor a slide, nor a "
+            "speed, so it is not reported as sanding"
+        )
+    return (
+        f"something lowers friction {where}, but its place differs from run to run, so it is not "
+        "reported as a patch of the rail"
+    )
 
 
 # --- remainder, and rejected causes ---
@@ -212,6 +258,7 @@ def story(diagnosis: Diagnosis) -> list[str]:
         lines += _cause_sentences(identified)
     if diagnosis.verdict == Verdict.PARTLY:
         left = remainder(diagnosis)
+    if diagnosis.verdict == Verdict.PARTLY and left.against:
         lines.append(
             f"A remainder is left along {', '.join(left.against)}: {left.share:.0%} of the evidence. "
             "No further cause of the library explains it."
@@ -259,7 +306,7 @@ def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
         runs = "1 run" if len(of_runs) == 1 else f"{len(of_runs)} runs"
         values.append(f"{kind} = {span} in {runs} (each is in report.json)")
 
-    place = f" on wheelset {cause.axle}" if cause.axle else ""
+    place = f" on {place_in_words(cause.axle)}" if cause.axle else ""
     if cause.shape.get(ALONE.name):
         place += ", only in the friction of the contaminant"
     yield f"Cause: {row.text}{place} [{row.name}]; {', '.join(values)}."

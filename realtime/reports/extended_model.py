@@ -85,7 +85,7 @@ def _of_recording(identified: IdentifiedCause) -> list[str]:
     cause = identified.cause
     parameters = estimates.parameters(identified)
     values = ", ".join(f"{name} = {found.value:.4g}" for name, found in parameters.items())
-    place = f" of axle {cause.axle}" if cause.axle else ""
+    place = f" of {cause_sentences.place_in_words(cause.axle)}" if cause.axle else ""
     lines = [f"# in the recording, not in the plant: {cause.name}{place}, {values}"]
     if cause.name != "speed_sensor_delay":
         return lines

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE, wheelsets_of
 from rollerrig.rig.compiled.generated import Term, conditional_sum, selection
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.mechanisms import constants, friction
@@ -108,7 +108,7 @@ def _of_axles(m: Mapping[str, Any], name: str, key: str) -> np.ndarray:
     """Return the value of a key on each axle, shape (4,); 0 on an axle without the mechanism."""
     values = np.zeros(AXLES)
     for axle in range(AXLES):
-        if m[f"{name}_axle"] in (0, axle + 1):
+        if axle + 1 in wheelsets_of(int(m[f"{name}_axle"])):
             values[axle] = m[key]
     return values
 
@@ -138,7 +138,10 @@ def _term(mechanism: Mechanism) -> Term:
         alone = f"values[{PLACE[f'{mechanism.name}_{ALONE.name}']}]"
         condition += f" and not (clean and {alone} != 0.0)"
     elif mechanism.axlewise:
-        condition += f" and values[{PLACE[f'{mechanism.name}_axle']}] in (0.0, axle + 1.0)"
+        # all wheelsets, this one, or those of its bogie
+        place = f"values[{PLACE[f'{mechanism.name}_axle']}]"
+        bogie = f"-1.0 - axle // {AXLES_OF_BOGIE}"
+        condition += f" and {place} in (0.0, axle + 1.0, {bogie})"
     increment = f"{size} * {course}"
     if mechanism.share:
         increment = f"value * {increment}"

@@ -159,7 +159,9 @@ def row_of(
     )
 
 
-AXLE = number("axle", 0, 8, "wheelset it acts on, counted from 1; 0: all")
+AXLE = number(
+    "axle", -4, 8, "wheelset it acts on, counted from 1; 0: all; -1: those of the first bogie, ..."
+)
 # 1: the mechanism acts on the degraded friction alone, 0: on the recovered friction too
 ALONE = number("contaminant_alone", 0.0, 1.0, "-")
 

@@ -15,7 +15,7 @@ Limit: the shapes are the simplest ones, without further justification.
 """
 
 from rollerrig.configs.table import Row
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE
 from rollerrig.rig.mechanisms import constants, elsewhere, friction, torque
 from rollerrig.rig.mechanisms.mechanism import AXLE, SENSOR, Mechanism
 
@@ -32,6 +32,9 @@ def rows() -> tuple[Row, ...]:
     found = []
     for mechanism in IN_PLANT:
         for row in mechanism.parameters:
-            highest = AXLES if row.name == AXLE.name else row.high
-            found.append(row._replace(name=f"{mechanism.name}_{row.name}", high=highest))
+            low, high = row.low, row.high
+            if row.name == AXLE.name:
+                low, high = -float(AXLES // AXLES_OF_BOGIE), float(AXLES)
+            name = f"{mechanism.name}_{row.name}"
+            found.append(row._replace(name=name, low=low, high=high))
     return tuple(found)

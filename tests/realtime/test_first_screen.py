@@ -228,3 +228,14 @@ def test_a_wrong_brake_shows_its_gain_although_a_wrong_mass_would_hide_it() -> N
     assert measured.metric == gain.FREE_RUN
     assert measured.claimed
     assert measured.reduction > 0.8
+
+
+@pytest.mark.parametrize("fraction", [0.003, -0.005])
+def test_a_brake_that_is_off_by_no_more_than_its_calibration_gains_nothing(fraction: float) -> None:
+    brake = diagnosis(Cause("brake_gain", 0, {}, (fraction,)))
+    assert abs(fraction) < gain.TOLERANCES * brake.design.calibration
+    design = brake.design._replace(torque_Nm=brake.design.torque_Nm / (1.0 + fraction))
+    measured = gain.measure(design, brake.base, brake.final, 0)
+    assert measured.metric == gain.FREE_RUN
+    assert abs(measured.reduction) < 0.05
+    assert not measured.claimed

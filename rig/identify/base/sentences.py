@@ -107,9 +107,10 @@ def _channels_equal(finding: Finding) -> str:
 
 def _axles_reversed(finding: Finding) -> str:
     return (
-        f"braking moves load to wheelsets 3 and 4 ({finding.measured:.2g} of mass times deceleration), "
-        "so the wheelsets are counted from the rear: number the columns from the leading wheelset "
-        "in the direction of travel; if only the loads are wrong, exchange these"
+        "braking moves load to the rear half of the wheelsets "
+        f"({finding.measured:.2g} of mass times deceleration), so the wheelsets are counted from the "
+        "rear: number the columns from the leading wheelset in the direction of travel; if only the "
+        "loads are wrong, exchange these"
     )
 
 

@@ -29,7 +29,7 @@ class Cause(NamedTuple):
     """A cause in a shape, with its coefficients."""
 
     name: str
-    axle: int  # 0: all wheelsets alike
+    axle: int  # wheelset, -n: bogie n, 0: all wheelsets alike
     shape: Shape
     values: tuple[float, ...]  # coefficients, in the order of the cause's columns
 
@@ -110,7 +110,7 @@ def _with_cause(design: Design, i: Inputs, cause: Cause) -> Inputs:
         return i._replace(force_N=i.force_N + force_N)
     if mechanism.constants is not None:
         changed = changed_parameters(i.parameters, row, cause.shape, value)
-        acts = _segments_of_axle(design, cause.axle)
+        acts = courses.acts_on(design, cause.axle)
         return i._replace(parameters=np.where(acts[:, None], changed, i.parameters))
     if cause.name == "adhesion_memory":
         return _with_memory(i, cause.shape, value)
@@ -120,11 +120,6 @@ def _with_cause(design: Design, i: Inputs, cause: Cause) -> Inputs:
     if cause.name == "speed_sensor_delay":
         return _with_late_speed(design, i, cause.axle, value)
     return _with_courses(design, i, cause)
-
-
-def _segments_of_axle(design: Design, axle: int) -> np.ndarray:
-    """Return for each segment whether it is of this wheelset; 0 means all, shape (segments,)."""
-    return (design.axle == axle - 1) | (axle == 0)
 
 
 def _with_memory(i: Inputs, shape: Shape, length_m: float) -> Inputs:
@@ -142,7 +137,7 @@ def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inp
     The inputs of the wheel are shifted by the same time.
     The vehicle is measured in time, so its force balance keeps the torque that is not shifted.
     """
-    by_s = np.where(_segments_of_axle(design, axle), -late_s, 0.0)
+    by_s = np.where(courses.acts_on(design, axle), -late_s, 0.0)
     torque_Nm = shifted(design, i.torque_Nm, by_s)
     missing_N = (i.torque_Nm - torque_Nm) / i.parameters[0, parameters.RADIUS]
     on_vehicles_N = np.concatenate(

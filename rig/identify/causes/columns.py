@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.rig.identify.causes import candidates, courses, table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.causes.courses import of_run, vehicle_samples
@@ -58,7 +59,7 @@ class Column(NamedTuple):
 
 
 class Variant(NamedTuple):
-    """A cause in one shape on an axle (0: all), and the numbers of its columns."""
+    """A cause in one shape on an axle (0: all, -n: bogie n), and the numbers of its columns."""
 
     cause: str
     columns: tuple[int, ...]
@@ -129,13 +130,13 @@ class _Writer:
     ) -> int:
         """Add a column of a course and return its number.
 
-        It acts on one axle (0: all) of one run (None: all).
+        It acts on one axle (0: all, -n: bogie n) of one run (None: all).
         """
         design = self.design
         number = len(self.columns)
         if vehicle is not None:
             self.vehicle[number] = vehicle.astype(np.float32)
-        acts = (design.axle == axle - 1) | (axle == 0)
+        acts = courses.acts_on(design, axle)
         if run is not None:
             acts = acts & (design.run == run)
         self.course_of.append(course)
@@ -200,11 +201,11 @@ def time_derivative(design: Design, values: np.ndarray) -> np.ndarray:
 
 
 def sum_of_wheelsets(design: Design, values: np.ndarray, axle: int = 0) -> np.ndarray:
-    """Return the sum over the wheelsets (or the value of one axle), shape (vehicle samples,)."""
-    axles = range(AXLES) if axle == 0 else (axle - 1,)
+    """Return the sum over wheelsets (`wheelsets_of`: all by default), shape (vehicle samples,)."""
+    axles = wheelsets_of(axle)
     sums = []
     for run in range(design.mass_kg.size):
-        sums.append(sum(values[design.span(AXLES * run + j)] for j in axles))
+        sums.append(sum(values[design.span(AXLES * run + j - 1)] for j in axles))
     return np.concatenate(sums)
 
 

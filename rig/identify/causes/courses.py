@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import AXLES, wheelsets_of
 from rollerrig.rig.compiled.generated import elementwise
 from rollerrig.rig.identify.causes.table import BY_NAME, Shape
 from rollerrig.rig.identify.data.preparation import Design
@@ -89,9 +89,17 @@ def _empirical(design: Design, shape: Shape) -> list[np.ndarray]:
     ]
 
 
+def acts_on(design: Design, axle: int) -> np.ndarray:
+    """Return for each segment whether it is of this wheelset, shape (segments,).
+
+    0 means all wheelsets, -n those of bogie n (`configs.vehicle.wheelsets_of`).
+    """
+    return np.isin(design.axle + 1, wheelsets_of(axle))
+
+
 def of_axle(design: Design, axle: int) -> np.ndarray:
-    """Return 1 on the samples of a wheelset and 0 elsewhere, shape (n,); 0 means all wheelsets."""
-    return np.repeat(((design.axle == axle - 1) | (axle == 0)).astype(float), np.diff(design.start))
+    """Return 1 on the samples of the wheelsets of `acts_on` and 0 elsewhere, shape (n,)."""
+    return np.repeat(acts_on(design, axle).astype(float), np.diff(design.start))
 
 
 def of_run(design: Design, run: int) -> np.ndarray:

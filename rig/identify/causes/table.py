@@ -9,6 +9,7 @@ causes have their columns in `columns`.
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.rig.mechanisms.mechanism import Mechanism
 
@@ -39,8 +40,14 @@ class Search(NamedTuple):
     # the cause is searched for on single wheelsets only
     single_axles_only: bool = False
 
+    # the cause is searched for on the wheelsets of each bogie too
+    on_bogies: bool = False
+
     # a shape parameter that is fitted as cosine and sine, separately for each run
     phase: str = ""
+
+    # causes that differ from this one only in how their effect depends on load
+    alike_at_one_load: tuple[str, ...] = ()
 
     # above 0: the cause acts in a window, which is searched for in bins; this is the first step, in
     # m or s, by which its edges are then moved
@@ -63,12 +70,14 @@ class Search(NamedTuple):
 
     @property
     def axles(self) -> tuple[int, ...]:
-        """The wheelsets on which the cause is searched for; 0 means all of them alike."""
+        """The places on which the cause is searched for, as in `configs.vehicle.wheelsets_of`."""
         if not self.mechanism.axlewise:
             return (0,)
+        single = tuple(range(1, AXLES + 1))
         if self.single_axles_only:
-            return (1, 2, 3, 4)
-        return (0, 1, 2, 3, 4)
+            return single
+        bogies = tuple(range(-1, -AXLES // AXLES_OF_BOGIE - 1, -1)) if self.on_bogies else ()
+        return (0, *single, *bogies)
 
 
 def _shapes(key: str, *values: float) -> tuple[Shape, ...]:
@@ -113,8 +122,8 @@ TABLE = (
         floor=0.005,
         price=1,
     ),
-    Search("brake_gain"),
-    Search("torque_offset", shapes=_shapes("from_Nm", 0.0, 300.0)),
+    Search("brake_gain", on_bogies=True),
+    Search("torque_offset", shapes=_shapes("from_Nm", 0.0, 300.0), on_bogies=True),
     Search(
         "pad_fade",
         shapes=_shapes("heat_MJ", 0.0, 3.0),
@@ -133,8 +142,13 @@ TABLE = (
         remainder_along=("vehicle speed",),
     ),
     Search("track_gradient"),
-    Search("roller_curvature", floor=0.02),
-    Search("interfacial_layer", shapes=_shapes("whole", 0.0, 1.0), floor=0.03),
+    Search("roller_curvature", floor=0.02, alike_at_one_load=("interfacial_layer",)),
+    Search(
+        "interfacial_layer",
+        shapes=_shapes("whole", 0.0, 1.0),
+        floor=0.03,
+        alike_at_one_load=("roller_curvature",),
+    ),
     Search(
         "falling_friction",
         shapes=(

@@ -16,17 +16,19 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import AXLES, wheelsets_of
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import (
+    coherence,
     evidence,
     fitting,
     null_simulations,
     shapes,
     thresholds,
 )
+from rollerrig.rig.identify.decide.coherence import Contradicted
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.null_simulations import Workspace
 from rollerrig.rig.identify.replay import sensitivity
@@ -78,6 +80,17 @@ class IdentifiedCause(NamedTuple):
         """The cause less the bias that null simulations show."""
         values = np.subtract(self.cause.values, self.score_test.bias)
         return fitting.within_bounds(self.cause._replace(values=tuple(values)))
+
+
+class CausesAndRemainder(NamedTuple):
+    """The causes that were found, and what they leave."""
+
+    explanation: Explanation
+    causes: list[IdentifiedCause]
+    # tests of the smooth functions with the causes in the model; None: stops simulated with the
+    # causes do not brake like the recording
+    remainder: list[ScoreTest] | None
+    rejected: Contradicted | None  # a second cause in a window that is no sand and no patch
 
 
 # --- fits ---
@@ -271,6 +284,7 @@ def choose(
 
     others = [(candidates[int(k)], ratios[k]) for k in order[1:]]
     rivals = _rivals(best, ratio, others)
+    alike = _alike_at_one_load(design, test.name)
     cause = best.explanation.causes[-1]
     first_coefficient = len(best.covariance) - len(cause.values)
     identified = IdentifiedCause(
@@ -279,7 +293,7 @@ def choose(
         likelihood_ratio=float(ratio),
         ratio_by_filter=tuple(drop.sum(axis=1)),
         deviation=_deviation(test, best.covariance, first_coefficient),
-        confusable=_confusable(rivals, design.form),
+        confusable=tuple(dict.fromkeys(_confusable(rivals, design.form) + alike)),
         rivals=rivals,
     )
     return best.explanation, [identified]
@@ -349,6 +363,15 @@ def _confusable(rivals: Sequence[Rival], form: float) -> tuple[str, ...]:
     )
 
 
+def _alike_at_one_load(design: Design, name: str) -> tuple[str, ...]:
+    """Return the causes that differ from a cause only by load, where the runs have about one."""
+    runs = range(design.mass_kg.size)
+    load_N = [float(design.by_axle(design.load_N, run).sum(axis=1).mean()) for run in runs]
+    if max(load_N) / min(load_N) - 1.0 > thresholds.LEAST_LOAD_DIFFERENCE:
+        return ()
+    return table.BY_NAME[name].alike_at_one_load
+
+
 def is_distinguishable(
     best: BlockwiseFit, other: BlockwiseFit, ratio: float, other_ratio: float
 ) -> bool:
@@ -373,17 +396,16 @@ def add_second_cause(
     causes: list[IdentifiedCause],
     candidates: list[Candidate],
     seed: int,
-) -> tuple[Explanation, list[IdentifiedCause], list[ScoreTest] | None]:
-    """Return the explanation with a second cause if there is one, the causes, and the remainder.
+) -> CausesAndRemainder:
+    """Return the explanation with a second cause if there is one, the causes, and what is left.
 
-    `causes` holds the first cause, `candidates` those among which it was chosen. The remainder is
-    the tests of the smooth functions with the causes in the model. It is None if stops simulated
-    with the causes do not brake like the recording.
+    `causes` holds the first cause, `candidates` those among which it was chosen.
 
     The first turn of the loop looks for a second cause. If there is one, the second turn only tests
     the remainder that both causes leave.
     """
     remainder: list[ScoreTest] = []
+    rejected: Contradicted | None = None
     for turn in range(thresholds.MOST_CAUSES):
         is_last_turn = turn + 1 == thresholds.MOST_CAUSES
         try:
@@ -395,17 +417,17 @@ def add_second_cause(
                 searches_windows=not is_last_turn,
             )
         except ConfigError:
-            return explanation, causes, None
+            return CausesAndRemainder(explanation, causes, None, rejected)
         remainder = [test for test in tests if evidence.is_smooth_function(test.name)]
         if len(causes) >= thresholds.MOST_CAUSES:
             break
 
-        explanation, causes = _try_second_cause(
+        explanation, causes, rejected = _try_second_cause(
             workspace, explanation, causes[0], candidates, tests
         )
         if len(causes) == 1:
             break
-    return explanation, causes, remainder
+    return CausesAndRemainder(explanation, causes, remainder, rejected)
 
 
 def _try_second_cause(
@@ -414,10 +436,11 @@ def _try_second_cause(
     first: IdentifiedCause,
     candidates: list[Candidate],
     tests: list[ScoreTest],
-) -> tuple[Explanation, list[IdentifiedCause]]:
-    """Return the explanation with a second cause, and both causes.
+) -> tuple[Explanation, list[IdentifiedCause], Contradicted | None]:
+    """Return the explanation with a second cause, both causes, and None.
 
-    If there is no second cause, return the explanation with the first cause alone, and that cause.
+    If there is no second cause, return the explanation with the first cause alone, that cause, and
+    a window that won enough and is contradicted, if there is one.
     `tests` are the score tests with the first cause in the model, `candidates` those among which
     the first cause was chosen.
     """
@@ -431,7 +454,7 @@ def _try_second_cause(
         # what the first cause wins by being fitted once more does not belong to the second
         explanation, deviance, _ = fitting.fit(design, explanation, 9)
         first = first._replace(cause=explanation.causes[0])
-    first_alone = (explanation, [first])
+    first_alone = (explanation, [first], None)
 
     # the second cause must win more than the first can lend to it
     better, more = choose(design, explanation, deviance, second_candidates)
@@ -447,6 +470,11 @@ def _try_second_cause(
     if net_ratio < thresholds.LEAST_RATIO_OF_SECOND:
         return first_alone
 
+    what = coherence.of_window(design, better, len(better.causes) - 1)
+    if what is not None:
+        rejected = coherence.contradicted(design, second.cause, net_ratio, what)
+        return explanation, [first], rejected
+
     # the first cause must still be needed, and may be replaced
     if not _are_both_needed(workspace, better, deviance):
         return first_alone
@@ -461,7 +489,7 @@ def _try_second_cause(
         return first_alone
 
     explanation, both = refine_scales(design, better, both)
-    return explanation, _without_each_other(both)
+    return explanation, _without_each_other(both), None
 
 
 def _test_with_causes(
@@ -524,7 +552,8 @@ def _filters_that_respond(test: ScoreTest) -> np.ndarray:
     acts_on = ""
     if test.name in table.BY_NAME:
         acts_on = table.BY_NAME[test.name].mechanism.acts_on
-    wheels = [acts_on != VEHICLE and test.axle in (0, axle) for axle in range(1, AXLES + 1)]
+    places = wheelsets_of(test.axle)
+    wheels = [acts_on != VEHICLE and axle in places for axle in range(1, AXLES + 1)]
     vehicle = acts_on not in (FRICTION, CONTACT, LOAD)
     return np.array([*wheels, vehicle], dtype=float)
 
@@ -544,7 +573,7 @@ def _net_likelihood(
         # All wheelsets share one friction level and one recovery, so an error on one wheelset moves
         # the others. Their filters are therefore summed: columns are now wheelsets, and vehicle.
         ratios = np.add.reduceat(ratios, [0, AXLES], axis=1)
-        if second.axle:
+        if second.axle > 0:
             share = thresholds.LENT_SHARE_TO_ONE_AXLE
     of_second, of_first = ratios
     lent = np.minimum(of_second, share * of_first).clip(0.0)
@@ -608,7 +637,8 @@ def _choose_first_again(
         (Candidate(other.test, fits[k]), ratios[k]) for k, other in enumerate(others) if k != top
     ]
     rivals = _rivals(fits[top], ratios[top], losers)
-    confusable = _confusable(rivals, workspace.design.form)
+    alike = _alike_at_one_load(workspace.design, others[top].test.name)
+    confusable = tuple(dict.fromkeys(_confusable(rivals, workspace.design.form) + alike))
     if top == place_of_first:
         # those from the first choice stay; each name once, in order
         all_confusable = tuple(dict.fromkeys(first.confusable + confusable))

@@ -7,6 +7,7 @@ in the null simulations.
 """
 
 import time
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -20,6 +21,7 @@ from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import (
     choice,
+    coherence,
     empirical,
     evidence,
     fitting,
@@ -29,14 +31,15 @@ from rollerrig.rig.identify.decide import (
     stopping,
     thresholds,
 )
-from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.choice import Candidate, IdentifiedCause
+from rollerrig.rig.identify.decide.coherence import Contradicted, Contradiction
 from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
 from rollerrig.rig.identify.decide.null_simulations import Workspace
 from rollerrig.rig.identify.replay import sensitivity
-from rollerrig.rig.mechanisms.mechanism import TORQUE
+from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 
 _MEDIAN_OF_CHI_SQUARED = 0.455  # of one degree of freedom
 
@@ -78,6 +81,7 @@ class _Search(NamedTuple):
     score_tests: list[ScoreTest]  # of the base
     remainder: list[ScoreTest] | None  # None: the causes do not brake like the recording
     smoother_base: Explanation  # the base with the irregularity that the best cause leaves
+    contradicted: tuple[Contradicted, ...] = ()  # causes that won enough and are another effect
 
 
 def explain_braking_runs(
@@ -111,7 +115,17 @@ def explain_braking_runs(
         can_judge_gain = not any(note.code is NoteCode.GAIN_NOT_JUDGED for note in notes)
         if held_out is not None and search.causes and can_judge_gain:
             measured_gain = gain.measure(held_out, base, search.explanation, seed, fitted=design)
-        verdict, more_notes = decide_verdict(search.causes, search.remainder, measured_gain)
+        contradicted = search.contradicted
+        at = coherence.of_forces(design, search.explanation)
+        if at is not None:
+            found = search.causes[at]
+            force = coherence.contradicted(
+                design, found.cause, found.likelihood_ratio, Contradiction.OTHER_FORCE
+            )
+            contradicted = (*contradicted, force)
+        verdict, more_notes = decide_verdict(
+            search.causes, search.remainder, measured_gain, contradicted
+        )
         notes += more_notes
         if verdict == Verdict.CONSISTENT:
             goodness.check_fit(design, base)
@@ -189,15 +203,13 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
         workspace, base, tests, thresholds.MOST_FITTED, ready=promising_fits
     )
     fitted = choice.add_ready_fits(base_deviance, fitted, promising_fits, normal, nulls)
-    explanation, causes = choice.choose(design, base, base_deviance, fitted)
-    explanation, causes = choice.refine_scales(design, explanation, causes)
+    explanation, causes, rejected = _choose_coherent(design, base_fit, fitted)
 
     # a second cause, and the remainder
     remainder: list[ScoreTest] | None = _smooth_functions(tests)
     if causes:
-        explanation, causes, remainder = choice.add_second_cause(
-            workspace, explanation, causes, fitted, seed
-        )
+        found = choice.add_second_cause(workspace, explanation, causes, fitted, seed)
+        explanation, causes, remainder, rejected = found
     unbiased = tuple(identified.unbiased for identified in causes)
     return _Search(
         explanation=explanation._replace(causes=unbiased),
@@ -205,7 +217,37 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
         score_tests=tests,
         remainder=remainder,
         smoother_base=smoother_base,
+        contradicted=() if rejected is None else (rejected,),
     )
+
+
+def _choose_coherent(
+    design: Design, base_fit: fitting.Fit, fitted: list[Candidate]
+) -> tuple[Explanation, list[IdentifiedCause], Contradicted | None]:
+    """Return the explanation with the most likely cause, that cause, and None.
+
+    If the most likely cause is sand without a trigger or a patch at several places, another cause
+    takes its place only if it is nearly as likely. Else no cause is returned, and the contradicted
+    one is.
+    """
+    base = base_fit.explanation
+    explanation, causes = choice.choose(design, base, base_fit.deviance, fitted)
+    explanation, causes = choice.refine_scales(design, explanation, causes)
+    if not causes:
+        return explanation, causes, None
+    first = causes[0]
+    what = coherence.of_window(design, explanation, 0)
+    if what is None:
+        return explanation, causes, None
+
+    others = [one for one in fitted if one.test.name != first.cause.name]
+    explanation, causes = choice.choose(design, base, base_fit.deviance, others)
+    explanation, causes = choice.refine_scales(design, explanation, causes)
+    least = thresholds.CLEARLY_LESS_SHARE * first.likelihood_ratio
+    is_near = bool(causes) and causes[0].likelihood_ratio > least
+    if is_near and coherence.of_window(design, explanation, 0) is None:
+        return explanation, causes, None
+    return base, [], coherence.contradicted(design, first.cause, first.likelihood_ratio, what)
 
 
 def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[Note]]:
@@ -255,9 +297,40 @@ def _notes_on_gain(held_out: Design | None, causes: list[IdentifiedCause]) -> li
 
 
 def decide_verdict(
+    causes: list[IdentifiedCause],
+    remainder: list[ScoreTest] | None,
+    measured_gain: Gain | None,
+    contradicted: Sequence[Contradicted] = (),
+) -> tuple[Verdict, list[Note]]:
+    """Return the verdict on some causes, by what they leave and gain, with its notes.
+
+    `contradicted` are causes that won enough and are another effect (`coherence`).
+    """
+    verdict, notes = _verdict_on(causes, remainder, measured_gain)
+    notes += [_note_on(one) for one in contradicted]
+    if not contradicted or verdict == Verdict.UNEXPLAINED:
+        return verdict, notes
+    if any(one.what is Contradiction.OTHER_FORCE for one in contradicted) or not causes:
+        return Verdict.UNEXPLAINED, notes
+
+    # what was no second cause is a remainder
+    ratio = sum(identified.likelihood_ratio for identified in causes)
+    share = max(one.likelihood_ratio for one in contradicted) / ratio
+    if share > thresholds.PARTLY_SHARE:
+        return Verdict.UNEXPLAINED, notes
+    return (Verdict.PARTLY if share > thresholds.REMAINDER_SHARE else verdict), notes
+
+
+def _note_on(contradicted: Contradicted) -> Note:
+    """Return the note on a cause that is another effect."""
+    code = NoteCode[contradicted.what.name]
+    return Note(code, causes=(contradicted.cause.name,), contradicted=contradicted)
+
+
+def _verdict_on(
     causes: list[IdentifiedCause], remainder: list[ScoreTest] | None, measured_gain: Gain | None
 ) -> tuple[Verdict, list[Note]]:
-    """Return the verdict on some causes, by what they leave and gain, with its notes."""
+    """Return the verdict on some causes, as if nothing contradicted them, with its notes."""
     names = tuple(identified.score_test.name for identified in causes)
     if remainder is None:
         return Verdict.UNEXPLAINED, [Note(NoteCode.NOT_LIKE_RECORDING, causes=names)]
@@ -265,13 +338,19 @@ def decide_verdict(
     left = [test for test in remainder if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)]
     if not causes:
         return (Verdict.UNEXPLAINED if left else Verdict.CONSISTENT), []
+    if left and len(causes) > 1 and all(_is_force(name) for name in names):
+        return Verdict.UNEXPLAINED, [Note(NoteCode.TWO_FORCES, causes=names, remainder=left[0])]
     if measured_gain is not None and measured_gain.likelihood < 0.0:
         return Verdict.UNEXPLAINED, [Note(NoteCode.WORSE_ON_HELD_OUT_RUNS, causes=names[:1])]
+
+    swing = _remaining_swing(names, left)
+    ratio = sum(identified.likelihood_ratio for identified in causes)
+    if swing is not None and swing.statistic > thresholds.SWING_REMAINDER_SHARE * ratio:
+        return Verdict.UNEXPLAINED, [Note(NoteCode.LARGE_REMAINDER, causes=names, remainder=swing)]
 
     # two causes that leave a third effect may be two wrong forms of a cause outside the library
     is_alone = len(causes) == 1
     own_covariates = _own_covariates(names) if is_alone else set()
-    ratio = sum(identified.likelihood_ratio for identified in causes)
     large = []
     for test in left:
         share = thresholds.REMAINDER_SHARE
@@ -288,6 +367,23 @@ def decide_verdict(
     if left:
         return Verdict.EXPLAINED, [Note(NoteCode.SMALL_REMAINDER, remainder=left[0])]
     return Verdict.EXPLAINED, []
+
+
+def _is_force(name: str) -> bool:
+    """Return whether a cause is a torque or a force on the vehicle."""
+    return table.BY_NAME[name].mechanism.acts_on in (TORQUE, VEHICLE)
+
+
+def _remaining_swing(names: tuple[str, ...], left: list[ScoreTest]) -> ScoreTest | None:
+    """Return the largest remainder along the wheel angle behind a cause that swings once a turn.
+
+    None: there is no such cause, or no remainder. The cause takes the whole swing of a load, so
+    what is left is no load: a pole wheel off centre swings in the sensor, also without a brake.
+    """
+    if not any(table.BY_NAME[name].phase for name in names):
+        return None
+    swings = [test for test in left if test.name.startswith("along wheel_angle")]
+    return max(swings, key=lambda test: test.statistic, default=None)
 
 
 def _own_covariates(names: tuple[str, ...]) -> set[str]:

@@ -42,7 +42,7 @@ class ScoreTest(NamedTuple):
     """The score test of a cause, or of a smooth function, in its best shape."""
 
     name: str  # of the cause, or "along ..." of a smooth function
-    axle: int  # 0: all axles
+    axle: int  # 0: all axles, -n: bogie n
     shape: dict[str, float]  # parameters of the shape, in their units
     estimate: tuple[float, ...]  # coefficients less the bias, in the units of the cause
     bias: tuple[float, ...]  # mean of the estimates on null simulations

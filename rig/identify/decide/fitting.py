@@ -16,9 +16,11 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.rig.identify.causes import columns, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix, Variant
+from rollerrig.rig.identify.causes.courses import acts_on
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import thresholds
 from rollerrig.rig.identify.decide.thresholds import OUTLIER_DEVIATIONS
@@ -101,8 +103,7 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
     offsets_Nm = np.zeros(design.segments)
     for cause in explanation.causes:
         if cause.name == "torque_offset" and not cause.shape:
-            acts = (design.axle == cause.axle - 1) | (cause.axle == 0)
-            offsets_Nm += cause.values[0] * acts
+            offsets_Nm += cause.values[0] * acts_on(design, cause.axle)
     was_released = np.isfinite(design.released_Nm)
     deviation_Nm = np.hypot(design.released_sd_Nm[was_released], thresholds.RELEASED_TORQUE_NM)
     off = (design.released_Nm + offsets_Nm)[was_released] / deviation_Nm
@@ -330,18 +331,15 @@ def _add_priors(
             A[c, c] += 1.0 / column.prior**2
             b[c] += explanation.base.get(column.label, 0.0) / column.prior**2
 
-    present = {
-        (cause.name, cause.axle): cause.values[0]
-        for cause in explanation.causes
-        if cause.values and not cause.shape
-    }
-    offset_of_all_Nm = present.get(("torque_offset", 0), 0.0)
+    offsets = [
+        cause for cause in explanation.causes if cause.name == "torque_offset" and not cause.shape
+    ]
     for s in range(design.segments):
         if not np.isfinite(design.released_Nm[s]):
             continue
         axle = int(design.axle[s]) + 1
         variance = design.released_sd_Nm[s] ** 2 + thresholds.RELEASED_TORQUE_NM**2
-        offset_Nm = offset_of_all_Nm + present.get(("torque_offset", axle), 0.0)
+        offset_Nm = sum(cause.values[0] for cause in offsets if axle in wheelsets_of(cause.axle))
         acting = [v.columns[0] for v in matrix.variants if _is_plain_offset(v, axle)]
         for c in acting:
             b[c] += (design.released_Nm[s] + offset_Nm) / variance
@@ -353,7 +351,7 @@ def _is_plain_offset(variant: Variant, axle: int) -> bool:
     """Return whether a variant is an offset of the torque that also acts on a released brake."""
     if variant.cause != "torque_offset" or variant.shape:
         return False
-    return variant.axle in (0, axle)
+    return axle in wheelsets_of(variant.axle)
 
 
 def base_columns(matrix: SensitivityMatrix) -> list[int]:

@@ -20,7 +20,12 @@ from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
 from rollerrig.rig.identify.data.smoothing import smoothed
 from rollerrig.rig.identify.decide import fitting
-from rollerrig.rig.identify.decide.thresholds import BLOCK_S, FREE_RUN_S, SLOWEST_M_S
+from rollerrig.rig.identify.decide.thresholds import (
+    BLOCK_S,
+    FREE_RUN_S,
+    LEAST_LIKELIHOOD_OF_GAIN,
+    SLOWEST_M_S,
+)
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.identify.replay.sensitivity import Inputs
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
@@ -61,7 +66,7 @@ class Gain(NamedTuple):
     @property
     def claimed(self) -> bool:
         """Whether the gain is statistically significant."""
-        return self.ci95[0] > 0.0 and self.likelihood > 0.0
+        return self.ci95[0] > 0.0 and self.likelihood > LEAST_LIKELIHOOD_OF_GAIN
 
 
 # --- what a model predicts ---
@@ -150,8 +155,9 @@ _ERRORS = {ADHESION: missing_adhesion, FREE_RUN: free_running}
 def fit_level(design: Design, explanation: Explanation, metric: str = ADHESION) -> fitting.Fit:
     """Fit to new runs only their contaminant level, their mass, and causes with a finite step.
 
-    For the metric FREE_RUN the mass is not fitted, and tolerances are held within what the dataset
-    declares: a mass that is 8 % off would hide a brake that is 8 % too strong.
+    For the metric FREE_RUN mass and scale errors are held within TOLERANCES of what the dataset
+    declares: a mass that is 8 % off would hide a brake that is 8 % too strong. Within it the mass
+    is fitted for both models, else a brake that is 0.9 % too strong would gain what is a tolerance.
     """
     is_of_vehicle = metric == FREE_RUN
     most = TOLERANCES * design.calibration
@@ -164,13 +170,21 @@ def fit_level(design: Design, explanation: Explanation, metric: str = ADHESION) 
         base[label] = value
     for run in range(design.mass_kg.size):
         base[f"ln_mu_cd_{run}"] = explanation.level
-    return fitting.fit(
+    fit = fitting.fit(
         design,
         explanation._replace(base=base),
         4,
         noise=False,
-        free=("ln_mu_cd",) if is_of_vehicle else ("ln_mu_cd", "mass"),
+        free=("ln_mu_cd", "mass"),
     )
+    if not is_of_vehicle:
+        return fit
+    for label, value in fit.explanation.base.items():
+        base[label] = value
+        if label.startswith("mass"):
+            base[label] = float(np.clip(value, -most, most))
+    held = fit.explanation._replace(base=base)
+    return fit._replace(explanation=held, deviance=fitting.deviance(design, held))
 
 
 def error(design: Design, explanation: Explanation, metric: str) -> float:

@@ -6,6 +6,7 @@ A note holds a code and fields. Its sentence is made in `realtime/reports/cause_
 from enum import Enum
 from typing import NamedTuple
 
+from rollerrig.rig.identify.decide.coherence import Contradicted
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 
 
@@ -20,6 +21,14 @@ class NoteCode(Enum):
     WORSE_ON_HELD_OUT_RUNS = "causes.worse_on_held_out_runs"
     # these causes leave a large remainder: they are not reported
     LARGE_REMAINDER = "remainder.large"
+    # sand that follows no trigger: it is not reported
+    NO_TRIGGER = "cause.no_trigger"
+    # a patch that is at another place in each run: it is not reported
+    OTHER_PLACES = "cause.other_places"
+    # a torque that wheels and vehicle feel differently: it is not reported
+    OTHER_FORCE = "cause.other_force"
+    # two causes of the same force leave a remainder: they are not reported
+    TWO_FORCES = "causes.two_forces"
     # this cause changes the torque by less than its declared calibration: it is not reported
     IMMATERIAL = "cause.immaterial"
     # the reported causes leave a small remainder
@@ -27,10 +36,11 @@ class NoteCode(Enum):
 
 
 class Note(NamedTuple):
-    """A note with the causes and the remainder that it is about."""
+    """A note with the causes, the remainder or the contradicted cause that it is about."""
 
     code: NoteCode
     causes: tuple[str, ...] = ()
     remainder: ScoreTest | None = None
+    contradicted: Contradicted | None = None
     share: float = 0.0  # of an immaterial cause: how much it changes the torque
     tolerance: float = 0.0  # the declared calibration, as a share

@@ -83,6 +83,20 @@ def _deviance(shaped: _Shaped) -> float:
     return shaped.deviance
 
 
+def patch_by_run(design: Design, explanation: Explanation, at: int) -> Explanation:
+    """Return the explanation with the edges of patch number `at` moved in each run alone."""
+    patch = explanation.causes[at]
+    shape = {}
+    for key, value in patch.shape.items():
+        if key in ("start_m", "length_m"):
+            for run in design.names:
+                shape[f"{key} {run}"] = value
+        else:
+            shape[key] = value
+    by_run = explanation.with_cause(at, patch._replace(shape=shape))
+    return _move_edges(design, by_run, _FIRST_STEP).explanation
+
+
 def _with_slow_edges(design: Design, explanation: Explanation) -> list[_Shaped]:
     """Return one explanation per patch and form of slow edges, with this patch changed."""
     shaped = []
@@ -230,6 +244,6 @@ def _with_edge(key: str, change: float, cause: Cause) -> Cause:
 
     # only the start of a patch may be negative: a place before the start of the run
     for name, value in shape.items():
-        if name != "start_m":
+        if not name.startswith("start_m"):
             shape[name] = max(value, 0.0)
     return cause._replace(shape=shape)

@@ -188,6 +188,34 @@ CONFUSABLE_SECOND_SHARE = 0.3
 # of 0.02 to 0.03 in 3 of 44 sets of a judge. Chosen.
 LEAST_SAND_AS_SECOND = 0.04
 
+# --- coherence: a cause shows the same everywhere ---
+
+# Sand begins in all runs within so many seconds of each other after the brake acts or after the
+# first slide, or within so many m/s of the same speed. Chosen: sand of the three generators begins
+# 3 to 9 s after the stop begins.
+SAND_ONSET_TOLERANCE_S = 6.5
+SAND_ONSET_TOLERANCE_M_S = 2.0
+
+# Sliding in m/s that may trigger sand, and s by which the edge of a window may be too early: half
+# a bin.
+SAND_SLIDE_M_S = 1.0
+SAND_EDGE_S = 1.0
+
+# Longest over shortest time for which sand acts in the runs. Chosen: at most 2.4 in sets of the
+# first and second generator with sand.
+SAND_DURATION_RATIO = 2.7
+
+# Share of what a patch won that edges moved in each run alone may win. Chosen.
+PATCH_APART_SHARE = 0.15
+
+# Square of the difference in standard deviations between a torque in the filters of the wheels and
+# in that of the vehicle. Chosen.
+MOST_DISAGREEMENT = 50.0
+
+# Least difference between the mean loads of two runs, as a share, at which causes that differ only
+# in how they depend on load may be distinguished. Chosen.
+LEAST_LOAD_DIFFERENCE = 0.1
+
 # --- shapes ---
 
 # Share of the base's irregularity with which windows are searched first: what they explain has
@@ -215,6 +243,11 @@ REMAINDER_SHARE = 0.08
 # differ there. Only if one cause is identified. Set by the first and the second generator.
 OWN_REMAINDER_SHARE = 0.2
 
+# The same for a remainder along the angle of the wheel behind a cause that swings once a turn: no
+# out-of-round wheel of the first and the second generator leaves any. With more no cause is
+# reported.
+SWING_REMAINDER_SHARE = 0.02
+
 # Largest remainder, as a share of all evidence, with which a cause is still reported (`partly`).
 # Set by the first and the second generator. Two causes that leave a remainder above REMAINDER_SHARE
 # are never reported: on the first generator only an effect outside the library left that much.
@@ -233,6 +266,10 @@ FREE_RUN_S = 5.0
 # Least speed in m/s of the samples that count: creepage grows without bound as the speed falls to
 # 0.
 SLOWEST_M_S = 5.0
+
+# Likelihood ratio on runs that were never fitted with which a gain is claimed: less comes by chance
+# in 5 % of datasets (chi-squared, one coefficient).
+LEAST_LIKELIHOOD_OF_GAIN = 3.84
 
 # --- empirical formula ---
 

@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE, Variant
 from rollerrig.rig.identify.data.preparation import Design, prepare
@@ -157,7 +158,8 @@ def possible(data: Dataset, candidates: Sequence[ScoreTest]) -> tuple[Stop, ...]
                 stops.append(Stop(speed_m_s, pressure_Pa, stop_mass_kg, axle=0))
 
     # the brake on one wheelset: on each one on which a candidate acts
-    axles = sorted({test.axle for test in candidates if test.axle})
+    # (of a bogie: its first wheelset)
+    axles = sorted({wheelsets_of(test.axle)[0] for test in candidates if test.axle})
     if not axles:
         axles = [1]
     for speed_m_s in STEADY_M_S:

@@ -1,0 +1,222 @@
+"""Checks whether a fitted cause shows the same everywhere, as its mechanism demands.
+
+A search has freedom that a mechanism does not have: a window of time may begin anywhere in each
+run, a place is one place for all runs, and a torque is felt by the wheel and by the vehicle. A
+cause that used this freedom fits the data and is another effect. So after the fit:
+
+- sand follows a trigger: its starts are at about the same time after the brake acts, after the
+  first slide, or at the same speed, and it does not last a few seconds in one run and long in
+  another;
+- a patch is at the same place in all runs: edges that are moved in each run alone win little;
+- a torque is the same in the filters of the wheels and in that of the vehicle.
+
+    [C1] z^2 = (x_w - x_v)^2 / (1 / S_w + 1 / S_v), x = -g / S of a coefficient in the filters of
+         the wheels (w) and in that of the vehicle (v), less what the base absorbs there
+"""
+
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.vehicle import AXLES
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation
+from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.decide import evidence, fitting, shapes, thresholds
+from rollerrig.rig.mechanisms.mechanism import TORQUE
+from rollerrig.rig.mechanisms.table import BY_NAME
+
+# the brake acts where the torque is above this share of the largest of the run
+_ACTING_SHARE = 0.1
+
+
+class Contradiction(Enum):
+    """What a cause should show and does not."""
+
+    NO_TRIGGER = "no trigger"  # sand that follows nothing
+    OTHER_PLACES = "other places"  # a patch that is elsewhere in each run
+    OTHER_FORCE = "other force"  # a torque that wheels and vehicle feel differently
+
+
+class Window(NamedTuple):
+    """Where a window acts in one run, in s or m from the beginning of the run."""
+
+    run: str
+    start: float
+    end: float
+
+
+class Contradicted(NamedTuple):
+    """A fitted cause that does not show what its mechanism demands."""
+
+    cause: Cause
+    likelihood_ratio: float
+    what: Contradiction
+    windows: tuple[Window, ...]  # where it acts in each run, for sand and patches
+
+
+def of_window(design: Design, explanation: Explanation, at: int) -> Contradiction | None:
+    """Return what contradicts sand or a patch, cause number `at` of a fitted explanation.
+
+    None: nothing does, or the cause acts in no window.
+    """
+    cause = explanation.causes[at]
+    if cause.name == "sanding" and not _follows_a_trigger(design, cause):
+        return Contradiction.NO_TRIGGER
+    if cause.name == "contaminated_patch" and not _is_one_place(design, explanation, at):
+        return Contradiction.OTHER_PLACES
+    return None
+
+
+def of_forces(design: Design, explanation: Explanation) -> int | None:
+    """Return the number of the first torque that wheels and vehicle feel differently, or None.
+
+    All causes must be in the explanation: what is missing would look like such a difference.
+    """
+    for at, cause in enumerate(explanation.causes):
+        is_torque = BY_NAME[cause.name].acts_on == TORQUE
+        if is_torque and disagreement(design, explanation, at) > thresholds.MOST_DISAGREEMENT:
+            return at
+    return None
+
+
+def contradicted(
+    design: Design, cause: Cause, likelihood_ratio: float, what: Contradiction
+) -> Contradicted:
+    """Return a contradicted cause, with its windows."""
+    windows: list[Window] = []
+    if cause.name == "sanding":
+        windows = sand_windows(design, cause)
+    if cause.name == "contaminated_patch":
+        start_m = cause.shape["start_m"]
+        end_m = start_m + cause.shape["length_m"]
+        windows = [Window(run, start_m, end_m) for run in design.names]
+    return Contradicted(cause, likelihood_ratio, what, tuple(windows))
+
+
+# --- sand ---
+
+
+def sand_windows(design: Design, cause: Cause) -> list[Window]:
+    """Return when sand acts in each run that has it, in s."""
+    windows = []
+    for run in design.names:
+        start_s = cause.shape.get(f"start_s {run}")
+        if start_s is not None:
+            duration_s = cause.shape[f"duration_s {run}"]
+            windows.append(Window(run, start_s, start_s + duration_s))
+    return windows
+
+
+def _follows_a_trigger(design: Design, cause: Cause) -> bool:
+    """Return whether the starts of sand have the same distance to a trigger in all runs."""
+    windows = sand_windows(design, cause)
+    durations_s = [window.end - window.start for window in windows]
+    if max(durations_s) > thresholds.SAND_DURATION_RATIO * min(durations_s):
+        return False
+
+    after_brake_s = []
+    after_slide_s = []
+    speed_m_s = []
+    for window in windows:
+        run = design.names.index(window.run)
+        of_first = design.span(AXLES * run)
+        time_s = design.time_s[of_first]
+        begin = int(np.searchsorted(time_s, window.start))
+        after_brake_s.append(window.start - _brake_acts_s(design, run))
+        after_slide_s.append(window.start - _first_slide_s(design, run))
+        speed_m_s.append(design.speed_m_s[of_first][min(begin, time_s.size - 1)])
+
+    tolerance_s = thresholds.SAND_ONSET_TOLERANCE_S
+    for delays_s in (after_brake_s, after_slide_s):
+        # sand comes after its trigger; the edge of a window is known to a bin
+        if min(delays_s) > -thresholds.SAND_EDGE_S and np.ptp(delays_s) < tolerance_s:
+            return True
+    is_braked = min(after_brake_s) > -thresholds.SAND_EDGE_S
+    return is_braked and bool(np.ptp(speed_m_s) < thresholds.SAND_ONSET_TOLERANCE_M_S)
+
+
+def _brake_acts_s(design: Design, run: int) -> float:
+    """Return when the brake of the first wheelset begins to act in a run, in s."""
+    at = design.span(AXLES * run)
+    torque_Nm = design.torque_Nm[at]
+    acts = torque_Nm > _ACTING_SHARE * torque_Nm.max()
+    return float(design.time_s[at][int(np.argmax(acts))])
+
+
+def _first_slide_s(design: Design, run: int) -> float:
+    """Return when a wheelset slides for the first time in a run, in s; infinite: never."""
+    first_s = np.inf
+    for axle in range(AXLES):
+        at = design.span(AXLES * run + axle)
+        slides = design.sliding_m_s[at] > thresholds.SAND_SLIDE_M_S
+        if slides.any():
+            first_s = min(first_s, float(design.time_s[at][int(np.argmax(slides))]))
+    return first_s
+
+
+# --- a patch ---
+
+
+def _is_one_place(design: Design, explanation: Explanation, at: int) -> bool:
+    """Return whether edges of a patch that are moved in each run alone win little."""
+    won = fitting.deviance(design, _without(explanation, at)) - fitting.deviance(
+        design, explanation
+    )
+    apart = shapes.patch_by_run(design, explanation, at)
+    gained = fitting.deviance(design, explanation) - fitting.deviance(design, apart)
+    least = thresholds.PRICE_OF_COEFFICIENT * 2 * (design.mass_kg.size - 1)
+    return gained < max(least, thresholds.PATCH_APART_SHARE * won)
+
+
+def _without(explanation: Explanation, at: int) -> Explanation:
+    causes = (*explanation.causes[:at], *explanation.causes[at + 1 :])
+    return explanation._replace(causes=causes)
+
+
+# --- a torque ---
+
+
+def disagreement(design: Design, explanation: Explanation, at: int) -> float:
+    """Return z^2 [C1]: how differently wheels and vehicle feel a torque, 0 if one feels nothing.
+
+    The explanation is fitted, so its coefficient is the compromise of both.
+    """
+    normal, linear, responses = fitting.normal_equations(design, explanation, search=False)
+    variant = normal.matrix.variant_of(explanation.causes[at])
+    if variant is None:
+        return 0.0
+
+    A = np.zeros_like(normal.A)
+    b = np.zeros_like(normal.b)
+    z = np.clip(
+        linear.vehicle_nu / np.sqrt(linear.vehicle_variance),
+        -thresholds.OUTLIER_DEVIATIONS,
+        thresholds.OUTLIER_DEVIATIONS,
+    )
+    for run, response in enumerate(responses[design.segments :]):
+        used, places, whitened = response
+        innovation = z[design.vehicle_span(run)].astype(whitened.dtype)
+        A[np.ix_(used, used)] += (whitened.T @ whitened)[np.ix_(places, places)]
+        b[used] += (whitened.T @ innovation)[places]
+    of_wheels = normal._replace(A=normal.A - A, b=normal.b - b)
+    # the tolerances hold in both; they are in the normal equations of all filters together
+    priors = np.array([column.prior for column in normal.matrix.columns])
+    with_prior = priors > 0.0
+    A[with_prior, with_prior] += 1.0 / priors[with_prior] ** 2
+    for c in np.flatnonzero(with_prior):
+        label = normal.matrix.columns[c].label
+        b[c] += explanation.base.get(label, 0.0) / priors[c] ** 2
+    of_vehicle = normal._replace(A=A, b=b)
+
+    column = variant.columns[0]
+    estimates = []
+    variances = []
+    for one in (of_wheels, of_vehicle):
+        scores = evidence.scores(one)
+        information = scores.S[column, column]
+        if information <= 0.0 or not np.isfinite(information):
+            return 0.0
+        estimates.append(-scores.g[column] / information)
+        variances.append(1.0 / information)
+    return float((estimates[0] - estimates[1]) ** 2 / sum(variances))
