@@ -117,7 +117,6 @@ OUTSIDE = {
 BY_COMPUTED_NAME = {
     "realtime/commands/bench",
     "realtime/campaign/campaign",
-    "realtime/campaign/large",
     "realtime/commands/clone",
     "realtime/cli",
 }

@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 
 from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError, RollerrigError
-from rollerrig.configs.output_files import check_no_link, make_folder
+from rollerrig.configs.output_files import check_no_link, make_folder, write_text
 from rollerrig.realtime.campaign import campaign, spreading, stopping
 from rollerrig.realtime.campaign.statistics import draws
 from rollerrig.realtime.record import figures
@@ -245,7 +245,7 @@ class Kept:
             "moments": {column: list(found) for column, found in whole.moments.items()},
             "warnings": whole.warnings,
         }
-        (folder / _STATE).write_text(json.dumps(state, indent=1), encoding="utf-8")
+        write_text(folder / _STATE, json.dumps(state, indent=1))
         columns = [
             pa.table(
                 {
