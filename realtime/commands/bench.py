@@ -1,6 +1,6 @@
 """`rollerrig bench` runs the project's benchmarks by name; `rollerrig score` judges answers.
 
-Five benchmarks belong to the installed package, because users want their figures of a new machine.
+Six benchmarks belong to the installed package, because users want their figures of a new machine.
 The others judge the project itself. They are in `tests/` and run from a clone only.
 """
 
@@ -37,6 +37,9 @@ BENCHMARKS = {
     "bus": _installed("bus", "TPDO to valve, SYNC to last TPDO, round trips, on a running bench"),
     "vehicle": _installed("vehicle", "45 s of four axles without deadlines; the start of a run"),
     "campaign": _installed("campaign", "stops per minute and core, two workers, memory, Dask"),
+    "merge": _installed(
+        "merge", "memory, disk and time of a campaign of a million stops, apart from the stops"
+    ),
     "evidence": _installed(
         "evidence", "what of the rig is verified against what, and where that is valid"
     ),
@@ -111,7 +114,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default=0,
         metavar="N",
         help="fuzz: number of inputs (default: 1000000); kill: number of kills (default: 100); "
-        "repeat: runs of each sequence (default: 10)",
+        "repeat: runs of each sequence (default: 10); merge: stops (default: 1000000)",
     )
     parser.add_argument("--live", action="store_true", help="loop: with the live view")
     parser.add_argument(

@@ -367,7 +367,14 @@ def test_the_help_of_bench_marks_which_benchmarks_need_a_clone(capsys):
         cli.main(["bench", "--help"])
     printed = capsys.readouterr().out
     marked = {name for name in bench.BENCHMARKS if f"\n* {name} " in printed}
-    assert set(bench.BENCHMARKS) - marked == {"loop", "bus", "vehicle", "campaign", "evidence"}
+    assert set(bench.BENCHMARKS) - marked == {
+        "loop",
+        "bus",
+        "vehicle",
+        "campaign",
+        "merge",
+        "evidence",
+    }
 
 
 @pytest.mark.parametrize("name", bench.BENCHMARKS)

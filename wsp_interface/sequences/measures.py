@@ -10,6 +10,7 @@ The dry stop is a run of this plant with the same demands on clean rollers. The 
 damage [M3] belongs to this project; it is in no standard.
 
     [M1] s_ref = v0 t_e + v0^2 / (2 a_e),  a_e = (sum F_B + F_R) / m_dyn,  t_e = T_demand + T_valve
+         F_R = A + 2/3 B v0 + 1/2 C v0^2, the mean over the distance at a constant deceleration
     [M2] shortfall = worst mean over 10 s of (a_demanded - a), a_demanded by the demand
     [M3] D = E_locked / 1 MJ + E_sliding / 100 MJ, of the worst wheelset
 
@@ -121,8 +122,8 @@ def dynamic_mass_kg(record: Record) -> float:
     )
 
 
-def resistance_N(record: Record, speed_m_s: Any) -> Any:
-    """Return the running resistance at a speed, with the gradient and that of an extended model."""
+def _resistance(record: Record) -> tuple[float, float, float]:
+    """Return A, B and C of the running resistance, with gradient and that of an extended model."""
     extension = record.scenario["mechanisms"]
     vehicle = record.scenario["vehicle"]
     vehicle = vehicle | running_resistance(
@@ -132,10 +133,29 @@ def resistance_N(record: Record, speed_m_s: Any) -> Any:
     )
     vehicle |= track_gradient(vehicle, extension["track_gradient_gradient"])
     return (
-        vehicle["resistance_A_N"]
-        + vehicle["resistance_B_N_s_m"] * speed_m_s
-        + vehicle["resistance_C_N_s2_m2"] * speed_m_s**2
+        vehicle["resistance_A_N"],
+        vehicle["resistance_B_N_s_m"],
+        vehicle["resistance_C_N_s2_m2"],
     )
+
+
+def resistance_N(record: Record, speed_m_s: Any) -> Any:
+    """Return the running resistance at a speed, with the gradient and that of an extended model."""
+    constant_N, linear_N_s_m, square_N_s2_m2 = _resistance(record)
+    return constant_N + linear_N_s_m * speed_m_s + square_N_s2_m2 * speed_m_s**2
+
+
+def mean_resistance_N(
+    constant_N: float, linear_N_s_m: float, square_N_s2_m2: float, initial_m_s: float
+) -> float:
+    """Return the mean of a running resistance over a stop with constant deceleration [M1]."""
+    linear_N = linear_N_s_m * 2.0 / 3.0 * initial_m_s
+    return constant_N + linear_N + square_N_s2_m2 * initial_m_s**2 / 2.0
+
+
+def equivalent_distance_m(initial_m_s: float, response_s: float, equivalent_m_s2: float) -> float:
+    """Return the distance of a stop with an equivalent response time and deceleration [M1]."""
+    return initial_m_s * response_s + initial_m_s**2 / (2.0 * equivalent_m_s2)
 
 
 def demanded_m_s2(record: Record, pressure_Pa: Any, speed_m_s: Any) -> Any:
@@ -147,8 +167,7 @@ def demanded_m_s2(record: Record, pressure_Pa: Any, speed_m_s: Any) -> Any:
 def reference_distance_m(record: Record) -> float:
     """Return the computed stop distance [M1] at the largest demand; NaN if nothing brakes."""
     v0 = float(record.braked("vehicle_speed_m_s")[0])
-    # v^2 of the resistance has its mean over the distance at v0^2 / 2
-    drag_N = float(resistance_N(record, v0 / math.sqrt(2.0)))
+    drag_N = mean_resistance_N(*_resistance(record), v0)
     demanded_Pa = max((pressure_Pa for _, pressure_Pa in record.demands), default=0.0)
     share = weighed_share(record.scenario["air"], record.scenario["vehicle"])
     force_N = float(brake_force_N(record, demanded_Pa * share))
@@ -159,7 +178,7 @@ def reference_distance_m(record: Record) -> float:
         record.scenario["brake"]["fill_time_constant_s"]
         + record.scenario["valve"]["fill_time_constant_s"]
     )
-    return v0 * response_s + v0**2 / (2.0 * equivalent_m_s2)  # [M1]
+    return equivalent_distance_m(v0, response_s, equivalent_m_s2)
 
 
 def _until_standstill(record: Record, name: str) -> float:
