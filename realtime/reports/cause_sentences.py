@@ -23,6 +23,13 @@ from rollerrig.rig.mechanisms.table import BY_NAME
 MOST_COVARIATES_SHOWN = 3
 MOST_RUNS_SHOWN = 3
 
+# the covariate that shows what contradicts a cause
+FAILED_ALONG = {
+    Contradiction.NO_TRIGGER: "time",
+    Contradiction.OTHER_PLACES: "place",
+    Contradiction.OTHER_FORCE: "vehicle speed",
+}
+
 # subject and verb of a sentence, for the causes with `unknown_in_other_runs`
 UNKNOWN_SHAPES = {
     "wheel_out_of_round": "the angle of an out-of-round wheel at the start is",
@@ -63,10 +70,18 @@ def place_in_words(axle: int) -> str:
 
 
 def worst_covariates(diagnosis: Diagnosis) -> list[str]:
-    """Return the covariates along which the base is most significantly wrong, the worst first."""
+    """Return the covariates along which the base is most significantly wrong, the worst first.
+
+    Where a cause was contradicted, what contradicted it comes first.
+    """
+    failed = []
+    for note in diagnosis.notes:
+        if note.contradicted is not None and diagnosis.verdict == Verdict.UNEXPLAINED:
+            failed.append(FAILED_ALONG[note.contradicted.what])
     smooth = [test for test in diagnosis.score_tests if evidence.is_smooth_function(test.name)]
     smooth = sorted(smooth, key=lambda test: test.p_value)
-    return [covariate_of(test) for test in smooth[:MOST_COVARIATES_SHOWN]]
+    against = [*failed, *(covariate_of(test) for test in smooth)]
+    return list(dict.fromkeys(against))[:MOST_COVARIATES_SHOWN]
 
 
 def formula_text(formula: EmpiricalFormula) -> str:

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from rollerrig.realtime.reports import cause_pictures, cause_report, cause_sentences
+from rollerrig.realtime.reports import cause_pictures, cause_report, cause_sentences, extended_model
 from rollerrig.realtime.reports.hints import first_screen, sizes, suspects
 from rollerrig.rig.identify.causes import candidates, columns, table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.decide import decision, gain, stopping
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.coherence import Contradicted, Contradiction, Window
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
@@ -66,6 +67,58 @@ def diagnosis(*causes: Cause, verdict: Verdict = Verdict.EXPLAINED, tests=()) ->
         formula=None,
         elapsed_s=1.0,
     )
+
+
+def contradicted(name: str, what: Contradiction, windows=(), size: float = 0.1) -> Note:
+    cause = Cause(name, 0, {}, (size,))
+    found = Contradicted(cause, 99.0, what, windows)
+    return Note(NoteCode[what.name], causes=(name,), contradicted=found)
+
+
+def test_what_is_no_sand_is_reported_with_its_times_in_at_most_three_runs() -> None:
+    windows = tuple(Window(f"r{k}", 3.0 * k, 3.0 * k + 5.0) for k in range(5))
+    text = cause_sentences.note_sentence(contradicted("sanding", Contradiction.NO_TRIGGER, windows))
+    assert "something raises friction from 0 to 5 s in run r0" in text
+    assert "and in 2 more runs" in text
+    assert "not reported as sanding" in text
+
+
+@pytest.mark.parametrize(
+    ("name", "what", "title"),
+    [
+        ("contaminated_patch", Contradiction.OTHER_PLACES, "place"),
+        ("sanding", Contradiction.NO_TRIGGER, "time"),
+        ("torque_offset", Contradiction.OTHER_FORCE, "speed of the vehicle, along speed"),
+    ],
+)
+def test_the_first_panel_shows_what_contradicts_a_cause(
+    name: str, what: Contradiction, title: str
+) -> None:
+    tests = [score_test("along sliding", 0.1, 1e-9, 90.0)]
+    found = diagnosis(verdict=Verdict.UNEXPLAINED, tests=tests)
+    found = found._replace(notes=[contradicted(name, what, (Window("a1", 0.0, 90.0),))])
+    against = cause_sentences.worst_covariates(found)
+    assert cause_pictures.where(found, against)[0].title == title
+
+
+def test_the_nearest_causes_are_reported_with_how_near_they_are() -> None:
+    tests = [
+        score_test("along sliding", 0.1, 1e-12, 200.0),
+        score_test("falling_friction", 0.25, 1e-9, 150.0),
+        score_test("brake_gain", 0.02, 1e-9, 50.0),
+    ]
+    found = diagnosis(verdict=Verdict.UNEXPLAINED, tests=tests)
+    text = first_screen.nearest(found)
+    assert "falling_friction, 75 % of the error along sliding" in text
+    assert text.index("falling_friction") < text.index("brake_gain, 25 %")
+
+
+def test_a_cause_on_a_bogie_names_its_wheelsets() -> None:
+    found = diagnosis(Cause("brake_gain", -2, {}, (0.05,)))
+    headline = cause_sentences.story(found)[0]
+    assert "on bogie 2 (wheelsets 3 and 4)" in headline
+    assert cause_report.as_json(found)["causes"][0]["axles"] == [3, 4]
+    assert "brake_gain_axle = -2.0" in extended_model.toml(found)
 
 
 def test_a_stronger_brake_costs_metres_in_proportion_to_its_share() -> None:
@@ -154,7 +207,7 @@ def test_an_unexplained_speed_of_the_vehicle_is_drawn_as_speed_with_its_suspects
     assert "gradient" in story
     assert "Measure next: let the vehicle coast" in story
     assert "Nearest in the library" in story
-    assert "a resistance that is 900 N off (running_resistance)" in story
+    assert "a resistance that is 900 N off (running_resistance, 89 %" in story
 
 
 def test_the_measured_adhesion_of_another_inertia_is_that_of_the_extended_model() -> None:

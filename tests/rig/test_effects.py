@@ -106,6 +106,17 @@ def test_torque_changes_at_one_axle_only() -> None:
     assert torque(1000.0, 0, 0.0, mechanisms) == 1000.0
 
 
+def test_torque_changes_at_the_wheelsets_of_one_bogie_only() -> None:
+    mechanisms = extended(brake_gain_gain=0.1, brake_gain_axle=-2.0).effects
+    changed = [torque(1000.0, axle, 0.0, mechanisms) for axle in range(4)]
+    assert changed == pytest.approx([1000.0, 1000.0, 1100.0, 1100.0])
+
+
+def test_there_is_no_third_bogie() -> None:
+    with pytest.raises(ConfigError, match="brake_gain_axle"):
+        extended(brake_gain_gain=0.1, brake_gain_axle=-3.0)
+
+
 def test_a_coefficient_out_of_bounds_is_refused() -> None:
     with pytest.raises(ConfigError, match="rail_cleaning_gain"):
         extended(rail_cleaning_gain=7.0)

@@ -5,7 +5,7 @@ The verdict and the causes come before them.
 
 from rollerrig.realtime.reports.hints import sizes, suspects
 from rollerrig.rig.identify.causes import table
-from rollerrig.rig.identify.decide import evidence, stopping, thresholds
+from rollerrig.rig.identify.decide import decision, evidence, stopping, thresholds
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 
@@ -94,7 +94,11 @@ def _hardest_to_see(diagnosis: Diagnosis) -> str:
 
 
 def nearest(diagnosis: Diagnosis) -> str:
-    """Return the causes of the library that come nearest to an unexplained error."""
+    """Return the causes of the library that come nearest to an unexplained error, and how near.
+
+    A cause is as near as its evidence is large beside that of the smooth function that shows the
+    error best. The score tests are of the base, so each cause is alone there.
+    """
     tests = [
         test
         for test in diagnosis.score_tests
@@ -103,5 +107,19 @@ def nearest(diagnosis: Diagnosis) -> str:
     tests = sorted(tests, key=lambda test: -test.statistic)[:MOST_SUSPECTS]
     if not tests:
         return ""
-    names = [f"{sizes.in_words(test.name, test.estimate[0])} ({test.name})" for test in tests]
-    return f"Nearest in the library, though none fits well enough: {'; '.join(names)}."
+    smooth = [test for test in diagnosis.score_tests if evidence.is_smooth_function(test.name)]
+    shown = max(smooth, key=lambda test: test.statistic, default=None)
+    names = []
+    for test in tests:
+        size = sizes.in_words(test.name, test.estimate[0])
+        near = ""
+        if shown is not None and shown.statistic > test.statistic:
+            share = 100.0 * test.statistic / shown.statistic
+            near = f", {share:.0f} % of the error {shown.name}"
+        names.append(f"{size} ({test.name}{near})")
+    story = f"Nearest in the library, though none fits well enough: {'; '.join(names)}."
+    if not diagnosis.set_aside or not diagnosis.remainder:
+        return story
+    fitted = " and ".join(found.score_test.name for found in diagnosis.set_aside)
+    left = decision.remainder_share(diagnosis.set_aside, diagnosis.remainder)
+    return f"{story} Fitted, {fitted} would leave {100.0 * left:.0f} % of the evidence."

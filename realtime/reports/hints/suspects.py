@@ -58,6 +58,10 @@ SUSPECTS = {
         "one wheelset that differs: its radius, its brake, its tread, or exchanged channels",
         "the radius of each wheelset, and one stop in which a single wheelset brakes",
     ),
+    "place": Suspect(
+        "friction that changes along the track and from run to run (leaves, rain, a cleaned stretch)",
+        "position_m from the same mark in all runs, and one stop three times from the same place",
+    ),
     "wheel_angle": Suspect(
         "an out-of-round wheel, a bent pole wheel, or a brake that swings once a turn",
         "the wheel speed of the released wheelset at constant speed",

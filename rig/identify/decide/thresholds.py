@@ -205,12 +205,13 @@ SAND_EDGE_S = 1.0
 # first and second generator with sand.
 SAND_DURATION_RATIO = 2.7
 
-# Share of what a patch won that edges moved in each run alone may win. Chosen.
-PATCH_APART_SHARE = 0.15
+# Share of what a patch won that edges moved in each run alone may win. Chosen: patches of the three
+# generators give 0.01 to 0.05.
+PATCH_APART_SHARE = 0.07
 
 # Square of the difference in standard deviations between a torque in the filters of the wheels and
-# in that of the vehicle. Chosen.
-MOST_DISAGREEMENT = 50.0
+# in that of the vehicle: 0 to 2 for torques of the three generators, so 5 deviations. Chosen.
+MOST_DISAGREEMENT = 25.0
 
 # Least difference between the mean loads of two runs, as a share, at which causes that differ only
 # in how they depend on load may be distinguished. Chosen.
