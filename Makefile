@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 # each test starts processes: bytecode is kept also where the shell says that it shall not be
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test kernel-can check lint format docs bench performance clean
+.PHONY: demo test kernel-can check lint format docs pictures bench performance clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --also-without-wsp --out runs/demo
@@ -47,6 +47,11 @@ format: $(VENV)/ready-dev
 docs: $(VENV)/ready-dev
 	$(BIN)/python -m pytest tests --collect-only -qq --write-docs=docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build --quiet --strict
+
+# every picture of the documentation, in light and in dark, or some: make pictures PICTURES="demo desk". It needs chromium
+pictures: $(VENV)/ready-dev
+	$(BIN)/python tests/compile_kernels.py
+	PYTHONPATH=tests/realtime $(BIN)/python tests/pictures.py $(PICTURES)
 
 # make bench NAME=contact runs another benchmark, or several: make bench NAME="hunting contact"
 NAME = loop bus vehicle

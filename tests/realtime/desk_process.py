@@ -1,4 +1,4 @@
-"""`rollerrig desk` as a separate process, and a client that does what a browser does with it."""
+"""`rollerrig desk` as a separate process, a client that does what a browser does, and its page."""
 
 import contextlib
 import http.client
@@ -12,6 +12,12 @@ from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import urlsplit
 
+from bench_process import until
+
+# keys of the WebDriver protocol: control and "a" (then all keys released), and tabulator
+SELECT_ALL = "\ue009a\ue000"
+TABULATOR = "\ue004"
+FREE_PORTS = "modbus.port=0 bus.interface=hub bus.socketcand_port=0"
 PATIENCE_S = 60.0
 
 
@@ -106,3 +112,48 @@ def entered(desk):
     client.enter(desk.token)
     assert client.cookie
     return client
+
+
+class Page:
+    """The page of the desk in a browser, as an operator uses it."""
+
+    def __init__(self, browser):
+        self.browser = browser
+
+    def there(self, path):
+        """Return the element of an XPath when it is there."""
+        return until(lambda: next(iter(self.browser.find_elements("xpath", path)), None), path)
+
+    def click(self, text):
+        """Click a button, without the mouse: an earlier message may cover it."""
+        button = self.there(f"//button[not(@disabled)][normalize-space()='{text}']")
+        self.browser.execute_script("arguments[0].click()", button)
+
+    def put(self, label, text):
+        """Put a text into a field."""
+        field = self.there(f"//input[@aria-label='{label}']")
+        field.send_keys(SELECT_ALL, text, TABULATOR)
+
+    def shows(self, text):
+        """Return the element with a text when it is there."""
+        return self.there(f"//*[contains(text(), '{text}')]")
+
+    def open_tab(self, name):
+        """Open a tab of the page."""
+        tab = self.there(f"//div[@role='tab'][.='{name}']")
+        self.browser.execute_script("arguments[0].click()", tab)
+
+    def prepare(self, values):
+        """Prepare a bench with values such as `adhesion=leaf_film`; its brakes are released."""
+        self.put("further values, as in adhesion.mu_cd=0.05", f"{FREE_PORTS} {values}")
+        self.click("Prepare")
+        self.shows(": held")
+        self.put("brake demand, bar", "0")
+        self.click("Set")
+        self.shows("demand 0.00 bar")
+
+    def end(self):
+        """Stop the run and end it."""
+        self.click("Stop")
+        self.click("End the run")
+        self.shows("its run is under Runs")

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from bench_process import until
 from browser import browsing
-from desk_process import served
+from desk_process import FREE_PORTS, TABULATOR, Page, served
 
 from rollerrig.configs.errors import BusError, ConfigError
 from rollerrig.firmware_sim.modbus.map import State
@@ -30,10 +30,6 @@ from nicegui.testing.user_simulation import user_simulation
 from rollerrig.realtime.desk import desk, library, live, page, reader
 from rollerrig.realtime.pictures import colours
 
-# keys of the WebDriver protocol: control and "a" (then all keys released), and tabulator
-SELECT_ALL = "\ue009a\ue000"
-TABULATOR = "\ue004"
-FREE_PORTS = "modbus.port=0 bus.interface=hub bus.socketcand_port=0"
 WRITER = """
 import sys
 import time
@@ -841,47 +837,21 @@ def test_who_works_with_the_keyboard_sees_where_it_is(tmp_path):
 
 def play_in(browser):
     """Run the rig from the page: prepare, start, inject a fault, lock an axle, and stop."""
-
-    def there(path):
-        return until(lambda: next(iter(browser.find_elements("xpath", path)), None), path)
-
-    def click(text):
-        # without the mouse: an earlier message may cover the button
-        browser.execute_script(
-            "arguments[0].click()", there(f"//button[not(@disabled)][normalize-space()='{text}']")
-        )
-
-    def put(label, text):
-        field = there(f"//input[@aria-label='{label}']")
-        field.send_keys(SELECT_ALL, text, TABULATOR)
-
-    def shows(text):
-        return there(f"//*[contains(text(), '{text}')]")
-
-    shows("This page has no safety function")
-    put(
-        "further values, as in adhesion.mu_cd=0.05",
-        f"{FREE_PORTS} adhesion=leaf_film initial_speed_m_s=6 duration_max_s=600 stand_s=60",
-    )
-    click("Prepare")
-    shows(": held")
-    put("brake demand, bar", "0")
-    click("Set")
-    shows("demand 0.00 bar")
-    click("Start")
-    shows(": running")
-    click("Inject")
-    shows("speed_sensor_stuck axle=1 begins")
-    put("brake demand, bar", "3.8")
-    click("Set")
-    shows("1: locked")
-    click("check")
-    shows("acknowledged ")
-    click("Emergency stop")
-    click("Reset emergency stop")
-    click("Confirm reset")
-    click("Stop")
-    click("End the run")
-    shows("its run is under Runs")
-    browser.execute_script("arguments[0].click()", there("//div[@role='tab'][.='Runs']"))
-    there("//td[.='runs/velim_a1']")
+    desk_page = Page(browser)
+    desk_page.shows("This page has no safety function")
+    desk_page.prepare("adhesion=leaf_film initial_speed_m_s=6 duration_max_s=600 stand_s=60")
+    desk_page.click("Start")
+    desk_page.shows(": running")
+    desk_page.click("Inject")
+    desk_page.shows("speed_sensor_stuck axle=1 begins")
+    desk_page.put("brake demand, bar", "3.8")
+    desk_page.click("Set")
+    desk_page.shows("1: locked")
+    desk_page.click("check")
+    desk_page.shows("acknowledged ")
+    desk_page.click("Emergency stop")
+    desk_page.click("Reset emergency stop")
+    desk_page.click("Confirm reset")
+    desk_page.end()
+    desk_page.open_tab("Runs")
+    desk_page.there("//td[.='runs/velim_a1']")
