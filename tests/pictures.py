@@ -20,7 +20,6 @@ from pathlib import Path
 
 from block_diagram import block_diagram
 from browser import browsing
-from desk_process import Page, served
 from PIL import Image
 
 ROOT = Path(__file__).parent.parent
@@ -54,7 +53,7 @@ def rollerrig(folder, *words):
     return json.loads(result.stdout)
 
 
-def photograph(browser, page, name, end, begin="body", width=WIDTH):
+def photograph(browser, page, name, end, begin="html", width=WIDTH):
     """Take the pictures of a part of a page, in light and in dark.
 
     `page`: the file. `begin`, `end`: selectors of CSS; the picture is from the top of the first
@@ -166,6 +165,8 @@ def protection(browser, folder):
 
 def desk(browser, _folder):
     """The desk with a stop on leaves, and its library of runs. The desk is dark."""
+    from desk_process import Page, served  # in tests/realtime, which the Makefile adds
+
     resize(browser, 1180, 1190)
     # the page shows the name of its folder
     with tempfile.TemporaryDirectory(prefix="rig-") as folder, served(Path(folder)) as one:

@@ -7,8 +7,11 @@ from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
+import pictures
 import pytest
+from block_diagram import block_diagram
 from browser import browsing
+from PIL import Image
 
 pytest.importorskip("material", reason="the site needs the extra docs")
 
@@ -89,3 +92,48 @@ def test_a_page_has_every_picture_in_light_and_in_dark(site):
     for page in sorted(site.rglob("*.html")):
         text = page.read_text(encoding="utf-8")
         assert text.count("#only-light") == text.count("#only-dark"), page.name
+
+
+# --- pictures ---
+
+
+def pictures_on_pages():
+    """The pictures that the pages show, as paths."""
+    shown = set()
+    for page in (ROOT / "README.md", *(ROOT / "docs").glob("*.md")):
+        text = page.read_text(encoding="utf-8")
+        names = re.findall(r'(?:srcset|src)="([^"]+)"', text)
+        names += re.findall(r"!\[[^\]]*\]\(([^)]+)\)", text)
+        shown |= {(page.parent / name).resolve() for name in names}
+    return shown
+
+
+def test_the_folder_of_pictures_has_what_the_pages_show_and_one_command_makes():
+    files = set(pictures.FOLDER.iterdir())
+    assert files == pictures_on_pages()
+    made = "|".join(pictures.PICTURES)
+    assert [path.name for path in files if not re.match(f"(?:{made})[-_.]", path.name)] == []
+
+
+def test_a_picture_is_small_and_as_wide_as_a_page():
+    for path in pictures.FOLDER.iterdir():
+        assert path.stat().st_size < 1000 * pictures.LARGEST_KB, path.name
+        if path.suffix == ".png":
+            width = Image.open(path).width
+            assert 0.95 * pictures.WIDTH < width <= 2 * pictures.WIDTH, path.name
+
+
+def test_a_picture_in_light_has_one_in_dark():
+    names = {path.name for path in pictures.FOLDER.iterdir()}
+    light = {name for name in names if "-light." in name}
+    assert light
+    assert {name.replace("-light.", "-dark.") for name in light} == {
+        name for name in names if "-dark." in name
+    }
+
+
+def test_the_block_diagram_is_up_to_date():
+    for scheme in pictures.SCHEMES:
+        path = pictures.FOLDER / f"rig-{scheme}.svg"
+        drawn = block_diagram(dark=scheme == "dark")
+        assert path.read_text(encoding="utf-8") == drawn, "run: make pictures PICTURES=rig"
