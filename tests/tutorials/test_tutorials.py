@@ -1,4 +1,4 @@
-"""A test follows every tutorial: it writes the files and runs the commands of a page in their order.
+"""A test follows every tutorial: it writes the files and runs the commands, in their order.
 
 A fenced block after a command shows lines of its output. Each line must be in the output of that
 command; "..." replaces any text.
