@@ -185,10 +185,10 @@ def desk(browser, _folder):
         save(screenshot(browser, 1180, 0, 1190), "desk")
         page.end()
         page.open_tab("Runs")
-        resize(browser, 1280, 500)
+        resize(browser, 1280, 640)
         page.there("//td[.='runs/velim_a1']")
         time.sleep(8.0)
-        save(screenshot(browser, 1280, 0, 500), "desk_runs")
+        save(screenshot(browser, 1280, 0, 640), "desk_runs")
 
 
 def diagram(_browser, _folder):

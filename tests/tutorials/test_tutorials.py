@@ -23,6 +23,18 @@ PAGES = (
     "howto_compare.md",
     "howto_robot_ci.md",
 )
+# commands of the README that are not run here, and why
+NOT_RUN = {
+    "make demo": "installs the package; its command is run by other tests",
+    "make test": "runs this test",
+    ". .venv/bin/activate": "the tests have the installation on their path",
+    "rollerrig run velim_a1 --live": "opens a window",
+    "rollerrig desk": "serves until it is stopped",
+    "rollerrig check": "its status is that of the machine",
+    "rollerrig programme": "takes many minutes; tests/wsp_interface/test_programme.py plays one",
+    "rollerrig explain open_rail_cleaning": "tests/realtime/test_api.py explains this set",
+    "rollerrig explain runs/a": "needs recordings of the reader",
+}
 # a block of indented lines, and the paragraph before it
 BLOCK = re.compile(
     r"^(?P<before>\S[^\n]*)\n\n(?P<block>(?: {4}[^\n]*\n|\n(?= {4}))+)", re.MULTILINE
@@ -36,14 +48,7 @@ ALONE = "--set bus.interface=hub --set bus.socketcand_port=0 --set modbus."
 
 @pytest.mark.parametrize("page", PAGES)
 def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
-    # a pytest of the page's is not ours, nor are its options
-    environment = {
-        name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")
-    }
-    environment["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+    port = free_port()
     done = 0
     whole = (docs / page).read_text().replace("5020", str(port))
     for found in BLOCK.finditer(whole):
@@ -61,7 +66,7 @@ def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
         told = subprocess.run(
             ["bash", "-e", "-c", commands],
             cwd=tmp_path,
-            env=environment,
+            env=environment(),
             capture_output=True,
             text=True,
             timeout=600,
@@ -72,6 +77,61 @@ def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
             is_in_output(shown["lines"], told.stdout + told.stderr)
         done += 1
     assert done >= 1
+
+
+def free_port():
+    """Return a port of this machine that no program listens on."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return free.getsockname()[1]
+
+
+def environment():
+    """Return the environment of a reader who has activated this installation."""
+    # a pytest of a page is not this one, nor are its options
+    variables = {
+        name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")
+    }
+    variables["PATH"] = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    return variables
+
+
+def test_every_command_of_the_readme_runs_here_or_has_a_reason(docs, tmp_path):
+    (tmp_path / "docs").symlink_to(docs)
+    readme = (docs.parent / "README.md").read_text(encoding="utf-8")
+    # a bus of this test, which other tests do not find
+    port = free_port()
+    alone = f"--set bus.interface=hub --set bus.socketcand_port={port} --set modbus.enabled=false"
+    readme = readme.replace("--wsp external", f"--wsp external {alone}")
+    readme = readme.replace("wsp_unit.py\n", f"wsp_unit.py 127.0.0.1 {port}\n")
+    left_out = set()
+    run = 0
+    for found in BLOCK.finditer(readme):
+        lines = []
+        for line in found["block"].splitlines():
+            command = line.partition("#")[0].strip()
+            begins = [begin for begin in NOT_RUN if command.startswith(begin)]
+            if begins:
+                left_out.update(begins)
+            else:
+                lines.append(command)
+        if not "".join(lines):
+            continue
+        script = "\n".join(lines)
+        result = subprocess.run(
+            ["bash", "-e", "-c", script],
+            cwd=tmp_path,
+            env=environment(),
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+        )
+        assert result.returncode == 0, script + result.stdout + result.stderr
+        run += 1
+    assert run >= 2
+    # no reason is left of a command that the page no longer has
+    assert left_out == set(NOT_RUN)
 
 
 def is_in_output(lines: str, output: str):
