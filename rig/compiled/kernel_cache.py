@@ -19,7 +19,7 @@ import shutil
 import stat
 from pathlib import Path
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import AXLES, COACH_AXLES
 from rollerrig.rig.compiled.numba_import import numba, settings
 
 # folders of the product that contain kernels
@@ -122,6 +122,18 @@ def is_compiled() -> bool:
     return here is not None and any(here.rglob("*.nbi"))
 
 
-if not os.environ.get("NUMBA_CACHE_DIR"):
+def use_folder_of_user(folder: Path) -> None:
+    """Make numba keep compiled kernels in a folder that the user has chosen.
+
+    The kernels of other numbers of axles are in a folder inside: numba would load kernels that were
+    compiled for arrays of another size.
+    """
+    if AXLES != COACH_AXLES:
+        settings.CACHE_DIR = str(folder / f"axles_{AXLES}")
+
+
+if os.environ.get("NUMBA_CACHE_DIR"):
+    use_folder_of_user(Path(os.environ["NUMBA_CACHE_DIR"]))
+else:
     with contextlib.suppress(OSError):
         use()

@@ -181,3 +181,20 @@ def test_a_folder_of_kernels_that_belongs_to_another_user_is_not_used(tmp_path):
     os.chown(tmp_path, 12345, -1)
     with pytest.raises(PermissionError, match="belongs to another user"):
         kernel_cache._keep_others_out(tmp_path)
+
+
+def test_kernels_for_other_numbers_of_axles_have_their_folder_where_the_user_chooses_one(tmp_path):
+    program = "from rollerrig.rig.compiled import kernel_cache; print(kernel_cache.folder())"
+    folders = {}
+    for axles in ("2", "4", "8"):
+        environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path), "ROLLERRIG_AXLES": axles}
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        folders[axles] = done.stdout.strip()
+    assert folders["4"] == str(tmp_path)
+    assert len(set(folders.values())) == 3
