@@ -28,7 +28,8 @@ WORK = ROOT / "build" / "pictures"
 WIDTH = 830  # of a page on a code hosting site, in points
 PIXELS_OF_A_POINT = 2
 LARGEST_KB = 150
-COLOURS = 48  # of a picture; lines and text need no more
+# colours of a picture, of which the largest number counts with which its file is small
+COLOURS = (128, 96, 64, 48)
 SCHEMES = ("light", "dark")
 # what a page of a drawing looks like
 DRAWING = """<!doctype html><meta charset="utf-8"><style>
@@ -48,8 +49,8 @@ def rollerrig(folder, *words):
     """Run a command in a folder, and return what it prints with `--json`."""
     command = [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    # 1: a verdict failed, which a picture may show
-    assert result.returncode in (0, 1), f"{' '.join(words)}:\n{result.stderr}"
+    # 1: a verdict failed, which a picture may show; after a crash there is no output
+    assert result.returncode in (0, 1) and result.stdout, f"{' '.join(words)}:\n{result.stderr}"
     return json.loads(result.stdout)
 
 
@@ -94,8 +95,10 @@ def save(image, name):
     """Write an image with few colours, as a small file. Raises ValueError if it is not small."""
     FOLDER.mkdir(exist_ok=True)
     path = FOLDER / f"{name}.png"
-    few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
-    few.save(path, optimize=True)
+    for colours in COLOURS:
+        image.convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
+        if path.stat().st_size <= 1000 * LARGEST_KB:
+            break
     size_kb = path.stat().st_size / 1000
     print(f"{path.relative_to(ROOT)}: {image.width} x {image.height}, {size_kb:.0f} kB", flush=True)
     if size_kb > LARGEST_KB:

@@ -32,7 +32,7 @@ NOT_RUN = {
     "rollerrig desk": "serves until it is stopped",
     "rollerrig check": "its status is that of the machine",
     "rollerrig programme": "takes many minutes; tests/wsp_interface/test_programme.py plays one",
-    "rollerrig explain open_rail_cleaning": "tests/realtime/test_api.py explains this set",
+    "rollerrig explain open_rail_cleaning": "tests/rig/identify/test_explain.py explains this set",
     "rollerrig explain runs/a": "needs recordings of the reader",
 }
 # a block of indented lines, and the paragraph before it
