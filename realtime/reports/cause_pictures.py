@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.panel import Panel, Series
-from rollerrig.realtime.reports.cause_sentences import place_in_words
+from rollerrig.realtime.reports.hints.sizes import place_in_words
 from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.causes.courses import covariate, of_axle, vehicle_samples

@@ -6,7 +6,6 @@ The words for causes come from the table of mechanisms.
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.realtime.reports.hints import first_screen, sizes
 from rollerrig.rig.identify.decide import decision, estimates, evidence, thresholds
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
@@ -22,13 +21,6 @@ from rollerrig.rig.mechanisms.table import BY_NAME
 
 MOST_COVARIATES_SHOWN = 3
 MOST_RUNS_SHOWN = 3
-
-# the covariate that shows what contradicts a cause
-FAILED_ALONG = {
-    Contradiction.NO_TRIGGER: "time",
-    Contradiction.OTHER_PLACES: "place",
-    Contradiction.OTHER_FORCE: "vehicle speed",
-}
 
 # subject and verb of a sentence, for the causes with `unknown_in_other_runs`
 UNKNOWN_SHAPES = {
@@ -61,14 +53,6 @@ def covariate_of(test: ScoreTest) -> str:
     return covariate.replace("one axle", f"axle {test.axle}")
 
 
-def place_in_words(axle: int) -> str:
-    """Return where a cause acts: a wheelset, a bogie, or all wheelsets."""
-    if axle < 0:
-        wheelsets = " and ".join(str(wheelset) for wheelset in wheelsets_of(axle))
-        return f"bogie {-axle} (wheelsets {wheelsets})"
-    return f"wheelset {axle}" if axle else "all wheelsets"
-
-
 def worst_covariates(diagnosis: Diagnosis) -> list[str]:
     """Return the covariates along which the base is most significantly wrong, the worst first.
 
@@ -77,11 +61,20 @@ def worst_covariates(diagnosis: Diagnosis) -> list[str]:
     failed = []
     for note in diagnosis.notes:
         if note.contradicted is not None and diagnosis.verdict == Verdict.UNEXPLAINED:
-            failed.append(FAILED_ALONG[note.contradicted.what])
+            failed.append(_failed_along(note.contradicted))
     smooth = [test for test in diagnosis.score_tests if evidence.is_smooth_function(test.name)]
     smooth = sorted(smooth, key=lambda test: test.p_value)
     against = [*failed, *(covariate_of(test) for test in smooth)]
     return list(dict.fromkeys(against))[:MOST_COVARIATES_SHOWN]
+
+
+def _failed_along(contradicted: Contradicted) -> str:
+    """Return the covariate that shows what contradicts a cause."""
+    if contradicted.what is Contradiction.NO_TRIGGER:
+        return "time"
+    if contradicted.what is Contradiction.OTHER_PLACES:
+        return "place"
+    return "axle" if contradicted.cause.axle else "vehicle speed"
 
 
 def formula_text(formula: EmpiricalFormula) -> str:
@@ -321,7 +314,7 @@ def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
         runs = "1 run" if len(of_runs) == 1 else f"{len(of_runs)} runs"
         values.append(f"{kind} = {span} in {runs} (each is in report.json)")
 
-    place = f" on {place_in_words(cause.axle)}" if cause.axle else ""
+    place = f" on {sizes.place_in_words(cause.axle)}" if cause.axle else ""
     if cause.shape.get(ALONE.name):
         place += ", only in the friction of the contaminant"
     yield f"Cause: {row.text}{place} [{row.name}]; {', '.join(values)}."

@@ -10,6 +10,7 @@ effect on the bus of the bench.
 import math
 
 from rollerrig.realtime.reports import cause_sentences
+from rollerrig.realtime.reports.hints import sizes
 from rollerrig.rig.identify.decide import estimates
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.decision import Diagnosis
@@ -85,7 +86,7 @@ def _of_recording(identified: IdentifiedCause) -> list[str]:
     cause = identified.cause
     parameters = estimates.parameters(identified)
     values = ", ".join(f"{name} = {found.value:.4g}" for name, found in parameters.items())
-    place = f" of {cause_sentences.place_in_words(cause.axle)}" if cause.axle else ""
+    place = f" of {sizes.place_in_words(cause.axle)}" if cause.axle else ""
     lines = [f"# in the recording, not in the plant: {cause.name}{place}, {values}"]
     if cause.name != "speed_sensor_delay":
         return lines

@@ -112,6 +112,8 @@ def nearest(diagnosis: Diagnosis) -> str:
     names = []
     for test in tests:
         size = sizes.in_words(test.name, test.estimate[0])
+        if test.axle:
+            size += f" on {sizes.place_in_words(test.axle)}"
         near = ""
         if shown is not None and shown.statistic > test.statistic:
             share = 100.0 * test.statistic / shown.statistic

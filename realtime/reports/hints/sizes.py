@@ -5,6 +5,7 @@ A row has the factor from the first parameter of the cause to the number in the 
 
 from typing import NamedTuple
 
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 
@@ -58,3 +59,11 @@ def in_words(name: str, size: float, digits: int = 2) -> str:
         return f"{row.name} = {abs(size):.{digits}g} {row.source}"
     value = float(f"{words.factor * abs(size):.{digits}g}")
     return f"{words.before}{value:g}{words.after}"
+
+
+def place_in_words(axle: int) -> str:
+    """Return where a cause acts: a wheelset, a bogie, or all wheelsets."""
+    if axle < 0:
+        wheelsets = " and ".join(str(wheelset) for wheelset in wheelsets_of(axle))
+        return f"bogie {-axle} (wheelsets {wheelsets})"
+    return f"wheelset {axle}" if axle else "all wheelsets"
