@@ -470,9 +470,8 @@ def _try_second_cause(
     if net_ratio < thresholds.LEAST_RATIO_OF_SECOND:
         return first_alone
 
-    what = coherence.of_window(design, better, len(better.causes) - 1)
-    if what is not None:
-        rejected = coherence.contradicted(design, second.cause, net_ratio, what)
+    rejected = coherence.of_window(design, better, len(better.causes) - 1, net_ratio)
+    if rejected is not None:
         return explanation, [first], rejected
 
     # the first cause must still be needed, and may be replaced

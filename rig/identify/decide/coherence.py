@@ -55,16 +55,22 @@ class Contradicted(NamedTuple):
     windows: tuple[Window, ...]  # where it acts in each run, for sand and patches
 
 
-def of_window(design: Design, explanation: Explanation, at: int) -> Contradiction | None:
-    """Return what contradicts sand or a patch, cause number `at` of a fitted explanation.
+def of_window(
+    design: Design, explanation: Explanation, at: int, likelihood_ratio: float
+) -> Contradicted | None:
+    """Return sand or a patch, cause number `at` of a fitted explanation, if it is contradicted.
 
-    None: nothing does, or the cause acts in no window.
+    None: nothing contradicts it, or the cause acts in no window. `likelihood_ratio` is what it won.
     """
     cause = explanation.causes[at]
     if cause.name == "sanding" and not _follows_a_trigger(design, cause):
-        return Contradiction.NO_TRIGGER
-    if cause.name == "contaminated_patch" and not _is_one_place(design, explanation, at):
-        return Contradiction.OTHER_PLACES
+        what = Contradiction.NO_TRIGGER
+        return Contradicted(cause, likelihood_ratio, what, tuple(sand_windows(design, cause)))
+    if cause.name == "contaminated_patch":
+        apart = shapes.patch_by_run(design, explanation, at)
+        if not _is_one_place(design, explanation, apart, at):
+            windows = patch_windows(design, apart.causes[at])
+            return Contradicted(cause, likelihood_ratio, Contradiction.OTHER_PLACES, windows)
     return None
 
 
@@ -78,20 +84,6 @@ def of_forces(design: Design, explanation: Explanation) -> int | None:
         if is_torque and disagreement(design, explanation, at) > thresholds.MOST_DISAGREEMENT:
             return at
     return None
-
-
-def contradicted(
-    design: Design, cause: Cause, likelihood_ratio: float, what: Contradiction
-) -> Contradicted:
-    """Return a contradicted cause, with its windows."""
-    windows: list[Window] = []
-    if cause.name == "sanding":
-        windows = sand_windows(design, cause)
-    if cause.name == "contaminated_patch":
-        start_m = cause.shape["start_m"]
-        end_m = start_m + cause.shape["length_m"]
-        windows = [Window(run, start_m, end_m) for run in design.names]
-    return Contradicted(cause, likelihood_ratio, what, tuple(windows))
 
 
 # --- sand ---
@@ -158,12 +150,20 @@ def _first_slide_s(design: Design, run: int) -> float:
 # --- a patch ---
 
 
-def _is_one_place(design: Design, explanation: Explanation, at: int) -> bool:
-    """Return whether edges of a patch that are moved in each run alone win little."""
+def patch_windows(design: Design, cause: Cause) -> tuple[Window, ...]:
+    """Return where a patch with edges of each run (`shapes.patch_by_run`) is, in m."""
+    windows = []
+    for run in design.names:
+        start_m = cause.shape[f"start_m {run}"]
+        windows.append(Window(run, start_m, start_m + cause.shape[f"length_m {run}"]))
+    return tuple(windows)
+
+
+def _is_one_place(design: Design, explanation: Explanation, apart: Explanation, at: int) -> bool:
+    """Return whether `apart`, with the edges of the patch moved in each run alone, wins little."""
     won = fitting.deviance(design, _without(explanation, at)) - fitting.deviance(
         design, explanation
     )
-    apart = shapes.patch_by_run(design, explanation, at)
     gained = fitting.deviance(design, explanation) - fitting.deviance(design, apart)
     least = thresholds.PRICE_OF_COEFFICIENT * 2 * (design.mass_kg.size - 1)
     return gained < max(least, thresholds.PATCH_APART_SHARE * won)

@@ -119,8 +119,8 @@ def explain_braking_runs(
         at = coherence.of_forces(design, search.explanation)
         if at is not None:
             found = search.causes[at]
-            force = coherence.contradicted(
-                design, found.cause, found.likelihood_ratio, Contradiction.OTHER_FORCE
+            force = Contradicted(
+                found.cause, found.likelihood_ratio, Contradiction.OTHER_FORCE, windows=()
             )
             contradicted = (*contradicted, force)
         verdict, more_notes = decide_verdict(
@@ -236,18 +236,19 @@ def _choose_coherent(
     if not causes:
         return explanation, causes, None
     first = causes[0]
-    what = coherence.of_window(design, explanation, 0)
-    if what is None:
+    rejected = coherence.of_window(design, explanation, 0, first.likelihood_ratio)
+    if rejected is None:
         return explanation, causes, None
 
     others = [one for one in fitted if one.test.name != first.cause.name]
     explanation, causes = choice.choose(design, base, base_fit.deviance, others)
     explanation, causes = choice.refine_scales(design, explanation, causes)
     least = thresholds.CLEARLY_LESS_SHARE * first.likelihood_ratio
-    is_near = bool(causes) and causes[0].likelihood_ratio > least
-    if is_near and coherence.of_window(design, explanation, 0) is None:
-        return explanation, causes, None
-    return base, [], coherence.contradicted(design, first.cause, first.likelihood_ratio, what)
+    if causes and causes[0].likelihood_ratio > least:
+        ratio = causes[0].likelihood_ratio
+        if coherence.of_window(design, explanation, 0, ratio) is None:
+            return explanation, causes, None
+    return base, [], rejected
 
 
 def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[Note]]:

@@ -46,8 +46,13 @@ def sand(design: Design, windows: list[tuple[float, float]]) -> Explanation:
 def test_sand_has_the_same_onset_after_a_trigger_in_all_runs(
     clean: Design, windows: list[tuple[float, float]], is_sand: bool
 ) -> None:
-    what = coherence.of_window(clean, sand(clean, windows), 0)
-    assert what is (None if is_sand else Contradiction.NO_TRIGGER)
+    found = coherence.of_window(clean, sand(clean, windows), 0, likelihood_ratio=100.0)
+    if is_sand:
+        assert found is None
+    else:
+        assert found is not None
+        assert found.what is Contradiction.NO_TRIGGER
+        assert [window.start for window in found.windows] == [start_s for start_s, _ in windows]
 
 
 def with_torque(design: Design, axles: tuple[int, ...], factor: float) -> Design:
@@ -94,10 +99,14 @@ def test_a_patch_is_at_the_same_place_in_all_runs(tmp_path: Path) -> None:
         fits.append(fitting.fit(design, base._replace(causes=(patch,)), 2, noise=False))
     best = min(fits, key=lambda fit: fit.deviance)
     with_patch = choice.fit_explanation(design, best.explanation).explanation
-    assert coherence.of_window(design, with_patch, 0) is None
+    assert coherence.of_window(design, with_patch, 0, likelihood_ratio=100.0) is None
 
     # the same stops, as if one of them had begun 60 m further on
     first = design.run == 0
     moved = np.repeat(first, np.diff(design.start)) * 60.0
     elsewhere = design._replace(place_m=design.place_m + moved)
-    assert coherence.of_window(elsewhere, with_patch, 0) is Contradiction.OTHER_PLACES
+    found = coherence.of_window(elsewhere, with_patch, 0, likelihood_ratio=100.0)
+    assert found is not None
+    assert found.what is Contradiction.OTHER_PLACES
+    starts_m = [window.start for window in found.windows]
+    assert starts_m[0] > max(starts_m[1:]) + 30.0
