@@ -10,6 +10,7 @@ import contextlib
 import copy
 import hashlib
 import json
+import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
@@ -98,10 +99,11 @@ def call(options: argparse.Namespace) -> int:
     marks = {one.name: _fingerprint(one, options) for one in sequences}
     parts = _parts_done(out, marks)
     done_before = len(parts)
+    begun_s = time.monotonic()
     with interruption.Interruption() as interrupted:
         with (
             contextlib.suppress(KeyboardInterrupt),
-            output.report_progress(lambda: f"{len(parts)} of {len(sequences)} sequences done"),
+            output.report_progress(lambda: _progress(parts, done_before, len(sequences), begun_s)),
         ):
             for name, part in _play(sequences, playing, out, marks, parts):
                 parts[name] = part
@@ -128,6 +130,18 @@ def call(options: argparse.Namespace) -> int:
     if interrupted.by:
         return output.INVALID
     return output.PASS if evidence["result"] == "pass" else output.FAILED
+
+
+def _progress(
+    parts: dict[str, dict[str, Any]], done_before: int, total: int, begun_s: float
+) -> str:
+    """Return how many sequences are done and, after the first one, how long the others may take."""
+    text = f"{len(parts)} of {total} sequences done"
+    done_now = len(parts) - done_before
+    if not done_now:
+        return text
+    left_s = (time.monotonic() - begun_s) / done_now * (total - len(parts))
+    return f"{text}, about {left_s / 60.0:.0f} min left"
 
 
 def _sequence_options(options: argparse.Namespace, out: Path) -> argparse.Namespace:

@@ -165,7 +165,7 @@ def _page(found: Mapping[str, Any], out: Path) -> str:
         "contents of the programme": verdict_of.source_text(found["source"]),
         "command of the unit": tested["command"] or "-",
         "seed": str(tested["seed"]),
-        "date": found["written"],
+        "date": f"{datetime.fromisoformat(found['written']):%Y-%m-%d %H:%M} UTC",
     }
     parts: list[str] = [
         page.facts(block),
@@ -225,7 +225,7 @@ def _group(group: Mapping[str, Any], out: Path) -> list[page.Markup]:
         rows = [_verdict(verdict) for verdict in one["verdicts"]]
         marked = [_MARKED.get(Result(verdict["result"]), "") for verdict in one["verdicts"]]
         parts.append(page.table(_VERDICTS_HEAD, rows, marked))
-        configuration = f"configuration {one['config_hash']}, seed {one['seed']}, {one['pacing']}: "
+        configuration = f"Configuration {one['config_hash']}, seed {one['seed']}, {one['pacing']}. "
         report = out / one["name"] / "report.html"
         link = page.file_link("report of the sequence", report, out)
         parts.append(page.paragraph(configuration, link))
