@@ -106,7 +106,7 @@ OUTSIDE = {
     "realtime/datasets": "numpy scipy tomli_w",
     "realtime/discover": "numpy scipy tomli_w",
     "realtime/reports": "numpy pyarrow matplotlib rich fpdf",
-    "realtime/benchmarks": "numpy rich distributed pymodbus",
+    "realtime/benchmarks": "numpy rich distributed pymodbus pyarrow",
     "realtime/desk": "numpy nicegui fastapi pymodbus",
     "realtime/pictures": "numpy",
     "realtime/commands": "numpy rich tomli_w",

@@ -150,7 +150,7 @@ def _timed(plan: campaign.Plan, chunk: int) -> tuple[list[Result], dict[str, flo
     rows = campaign.run_chunk(plan, chunk)
     wall_s = time.perf_counter() - wall_begun_s
     cpu_s = time.process_time() - cpu_begun_s
-    return rows, {"wall_s": wall_s, "cpu_s": cpu_s, "memory_MB": _peak_memory_MB()}
+    return rows, {"wall_s": wall_s, "cpu_s": cpu_s, "memory_MB": peak_memory_MB()}
 
 
 def _spent(plan: campaign.Plan, chunk: int) -> dict[str, float]:
@@ -158,7 +158,8 @@ def _spent(plan: campaign.Plan, chunk: int) -> dict[str, float]:
     return _timed(plan, chunk)[1]
 
 
-def _peak_memory_MB() -> float:
+def peak_memory_MB() -> float:
+    """Return the largest memory that this process has had."""
     # getrusage would count the memory that the parent of the process had before exec
     status = Path("/proc/self/status").read_text(encoding="ascii")
     peak_kB = status.partition("VmHWM:")[2].split()[0]

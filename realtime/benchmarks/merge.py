@@ -17,6 +17,7 @@ import pyarrow as pa
 from rich.table import Table
 
 from rollerrig.realtime.benchmarks import figures
+from rollerrig.realtime.benchmarks.campaign import peak_memory_MB
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign, large, spreading
 
@@ -86,15 +87,15 @@ def _measure(stops: int) -> Result:
             "stops": stops,
             "wall_s": time.perf_counter() - wall_begun_s,
             "merge_us": 1e6 * cpu_s / stops,
-            "memory_MB": _memory_MB(),
+            "memory_MB": peak_memory_MB(),
             "worker_memory_MB": worker_memory_MB,
             "disk_MB": disk / 1e6,
         }
 
 
 def _do_chunk(piece: campaign.Plan, limits: large.Limits) -> tuple[large.Part, float]:
-    """Return what a chunk leaves, and the memory of the worker in MB."""
-    return large.part(piece, _rows(piece), limits), _memory_MB()
+    """Return what a chunk leaves, and the peak memory of the worker in MB."""
+    return large.part(piece, _rows(piece), limits), peak_memory_MB()
 
 
 def _rows(piece: campaign.Plan) -> pa.Table:
@@ -115,12 +116,6 @@ def _rows(piece: campaign.Plan) -> pa.Table:
     for name, values in changed.items():
         table = table.set_column(table.column_names.index(name), name, pa.array(values))
     return table
-
-
-def _memory_MB() -> float:
-    """Return the memory of this process that is in use now."""
-    status = Path("/proc/self/status").read_text(encoding="ascii")
-    return int(status.partition("VmRSS:")[2].split()[0]) / 1024.0
 
 
 def table(result: Result) -> Table:
