@@ -137,6 +137,3 @@ if os.environ.get("NUMBA_CACHE_DIR"):
 else:
     with contextlib.suppress(OSError):
         use()
-elif AXLES != COACH_AXLES:
-    # numba would take a kernel of another number of axles for one of this number
-    settings.CACHE_DIR = str(Path(os.environ["NUMBA_CACHE_DIR"]) / f"axles-{AXLES}")

@@ -124,25 +124,6 @@ def test_a_process_locks_the_generation_that_it_uses():
         os.close(file)
 
 
-def test_vehicles_with_other_numbers_of_axles_have_other_kernels_in_a_folder_of_the_user(tmp_path):
-    folders = set()
-    for axles in (4, 6, 8):
-        done = subprocess.run(
-            [
-                sys.executable,
-                "-c",
-                "from rollerrig.rig.compiled import kernel_cache; print(kernel_cache.folder())",
-            ],
-            capture_output=True,
-            text=True,
-            check=True,
-            env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "ROLLERRIG_AXLES": str(axles)},
-        )
-        folders.add(done.stdout.strip())
-        assert done.stdout.startswith(str(tmp_path))
-    assert len(folders) == 3
-
-
 def test_a_run_is_recorded_and_summed_up_without_pandas(tmp_path):
     code = (
         "import sys\n"
