@@ -373,9 +373,9 @@ def _contents(dictionary: ObjectDictionary, mapping: int, receiver: str) -> Iter
         variable = dictionary.get_variable(index, sub)
         if variable is not None:
             names = signal_names(dictionary.node_id or 0, variable)
-            # one byte may carry a signal of all axles, a few bits each
-            bits_each = bits // len(names)
-            are_magnets = names == signals.columns(signals.BY_NAME["magnets"])
+            # one byte may carry a signal of all axles of a group, which may have two or four
+            bits_each = bits if len(names) == 1 else magnets.BITS_PER_AXLE
+            are_magnets = set(names) <= set(signals.columns(signals.BY_NAME["magnets"]))
             for position, name in enumerate(names):
                 yield _signal(
                     name,

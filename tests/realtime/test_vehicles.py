@@ -208,6 +208,12 @@ def test_the_files_of_devices_describe_the_nodes_of_every_group(record, tmp_path
     carried = {signal.name for message in database.messages for signal in message.signals}
     for axle in range(1, record.number_of_axles + 1):
         assert f"measured_speed_{axle}_rad_s" in carried
+    # also in a group of two axles each axle has two bits of the byte of the magnets
+    for group in range(groups):
+        message = database.get_message_by_frame_id(0x211 + 32 * group)
+        places = [(signal.start, signal.length) for signal in message.signals]
+        assert places == [(2 * at, 2) for at in range(len(places))]
+        assert all(signal.choices for signal in message.signals)
 
 
 def test_a_sequence_plays_on_the_bus_with_all_axles_of_a_vehicle(tmp_path):
