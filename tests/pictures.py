@@ -50,7 +50,8 @@ def rollerrig(folder, *words):
     command = [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--json"]
     result = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     # 1: a verdict failed, which a picture may show; after a crash there is no output
-    assert result.returncode in (0, 1) and result.stdout, f"{' '.join(words)}:\n{result.stderr}"
+    assert result.returncode in (0, 1), f"{' '.join(words)}:\n{result.stderr}"
+    assert result.stdout, f"{' '.join(words)}:\n{result.stderr}"
     return json.loads(result.stdout)
 
 
