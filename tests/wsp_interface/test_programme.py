@@ -181,3 +181,15 @@ def test_a_sequence_that_was_not_run_or_lacks_a_signal_never_counts_as_a_pass(fi
 
 def test_a_run_without_a_record_has_no_signals(tmp_path):
     assert report.recorded(Path(tmp_path)) == []
+
+
+def test_a_unit_that_sends_no_reference_speed_can_pass_and_the_evidence_states_it(files, tmp_path):
+    text = files.read_text().replace("log = [", 'log = ["wsp_reference_speed", ', 1)
+    files.write_text(text)
+    loaded = programme.load(str(files))
+    assert "wsp_reference_speed" in loaded.log
+    named = {name: part(name) for name in ("a", "b", "c")}
+    found = report.evidence(loaded, named, {"unit": "none"}, datetime(2026, 1, 1, tzinfo=UTC), {})
+    assert found["result"] == "pass"
+    (first, *_) = found["groups"][0]["sequences"]
+    assert first["missing_signals"] == ["wsp_reference_speed"]

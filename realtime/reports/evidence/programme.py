@@ -31,6 +31,9 @@ _PACKAGES = ("rollerrig", "numpy", "numba", "scipy", "canopen", "python-can", "p
 _MARKED = {Result.FAIL: "marked", Result.ERROR: "marked"}
 _VERDICTS_HEAD = ("measure or check", "value", "limit", "result", "source of the limit")
 
+# signals that only the unit can send; a unit need not send them
+_OF_UNIT = ("wsp_reference_speed",)
+
 Part = Mapping[str, Any]  # of one sequence
 
 
@@ -127,8 +130,12 @@ def _sequence(
 
 
 def _counted(one: Mapping[str, Any]) -> Result:
-    """Return what a sequence counts; one that was not run, or lacks a signal, is an error."""
-    if one["result"] == NOT_RUN or one["missing_signals"]:
+    """Return what a sequence counts; one that was not run, or lacks a signal, is an error.
+
+    Optional signals that the unit does not send are reported, and are no error.
+    """
+    of_rig = [signal for signal in one["missing_signals"] if signal not in _OF_UNIT]
+    if one["result"] == NOT_RUN or of_rig:
         return Result.ERROR
     return Result(one["result"])
 
@@ -172,8 +179,8 @@ def _page(found: Mapping[str, Any], out: Path) -> str:
         page.paragraph(
             page.element("b", f"{DISCLAIMER.capitalize()}."),
             " Simulated rig and vehicle. Mandatory groups and groups by agreement count for the "
-            "result; a sequence that was not run, or whose record lacks a required signal, is an "
-            "error.",
+            "result; a sequence that was not run, or whose record lacks a required signal of the rig, "
+            "is an error.",
             kind="note",
         ),
         *(page.paragraph(note) for note in found["notes"]),
@@ -220,7 +227,9 @@ def _group(group: Mapping[str, Any], out: Path) -> list[page.Markup]:
         if one["error"]:
             parts.append(page.paragraph(f"Error: {one['error']}", kind="note"))
         if one["missing_signals"]:
-            text = f"Not in the record: {', '.join(one['missing_signals'])}"
+            text = f"Not in the record: {', '.join(one['missing_signals'])}."
+            if set(one["missing_signals"]) <= set(_OF_UNIT):
+                text += " It is optional, and the unit does not send it."
             parts.append(page.paragraph(text, kind="note"))
         rows = [_verdict(verdict) for verdict in one["verdicts"]]
         marked = [_MARKED.get(Result(verdict["result"]), "") for verdict in one["verdicts"]]
