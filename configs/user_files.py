@@ -115,6 +115,14 @@ def read_text(
     All ends of lines become "\\n".
     """
     content = read_bytes(path, kind, within, remedy)
+    return decode(path, content, encoding)
+
+
+def decode(path: Path, content: bytes, encoding: str) -> str:
+    """Return the text of the content of a file; all ends of lines become "\\n".
+
+    `path` is for the message. Raises ConfigError if the content is not text of this encoding.
+    """
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:

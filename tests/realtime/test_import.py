@@ -153,6 +153,17 @@ def test_a_dataset_is_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture
     assert [path.name for path in tmp_path.iterdir()] == ["dataset.toml"]
 
 
+@pytest.mark.parametrize("name", ["none.csv", "none.mf4", "none.parquet"])
+def test_a_missing_file_is_a_message_about_the_files_of_the_logger(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    missing = tmp_path / name
+    assert import_files(TRIPS[0], missing, "--out", tmp_path / "out", "--yes") == cli.USAGE
+    message = f"{missing}: no such file; give the files that the logger wrote"
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
 def test_files_with_other_columns_are_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -86,6 +86,9 @@ def call(options: argparse.Namespace) -> int:
     mapped = _pairs(options.map, "--map", "wheel_speed_1_m_s=v1")
     given_units = _pairs(options.unit, "--unit", "wheel_speed=km/h")
     head = {"separator": options.separator, "decimal": options.decimal}
+    for path in options.file:
+        if not path.exists():
+            raise ConfigError(f"{path}: no such file; give the files that the logger wrote")
     at = ""
     with output.report_progress(lambda: f"reading {at}"):
         files = []

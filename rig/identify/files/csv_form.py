@@ -22,6 +22,7 @@ from itertools import islice
 from pathlib import Path
 from typing import NamedTuple
 
+from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.files import units
 
@@ -98,19 +99,14 @@ def decode(path: Path, content: bytes) -> tuple[str, str]:
             "as 'CSV UTF-8'"
         )
     encoding = _encoding(content)
-    try:
-        text = content.decode(encoding)
-    except UnicodeDecodeError as error:
-        raise ConfigError(
-            f"{path}: cannot be read as text ({encoding}): {error}; save it in UTF-8"
-        ) from None
+    text = user_files.decode(path, content, encoding)
     # a logger that was switched off may leave zeros at the end
     text = text.rstrip("\0").removeprefix("\ufeff")
     if "\0" in text:
         raise ConfigError(f"{path}: is not text, it has bytes of zero; give a CSV file")
     if encoding == "utf-8-sig":
         encoding = "utf-8"
-    return text.replace("\r\n", "\n").replace("\r", "\n"), encoding
+    return text, encoding
 
 
 def _encoding(content: bytes) -> str:

@@ -100,6 +100,11 @@ def align(run: Run, delay_s: dict[str, float], scale: dict[str, Scale], block_s:
         values = faults.at(channel, time_s + delay_s.get(channel.name, 0.0))
         return scale.get(channel.name, AS_RECORDED).corrected(values)
 
+    lowest_m_s = []
+    for channel in run.of("speed", "reference"):
+        resolution_m_s = max(channel.quantum, channel.deadband_m_s)
+        lowest_m_s.append(limit.slowest_m_s(channel.noise, resolution_m_s))
+    reference_noise_m_s = [channel.error for channel in run.of("reference")]
     nothing = np.full(time_s.size, np.nan)
     others = {
         channel.quantity: corrected(channel)
@@ -116,12 +121,9 @@ def align(run: Run, delay_s: dict[str, float], scale: dict[str, Scale], block_s:
         yaw_rad_s=others.get("yaw", nothing),
         scale=scale,
         block_s=block_s,
-        slowest_m_s=max(
-            limit.slowest_m_s(channel.noise, max(channel.quantum, channel.deadband_m_s))
-            for channel in run.of("speed", "reference")
-        ),
+        slowest_m_s=max(lowest_m_s),
         noise_m_s=tuple(channel.error for channel in speeds),
-        reference_noise_m_s=max((channel.error for channel in run.of("reference")), default=0.0),
+        reference_noise_m_s=max(reference_noise_m_s, default=0.0),
     )
 
 
