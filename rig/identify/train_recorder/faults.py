@@ -715,7 +715,9 @@ def _held(run: Run, channel: Channel) -> Iterator[Hit]:
     is_same = np.concatenate([np.diff(v) == 0.0, [False]]) & (np.abs(v) > _ZERO_M_S)
     held = stretches(is_same)
     shortest_s = max(limit.STUCK_S, _HELD_FACTOR * _usually_held_s(channel, others, held))
-    step_m_s = max(channel.quantum, _step_after_hold(v, held))
+    # both the held value and the others are rounded
+    other_quanta_m_s = [c.quantum for c in run.of(*_SPEEDS) if c.name != channel.name]
+    step_m_s = max(channel.quantum, _step_after_hold(v, held)) + max(other_quanta_m_s, default=0.0)
     for stretch in held:
         first = stretch.first
         last = stretch.last + 1  # equal to the sample before it

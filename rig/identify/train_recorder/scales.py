@@ -6,7 +6,9 @@
 rho_i of a wheel is the radius that the recorder assumes over the radius of the wheel, less one. It
 is the median over blocks in which nobody brakes hard, for each date. c_i and b_i hold for all
 dates. The standard error of rho_i is that of the median of blocks or of the medians of stretches of
-the recording, whichever is larger, with SYSTEMATIC_RADIUS, which no amount of data removes.
+the recording, whichever is larger, with SYSTEMATIC_RADIUS, which no amount of data removes. The
+interval also holds half the difference to the ratio over all motion: a ratio that depends on the
+choice of blocks is no better known.
 
 A ratio that scatters between blocks is no property of a wheel: it slips, or the vehicle turns. If
 all wheels differ from the reference by the same scale, the reference is doubted.
@@ -39,6 +41,7 @@ _ERROR_OF_MEDIAN = 1.2533
 # stretches of a recording whose medians are compared, and blocks of each stretch at least
 _STRETCHES = 6
 _BLOCKS_PER_STRETCH = 2
+_LEAST_STRETCHES = 3
 
 # samples of the bootstrap of scale and offset
 _REPLICATES = 300
@@ -48,11 +51,21 @@ _COMMON_SPREAD = 0.25
 
 
 class Wheel(NamedTuple):
-    """rho of a speed [R2] with its standard error, from so many blocks."""
+    """rho of a speed [R2] with its standard error, from so many blocks.
+
+    `choice_error` is that of the choice of blocks. It is the same for all dates, and cancels in
+    their differences.
+    """
 
     radius: float
     error: float
     blocks: int
+    choice_error: float = 0.0
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the 95 % interval."""
+        return float(np.hypot(self.error, self.choice_error)) * self.quantile
 
     @property
     def quantile(self) -> float:
@@ -257,7 +270,7 @@ def _fit_channel(
     line = np.column_stack([is_date, 1.0 / speed])
     robust_line = _robust_fit(line, share, weight)
     offset = float(robust_line[-1])
-    errors = _bootstrap(line, share, weight)
+    errors = np.maximum(_bootstrap(line, share, weight), _jackknife(line, share, weight))
     offset_error = float(errors[-1])
 
     ratio_only = _robust_fit(is_date, share, weight)
@@ -271,6 +284,7 @@ def _fit_channel(
         and scatter_of_line < limit.OFFSET_SCATTER * scatter_of_ratio
     )
     level = share - offset / speed if has_offset else share
+    by_choice = _error_of_choice(level, in_motion, offset if has_offset else 0.0)
     wheels = {}
     for k, date in enumerate(dates):
         of_date = level[is_date[:, k] > 0.0]
@@ -279,7 +293,7 @@ def _fit_channel(
         error = float(np.hypot(_error_of_level(of_date), rounding))
         if has_offset:
             error = float(np.hypot(error, offset_error * np.median(1.0 / speed)))
-        wheels[date] = Wheel(float(np.median(of_date)), error, of_date.size)
+        wheels[date] = Wheel(float(np.median(of_date)), error, of_date.size, by_choice)
 
     middle = level - is_date @ _robust_fit(is_date, level, weight)
     scatter = np.sqrt(max(_spread(middle) ** 2 - noise**2, 0.0))
@@ -330,6 +344,21 @@ def _error_of_level(shares: np.ndarray) -> float:
     return float(np.hypot(max(of_blocks, of_stretches), limit.SYSTEMATIC_RADIUS))
 
 
+def _error_of_choice(level: np.ndarray, in_motion: list[_Block], offset_m_s: float) -> float:
+    """Return the error of a ratio by the choice of blocks: quiet ones, or all in motion.
+
+    The ratio over all motion is that of the distances, without blocks in which the wheel slides.
+    """
+    middle = float(np.median(level))
+    speed = np.array([row.speed for row in in_motion])
+    share = np.array([row.share for row in in_motion]) - offset_m_s / speed
+    rolls = np.abs(share - middle) < limit.SLIDE_SHARE
+    if not rolls.any():
+        return 0.0
+    of_motion = float(np.average(share[rolls], weights=speed[rolls]))
+    return 0.5 * abs(of_motion - middle)
+
+
 def _robust_fit(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return coefficients that minimise the weighted absolute errors, by repeated least squares."""
     robust = np.ones(values.size)
@@ -363,6 +392,28 @@ def _bootstrap(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> n
     replicates = np.einsum("rij,rj->ri", np.linalg.pinv(normal), right)
     # a few replicates may have no block of a date
     return np.array([_spread(column) for column in replicates.T])
+
+
+def _jackknife(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Return the standard errors of the coefficients, by leaving out stretches of the recording.
+
+    Neighbouring blocks share curves, slopes and tyres, which single blocks do not show. The result
+    is 0 if there are too few blocks, or if a stretch has all blocks of a date.
+    """
+    size = values.size
+    stretches = min(_STRETCHES, size // _BLOCKS_PER_STRETCH)
+    none = np.zeros(columns.shape[1])
+    if stretches < _LEAST_STRETCHES:
+        return none
+    coefficients = []
+    for part in np.array_split(np.arange(size), stretches):
+        kept = np.ones(size, bool)
+        kept[part] = False
+        if np.linalg.matrix_rank(columns[kept]) < columns.shape[1]:
+            return none
+        coefficients.append(_robust_fit(columns[kept], values[kept], weight[kept]))
+    deviation = np.std(np.array(coefficients), axis=0)
+    return np.asarray(np.sqrt(stretches - 1.0) * deviation)
 
 
 # --- the reference ---
@@ -499,7 +550,7 @@ def _level_finding(
         "speed_scale",
         names[0],
         Scale(wheel.radius),
-        wheel.error * wheel.quantile,
+        wheel.half_width,
         0.0,
         of_reference=False,
     )
@@ -530,7 +581,7 @@ def _radius_finding(
     until: str | None,
 ) -> Finding:
     """Return a finding with its size in % of the radius."""
-    half = wheel.error * wheel.quantile
+    half = wheel.half_width
     # a wheel that is smaller than assumed turns faster: the signs differ
     return Finding(
         name=name,
@@ -562,6 +613,7 @@ def _mean(level: list[Wheel]) -> Wheel:
         radius=float(np.sum(weight * [wheel.radius for wheel in level]) / weight.sum()),
         error=float(max(weight.sum() ** -0.5, limit.SYSTEMATIC_RADIUS)),
         blocks=sum(wheel.blocks for wheel in level),
+        choice_error=max(wheel.choice_error for wheel in level),
     )
 
 

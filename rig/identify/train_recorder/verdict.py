@@ -173,13 +173,15 @@ def _roughness(difference: np.ndarray) -> float:
 
 
 def _usual_offset(means: np.ndarray, k: int) -> float:
-    """Return the offset that the scatter of the other block means reaches, m/s; 0 for few blocks.
+    """Return the offset that the scatter of the other block means reaches, m/s.
 
-    Blocks next to the judged one are left out: a fault may last for several blocks.
+    Blocks next to the judged one are left out: a fault may last for several blocks. If few blocks
+    are left, the largest offset of all other blocks counts; it is 0 if there is none.
     """
     others = np.concatenate([means[: max(k - 2, 0)], means[k + 3 :]])
     if others.size < limit.LEAST_BLOCKS:
-        return 0.0
+        others = np.delete(means, k)
+        return float(np.max(np.abs(others - np.median(others)))) if others.size else 0.0
     from_middle = np.abs(others - np.median(others))
     by_middle = limit.LEFT_SPREAD * 1.4826 * float(np.median(from_middle))
     return max(by_middle, limit.LEFT_TAIL * float(np.quantile(from_middle, 0.8)))
