@@ -31,6 +31,8 @@ _REASONS = {
     judged.NO_RANGE: "the speeds lie between {0:.1f} and {1:.1f} m/s; record several speeds",
     judged.ONE_DATE: "all runs have one date, or only one date has enough data",
     judged.NOT_BRAKED: "the vehicle brakes for {0:.1f} s only",
+    judged.TURNS: "the speeds differ because the vehicle turns, and there is no reference; add "
+    "yaw_rate_rad_s or reference_speed_m_s",
     judged.NO_HARDEST: "a single speed falls faster than 3 m/s²: it slides or the vehicle brakes hard; "
     "add hardest_m_s2",
     judged.NOT_DRIVEN: "the vehicle drives for {0:.1f} s only",

@@ -53,6 +53,7 @@ NO_RANGE = "no_range"
 ONE_DATE = "one_date"
 NOT_BRAKED = "not_braked"
 NO_HARDEST = "no_hardest"
+TURNS = "turns"
 NOT_DRIVEN = "not_driven"
 NO_POSITION = "no_position"
 FEW_RUNS = "few_runs"
@@ -267,7 +268,8 @@ def _offset_check(steady: list[ChannelFit]) -> Check:
 def _slide_check(aligned: list[Aligned]) -> Check:
     visible = [a for a in aligned if slides.can_be_seen(a)]
     if not visible:
-        return _not_judged("slide", NO_HARDEST)
+        reason = TURNS if any(slides.turns(a) for a in aligned) else NO_HARDEST
+        return _not_judged("slide", reason)
     sizes = []
     braked_s = 0.0
     shortest_s = 0.0

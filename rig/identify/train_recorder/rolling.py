@@ -5,12 +5,20 @@ Delays and scales are estimated alternately, because each needs the other.
 
 from typing import NamedTuple
 
+import numpy as np
+
 from rollerrig.rig.identify.train_recorder import clock_rate, delays, scales
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, align, block_length_s
 from rollerrig.rig.identify.train_recorder.delays import Delays
 from rollerrig.rig.identify.train_recorder.findings import Finding
 from rollerrig.rig.identify.train_recorder.recording import Run
 from rollerrig.rig.identify.train_recorder.scales import Scales
+
+# samples. Fewer do not show how far a wheel is from the middle of the vehicle.
+_TURNING_SAMPLES = 100
+
+# m. No wheel is further from the middle of a road vehicle or a robot.
+_MOST_BESIDE_M = 2.0
 
 
 class Rolling(NamedTuple):
@@ -41,9 +49,32 @@ def fit(runs: list[Run]) -> Rolling:
 
     aligned = []
     for run, scale_of_run in zip(corrected_runs, scale.of_runs, strict=True):
-        a = align(run, late.delay_s, scale_of_run, block_s)
+        a = _without_turning(align(run, late.delay_s, scale_of_run, block_s))
         aligned.append(a._replace(timing_s=_timing_s(a, late)))
     return Rolling(aligned, found + late.found + scale.found, late, scale)
+
+
+def _without_turning(a: Aligned) -> Aligned:
+    """Return a run whose speeds are those of the middle of the vehicle, if the yaw rate is recorded.
+
+    [R3] v_i = V + b_i w, w the yaw rate. b_i, by which the wheel is beside the middle, minimises
+         the absolute errors over all samples; samples in which a wheel slides count little.
+    """
+    turns = np.isfinite(a.yaw_rad_s) & np.isfinite(a.vehicle)
+    if np.count_nonzero(turns) < _TURNING_SAMPLES:
+        return a
+    columns = []
+    for speed in a.speed.T:
+        known = turns & np.isfinite(speed)
+        beside_m = 0.0
+        if np.count_nonzero(known) >= _TURNING_SAMPLES and np.std(a.yaw_rad_s[known]) > 0.0:
+            (beside_m,) = scales.robust_fit(
+                a.yaw_rad_s[known, None], (speed - a.vehicle)[known], np.ones(known.sum())
+            )
+        if abs(beside_m) > _MOST_BESIDE_M:
+            beside_m = 0.0
+        columns.append(speed - beside_m * np.nan_to_num(a.yaw_rad_s))
+    return a._replace(speed=np.column_stack(columns))
 
 
 def _timing_s(a: Aligned, late: Delays) -> float:

@@ -264,16 +264,16 @@ def _fit_channel(
     yaw = np.array([row.yaw_rad_s for row in rows])
     if np.std(yaw) > 0.0:
         turning = np.column_stack([is_date, yaw / speed])
-        coefficients = _robust_fit(turning, share, weight)
+        coefficients = robust_fit(turning, share, weight)
         share = share - coefficients[-1] * yaw / speed
 
     line = np.column_stack([is_date, 1.0 / speed])
-    robust_line = _robust_fit(line, share, weight)
+    robust_line = robust_fit(line, share, weight)
     offset = float(robust_line[-1])
     errors = np.maximum(_bootstrap(line, share, weight), _jackknife(line, share, weight))
     offset_error = float(errors[-1])
 
-    ratio_only = _robust_fit(is_date, share, weight)
+    ratio_only = robust_fit(is_date, share, weight)
     scatter_of_ratio = _spread((share - is_date @ ratio_only) * speed)
     scatter_of_line = _spread((share - line @ robust_line) * speed)
     speeds = (float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95)))
@@ -295,7 +295,7 @@ def _fit_channel(
             error = float(np.hypot(error, offset_error * np.median(1.0 / speed)))
         wheels[date] = Wheel(float(np.median(of_date)), error, of_date.size, by_choice)
 
-    middle = level - is_date @ _robust_fit(is_date, level, weight)
+    middle = level - is_date @ robust_fit(is_date, level, weight)
     scatter = np.sqrt(max(_spread(middle) ** 2 - noise**2, 0.0))
     share_in_motion = np.array([row.share for row in in_motion])
     if has_offset:
@@ -359,7 +359,7 @@ def _error_of_choice(level: np.ndarray, in_motion: list[_Block], offset_m_s: flo
     return 0.5 * abs(of_motion - middle)
 
 
-def _robust_fit(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def robust_fit(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return coefficients that minimise the weighted absolute errors, by repeated least squares."""
     robust = np.ones(values.size)
     coefficients = np.zeros(columns.shape[1])
@@ -378,7 +378,7 @@ _ROBUST_STEPS = 12
 def _bootstrap(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """Return the standard errors of the coefficients, by drawing pairs of successive blocks."""
     rng = np.random.default_rng(1)
-    coefficients = _robust_fit(columns, values, weight)
+    coefficients = robust_fit(columns, values, weight)
     error = weight * (values - columns @ coefficients)
     usual = max(float(np.median(np.abs(error))), 1e-9)
     kept = np.minimum(1.0, 1.5 * usual / np.maximum(np.abs(error), 1e-12)) * weight**2
@@ -411,7 +411,7 @@ def _jackknife(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> n
         kept[part] = False
         if np.linalg.matrix_rank(columns[kept]) < columns.shape[1]:
             return none
-        coefficients.append(_robust_fit(columns[kept], values[kept], weight[kept]))
+        coefficients.append(robust_fit(columns[kept], values[kept], weight[kept]))
     deviation = np.std(np.array(coefficients), axis=0)
     return np.asarray(np.sqrt(stretches - 1.0) * deviation)
 

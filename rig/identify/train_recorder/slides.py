@@ -107,8 +107,11 @@ def can_be_seen(a: Aligned) -> bool:
     """Whether slides show: against a reference, other speeds, or the hardest braking.
 
     A single speed that falls faster than HARDEST_M_S2 may slide, or the vehicle brakes hard: only
-    the hardest braking in dataset.toml decides it.
+    the hardest braking in dataset.toml decides it. Speeds of a vehicle that turns sharply do not
+    show slides.
     """
+    if turns(a):
+        return False
     if a.has_reference or len(a.names) > 1 or a.run.hardest_is_given:
         return True
     v = vehicle(a)
@@ -182,6 +185,25 @@ def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
         )
         columns.append(np.maximum(by_noise, by_speed) + by_timing)
     return np.column_stack(columns)
+
+
+def turns(a: Aligned) -> bool:
+    """Whether the speeds differ mostly because the vehicle turns sharply, as a small robot does.
+
+    Then they show slides only against a reference, or with a yaw rate. Half of the samples without
+    braking decide: faults and slip are briefer.
+    """
+    if a.has_reference or len(a.names) < 2:
+        return False
+    known = np.isfinite(a.speed)
+    fastest = np.max(np.where(known, a.speed, 0.0), axis=1)
+    slowest = np.min(np.where(known, a.speed, np.inf), axis=1)
+    is_braked = np.nan_to_num(slope(a.time_s, faults.median(a.speed.T))) < _BRAKED_M_S2
+    rolls = ~is_braked & (fastest > limit.SLIDE_M_S)
+    if np.count_nonzero(rolls) < _SCATTER_SAMPLES:
+        return False
+    share = 1.0 - slowest[rolls] / fastest[rolls]
+    return bool(np.median(share) > limit.SLIDE_SHARE_CURVE)
 
 
 def _sliding_flags(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray) -> np.ndarray:

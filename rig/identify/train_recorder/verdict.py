@@ -168,8 +168,14 @@ def _parts(
 
 
 def _roughness(difference: np.ndarray) -> float:
-    """Return the scatter from sample to sample, m/s."""
-    return float(np.std(np.diff(difference)))
+    """Return the scatter from sample to sample, m/s, without one bump of the road.
+
+    A bump of one sample makes the two largest changes.
+    """
+    changes = np.diff(difference)
+    if changes.size > 2:
+        changes = changes[np.argsort(np.abs(changes))[:-2]]
+    return float(np.std(changes)) if changes.size else np.nan
 
 
 def _usual_offset(means: np.ndarray, k: int) -> float:
