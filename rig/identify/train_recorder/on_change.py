@@ -27,6 +27,9 @@ _IDLE_SHARE = 0.5
 _ROW_QUANTILE = 0.25
 _ROW_SHARE = 0.35
 
+# long intervals of a recorder that has a single row for each stop. Chosen.
+_STOPS = 2
+
 
 def resampled(run: Run) -> Run | None:
     """Return a run with all samples if it logs on change; None if it logs every sample.
@@ -69,12 +72,19 @@ def deadband(group: list[Channel]) -> float | None:
     if np.any(intervals_s < 0.0):
         return None
     is_long = intervals_s > _LONG * float(np.median(intervals_s))
-    if is_long.sum() < limit.CHANGE_INTERVALS:
+    change = np.max([np.abs(np.diff(channel.values)) for channel in group], axis=0)
+    no_idle_rows = not np.any(change == 0.0)
+    # a recorder that logs every sample repeats the zeros of a standing vehicle
+    stands = np.all([channel.values == 0.0 for channel in speeds], axis=0)
+    one_row_per_stop = no_idle_rows and bool(stands.any())
+    least = _STOPS if one_row_per_stop else limit.CHANGE_INTERVALS
+    if is_long.sum() < least:
         return None
 
     change = np.max([np.abs(np.diff(channel.values)) for channel in speeds], axis=0)
     usual = float(np.median(change[~is_long]))
-    few_idle_rows = np.quantile(change[~is_long], _ROW_QUANTILE) >= _ROW_SHARE * usual > 0.0
+    rare = np.quantile(change[~is_long], _ROW_QUANTILE) >= _ROW_SHARE * usual > 0.0
+    few_idle_rows = one_row_per_stop or bool(rare)
     long_change = float(np.quantile(change[is_long], _LONG_QUANTILE))
     is_bounded = long_change <= _LONG_CHANGES * usual
     is_mostly_idle = float(np.median(change[is_long])) <= _IDLE_SHARE * usual

@@ -55,7 +55,7 @@ def fit(runs: list[Run]) -> Rolling:
 
 
 def _without_turning(a: Aligned) -> Aligned:
-    """Return a run whose speeds are those of the middle of the vehicle, if the yaw rate is recorded.
+    """Return a run with the speeds of the middle of the vehicle, if the yaw rate is recorded.
 
     [R3] v_i = V + b_i w, w the yaw rate. b_i, by which the wheel is beside the middle, minimises
          the absolute errors over all samples; samples in which a wheel slides count little.

@@ -158,6 +158,16 @@ def judge_robot(result: Result) -> str:
     return f"wrong: {result['verdict']}, {', '.join(others(result)) or 'nothing'}"
 
 
+def judge_turning_robot(result: Result) -> str:
+    """Judge the answer on a robot whose wheels differ because it turns."""
+    found = others(result)
+    if found:
+        return f"wrong: {', '.join(found)}"
+    if result["verdict"] == "not_judged":
+        return "right: refused with the reasons"
+    return "right: nothing is reported"
+
+
 def judge_robot_creep(result: Result) -> str:
     if not causes(result, "series_differ"):
         return "wrong: the surfaces are not distinguished"
@@ -188,6 +198,27 @@ def _sand_known(folder: str) -> str:
         f"on sand; means at slips of {', '.join(f'{slip:g}' for slip in np.unique(slips))}: "
         f"{', '.join(texts)}, each larger than the one before"
     )
+
+
+# m, between the wheels of the Kobuki robot, by its manufacturer
+_KOBUKI_TRACK_M = 0.23
+
+
+def _turning_known(folder: str) -> Callable[[], str]:
+    def known() -> str:
+        data = columns(folder)
+        turning_rad_s = (data["right_m_s"] - data["left_m_s"]) / _KOBUKI_TRACK_M
+        agreement = np.corrcoef(turning_rad_s, data["yaw_rad_s"])[0, 1]
+        faster = np.maximum(data["left_m_s"], data["right_m_s"])
+        moves = faster > 0.3
+        slower = np.minimum(data["left_m_s"], data["right_m_s"])
+        share = 100.0 * np.median(1.0 - slower[moves] / faster[moves])
+        return (
+            f"the wheels differ by {share:.0f} % (median), as the gyro turns (correlation "
+            f"{agreement:.2f}): the robot drives curves"
+        )
+
+    return known
 
 
 def _robot_known(folder: str, files: tuple[str, ...]) -> Callable[[], str]:
@@ -232,6 +263,10 @@ SETS = (
     ),
     Set("kingston_obd_mit", _obd_known("kingston_obd_mit"), judge_obd("kingston_obd_mit")),
     Set("toronto_obd_mit", _obd_known("toronto_obd_mit"), judge_obd("toronto_obd_mit")),
+    Set("kingston_end_mit", _obd_known("kingston_end_mit"), judge_obd("kingston_end_mit")),
+    Set("toronto_end_mit", _obd_known("toronto_end_mit"), judge_obd("toronto_end_mit")),
+    Set("kobuki_turns_apache", _turning_known("kobuki_turns_apache"), judge_turning_robot),
+    Set("kobuki_yaw_apache", _turning_known("kobuki_yaw_apache"), judge_turning_robot),
     Set("robot_table_apache", _robot_known("robot_table_apache", ("1.csv",)), judge_robot),
     Set("robot_green_apache", _robot_known("robot_green_apache", ("1.csv", "2.csv")), judge_robot),
     Set(

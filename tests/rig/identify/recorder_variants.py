@@ -10,7 +10,6 @@ Without FOLDER the public recordings of tests/data/measured are taken.
 
 import argparse
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -219,11 +218,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", nargs="*", type=Path, help="datasets of recorders")
     folders: list[Path] = parser.parse_args().folder or public_recordings()
-    explain: Callable[[Path], Account] = lambda place: verdict.explain(recording.load(place))  # noqa: E731
     total = 0
     wrong = 0
     for source in folders:
-        original = explain(source)
+        original = verdict.explain(recording.load(source))
         print(f"{source.name}: {original.verdict}")
         for form in FORMS:
             if not usable(source, form):
