@@ -80,8 +80,10 @@ def of_forces(design: Design, explanation: Explanation) -> int | None:
     All causes must be in the explanation: what is missing would look like such a difference.
     """
     for at, cause in enumerate(explanation.causes):
-        is_torque = BY_NAME[cause.name].acts_on == TORQUE
-        if is_torque and disagreement(design, explanation, at) > thresholds.MOST_DISAGREEMENT:
+        if BY_NAME[cause.name].acts_on != TORQUE:
+            continue
+        square, share = disagreement(design, explanation, at)
+        if square > thresholds.MOST_DISAGREEMENT and share > thresholds.OTHER_FORCE_SHARE:
             return at
     return None
 
@@ -177,15 +179,16 @@ def _without(explanation: Explanation, at: int) -> Explanation:
 # --- a torque ---
 
 
-def disagreement(design: Design, explanation: Explanation, at: int) -> float:
-    """Return z^2 [C1]: how differently wheels and vehicle feel a torque, 0 if one feels nothing.
+def disagreement(design: Design, explanation: Explanation, at: int) -> tuple[float, float]:
+    """Return how differently wheels and vehicle feel a torque: z^2 [C1], and the share of its size.
 
-    The explanation is fitted, so its coefficient is the compromise of both.
+    Both are 0 if wheels or vehicle feel nothing. The explanation is fitted, so its coefficient is
+    the compromise of both.
     """
     normal, linear, responses = fitting.normal_equations(design, explanation, search=False)
     variant = normal.matrix.variant_of(explanation.causes[at])
     if variant is None:
-        return 0.0
+        return 0.0, 0.0
 
     A = np.zeros_like(normal.A)
     b = np.zeros_like(normal.b)
@@ -216,7 +219,10 @@ def disagreement(design: Design, explanation: Explanation, at: int) -> float:
         scores = evidence.scores(one)
         information = scores.S[column, column]
         if information <= 0.0 or not np.isfinite(information):
-            return 0.0
+            return 0.0, 0.0
         estimates.append(-scores.g[column] / information)
         variances.append(1.0 / information)
-    return float((estimates[0] - estimates[1]) ** 2 / sum(variances))
+    difference = abs(estimates[0] - estimates[1])
+    value = explanation.causes[at].values[0]
+    largest = max(abs(value + estimate) for estimate in estimates)
+    return float(difference**2 / sum(variances)), float(difference / max(largest, 1e-30))

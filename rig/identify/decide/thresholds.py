@@ -210,8 +210,13 @@ SAND_DURATION_RATIO = 2.7
 PATCH_APART_SHARE = 0.07
 
 # Square of the difference in standard deviations between a torque in the filters of the wheels and
-# in that of the vehicle: 0 to 2 for torques of the three generators, so 5 deviations. Chosen.
+# in that of the vehicle: 0 to 16 for torques of the three generators. Chosen.
 MOST_DISAGREEMENT = 25.0
+
+# The same difference as a share of the larger of both: the deviations do not contain a wrong law of
+# adhesion, which may bias a torque in the wheels: at most 0.44 for these torques, 0.94 for a glazed
+# tread. Chosen.
+OTHER_FORCE_SHARE = 0.7
 
 # Least difference between the mean loads of two runs, as a share, at which causes that differ only
 # in how they depend on load may be distinguished. Chosen.
