@@ -8,7 +8,7 @@ import os
 from collections.abc import Mapping
 from typing import Any
 
-from rollerrig.configs.errors import ConfigError, OtherAxlesError
+from rollerrig.configs.errors import ConfigError, OtherAxlesError, OtherEquipmentError
 
 # Numbers of axles that a vehicle may have, and the one of the coach, which is the default.
 ALLOWED_AXLES = (2, 4, 6, 8, 10, 12)
@@ -37,6 +37,29 @@ def _axles_of_process() -> int:
 # command line starts itself again for a vehicle with another number (`check_axles`).
 AXLES = _axles_of_process()
 GROUPS = -(-AXLES // AXLES_OF_GROUP)
+
+# The environment variable with the equipment that the vehicles of a process have: words with commas
+# between them. Equipment adds channels, a node and compiled code, and a process without it stays as
+# it is. The command line starts itself again for a vehicle with other equipment.
+EQUIPMENT_VARIABLE = "ROLLERRIG_EQUIPMENT"
+DYNAMIC_BRAKE = "dynamic_brake"
+ALLOWED_EQUIPMENT = (DYNAMIC_BRAKE,)
+
+
+def _equipment_of_process() -> frozenset[str]:
+    """Return the equipment for which this process was started. Raises ConfigError."""
+    text = os.environ.get(EQUIPMENT_VARIABLE, "")
+    found = frozenset(word for word in text.split(",") if word)
+    if not found <= frozenset(ALLOWED_EQUIPMENT):
+        raise ConfigError(
+            f"environment variable {EQUIPMENT_VARIABLE} = {text!r}; allowed are the words "
+            f"{', '.join(ALLOWED_EQUIPMENT)}; or unset it, for vehicles with friction brakes only"
+        )
+    return found
+
+
+EQUIPMENT = _equipment_of_process()
+HAS_DYNAMIC_BRAKE = DYNAMIC_BRAKE in EQUIPMENT
 # the axles of a group with the most axles
 UNIT_AXLES = min(AXLES, AXLES_OF_GROUP)
 
@@ -56,16 +79,31 @@ def wheelsets_of(place: int) -> range:
     return range(1, AXLES + 1)
 
 
-def check_axles(axles: Any, where: str) -> None:
+def check_axles(axles: Any, where: str, equipment: frozenset[str] = EQUIPMENT) -> None:
     """Check the number of axles of a vehicle.
 
     Raises ConfigError for a number that is not allowed, OtherAxlesError for one that this process
-    does not simulate. `where` names the file and the key.
+    does not simulate. `where` names the file and the key; `equipment` is that of the vehicle.
     """
     if type(axles) is not int or axles not in ALLOWED_AXLES:
         raise ConfigError(f"{where} = {axles!r}; it must be one of {_ALLOWED_TEXT}")
     if axles != AXLES:
-        raise OtherAxlesError(where, axles, AXLES, AXLES_VARIABLE)
+        environment = {AXLES_VARIABLE: str(axles)}
+        if equipment != EQUIPMENT:
+            environment[EQUIPMENT_VARIABLE] = ",".join(sorted(equipment))
+        raise OtherAxlesError(where, axles, AXLES, environment)
+
+
+def check_equipment(equipment: frozenset[str], where: str) -> None:
+    """Raise OtherEquipmentError unless this process simulates vehicles with this equipment.
+
+    `where` names the file and the table.
+    """
+    if equipment != EQUIPMENT:
+        environment = {EQUIPMENT_VARIABLE: ",".join(sorted(equipment))}
+        if AXLES != COACH_AXLES:
+            environment[AXLES_VARIABLE] = str(AXLES)
+        raise OtherEquipmentError(where, sorted(equipment), sorted(EQUIPMENT), environment)
 
 
 # the two magnets of the dump valve of an axle, as bits; without energised magnets the cylinder

@@ -17,11 +17,11 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Any, NamedTuple, NoReturn
 
-from rollerrig.configs.errors import ConfigError, OtherAxlesError, RollerrigError
+from rollerrig.configs.errors import ConfigError, OtherVehicleError, RollerrigError
 from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
 from rollerrig.configs.table import similar
-from rollerrig.configs.vehicle import AXLES_VARIABLE
+from rollerrig.configs.vehicle import AXLES_VARIABLE, EQUIPMENT_VARIABLE
 from rollerrig.realtime import standard_streams
 from rollerrig.realtime.commands import (
     bench,
@@ -380,9 +380,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         _check_names(options)
         return options.call(options)
-    except OtherAxlesError as error:
-        if argv is None and AXLES_VARIABLE not in os.environ:
-            children.start_again(**{AXLES_VARIABLE: str(error.axles)})
+    except OtherVehicleError as error:
+        if argv is None and not {AXLES_VARIABLE, EQUIPMENT_VARIABLE} & set(os.environ):
+            children.start_again(**error.environment)
         return _print_error(options, error, from_python)
     except RollerrigError as error:
         return _print_error(options, error, from_python)

@@ -59,8 +59,11 @@ def switch_valves(state, delayed_magnets):
 
 
 @kernel_inlined
-def fill(state, brake, target_Pa):
+def fill(state, brake, target_Pa, dynamic):
     """Advance the demanded pressure and the cylinders by a step of constant valves and target.
+
+    `dynamic` is `dynamic_params.DynamicBrake`, or None. With it the friction brake gives the rest
+    of the demand.
 
     The demand is exact. The cylinders follow its mean over the step, which is of second order.
     """
@@ -72,16 +75,25 @@ def fill(state, brake, target_Pa):
     # the mean over the step
     p_d = before + 0.5 * (target_Pa - before) * share
     if brake.air.reservoir_L > 0.0:
-        flow_through_valves(state, brake, p_d)
+        flow_through_valves(state, brake, p_d, dynamic)
         return
     for j in range(AXLES):
         p = state.cylinder_pressure[j]
+        p_friction = pressure(p_d, j, state, dynamic)
         if state.valve[j] == VENT:
             state.cylinder_pressure[j] = p - p * brake.valve_vent_share  # [B2]
         elif state.valve[j] == FILL:
-            gain = (p_d - p) * brake.valve_fill_share
+            gain = (p_friction - p) * brake.valve_fill_share
             state.cylinder_pressure[j] = p + gain
             state.air_consumption[0] += max(gain, 0.0) * brake.volume_L / NORMAL_PRESSURE_PA  # [B3]
+
+
+@kernel_inlined
+def pressure(p_d, axle, state, brake):
+    """Return the demanded pressure in Pa of an axle's cylinder: `p_d` without a dynamic brake."""
+    if brake is None:
+        return p_d
+    return state.friction_demand[axle]
 
 
 @kernel_inlined
@@ -110,10 +122,10 @@ def flow(from_Pa, to_Pa, conductance, critical_ratio):
 
 
 @kernel
-def flow_through_valves(state, brake, p_d):
+def flow_through_valves(state, brake, p_d, dynamic):
     """Advance cylinders and reservoir by a step of choked flow [B5], [B6].
 
-    `p_d` is the demanded pressure in Pa, its mean over the step.
+    `p_d` is the demanded pressure in Pa, its mean over the step; `dynamic` as for `fill`.
     """
     air = brake.air
     p_r = state.reservoir_pressure[0]
@@ -128,17 +140,18 @@ def flow_through_valves(state, brake, p_d):
 
     for j in range(AXLES):
         p = state.cylinder_pressure[j]
+        p_friction = pressure(p_d, j, state, dynamic)
         if state.valve[j] == VENT:
             gone_NL = flow(p, 0.0, air.vent, air.critical_ratio) * air.step_s
             state.cylinder_pressure[j] = max(0.0, p - gone_NL / cylinder)
-        elif state.valve[j] == FILL and p_d <= p:
+        elif state.valve[j] == FILL and p_friction <= p:
             # the distributor vents the cylinder
-            state.cylinder_pressure[j] = p + (p_d - p) * brake.valve_fill_share  # [B2]
+            state.cylinder_pressure[j] = p + (p_friction - p) * brake.valve_fill_share  # [B2]
         elif state.valve[j] == FILL:
             # neither beyond the demand nor beyond the pressure at which both are equal
             gain_NL = min(
                 flow(p_r, p, air.fill, air.critical_ratio) * air.step_s,
-                (p_d - p) * cylinder,
+                (p_friction - p) * cylinder,
                 max(p_r - p, 0.0) * cylinder * room / (cylinder + room),
             )
             state.cylinder_pressure[j] = p + gain_NL / cylinder

@@ -6,7 +6,7 @@ pass the same check. The constants are nested named tuples that kernels read and
 
 import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -25,6 +25,7 @@ from rollerrig.configs.vehicle import (
     check_axles_of,
     weighed_share,
 )
+from rollerrig.rig import dynamic_params
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.creep_force import MODELS
@@ -53,6 +54,8 @@ def _row(name: str, entry: list[Any]) -> Row:
         (choices,) = allowed
         return choice(name, default, tuple(choices), source)
     low, high = allowed
+    if isinstance(default, list):
+        return Row(name, tuple(default), low, high, source)
     if isinstance(default, int):
         return integer(name, default, low, high, source)
     return number(name, default, low, high, source)
@@ -230,6 +233,7 @@ class Params(NamedTuple):
     sanders: Sanders
     film: RollerFilm
     coach: Packed | None = None
+    dynamic: dynamic_params.DynamicBrake | None = None  # None: the vehicle has none
 
 
 def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Any]]:
@@ -321,6 +325,7 @@ def build(
     demand: Demand,
     tick_s: float,
     substeps: int,
+    traction: Sequence[Mapping[str, float]] = (),
 ) -> Params:
     """Return the constants of a plant.
 
@@ -329,6 +334,7 @@ def build(
     sections : checked sections, from `check`
     friction, demand : the programme
     tick_s, substeps : length of a tick, and steps of the physics in it
+    traction : steps of the programme of traction, each with from_s and share
     """
     contact = sections["contact"]
     extra = sections["mechanisms"]
@@ -374,13 +380,18 @@ def build(
         friction=friction,
         demand=demand,
         effects=effects.build(extra),
-        wheels=effects.wheels(sections["vehicle"], extra),
+        wheels=effects.wheels(
+            sections["vehicle"],
+            extra,
+            dynamic_params.rotor_inertias_kgm2(sections["dynamic_brake"]),
+        ),
         heat=_heat(sections, tick_s),
         pads=_pads(sections["pads"]),
         flats=_flats(sections),
         sanders=_sanders(sections["sanders"]),
         film=_film(sections["roller_film"], mode),
         coach=_coach({**sections, "vehicle": vehicle}, roller_radius_m, law, step_s),
+        dynamic=dynamic_params.build(sections, step_s, traction),
     )
 
 

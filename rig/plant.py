@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from rollerrig.rig import brake, heat, motor, surface, vehicle, wheelset
+from rollerrig.rig import brake, dynamic_brake, heat, motor, surface, vehicle, wheelset
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.mechanisms import applied, pads, wheel_flat
@@ -46,6 +46,7 @@ def start(state, params, initial_speed_m_s):
     begin(state, params, params.coach)
     heat.begin(state, params.heat)
     brake.begin(state, params.brake.air)
+    dynamic_brake.begin(state, params.dynamic)
     surface.begin(state, params)
     friction(state, params)
     observe(state, params)
@@ -179,7 +180,7 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
 @kernel_inlined
 def step(state, target_Pa, params):
     """Advance by one step of the physics; `target_Pa` is the demanded pressure."""
-    brake.fill(state, params.brake, target_Pa)
+    brake.fill(state, params.brake, target_Pa, params.dynamic)
     if params.pads.vary:
         for j in range(AXLES):
             state.clamp_pressure[j] = pads.clamped(
@@ -190,12 +191,14 @@ def step(state, target_Pa, params):
         return
     if params.mode != 0:
         motor.respond(state, params.drive)
+    dynamic_brake.advance(state, params, params.dynamic)
 
     # the most that the discs can hold at the step's end; `observe` writes the acting torque
     for j in range(AXLES):
         state.brake_torque[j] = capacity(state, j, params)
     integrate(state, params, params.coach)
     vehicle.settle(state)
+    dynamic_brake.settle(state, params.dynamic)
 
 
 @kernel
@@ -275,7 +278,8 @@ def observe(state, params):
         # a locked wheel takes no more torque than its contact gives
         torque = capacity(state, j, params)
         if state.wheel_speed[j] <= 0.0:
-            torque = min(torque, max(0.0, r * f * load_N))
+            driven_Nm = r * f * load_N - dynamic_brake.torque_now(state, j, params.dynamic)
+            torque = min(torque, max(0.0, driven_Nm))
         state.brake_torque[j] = torque
 
         # speed sensor

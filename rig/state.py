@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import AXLES, HAS_DYNAMIC_BRAKE
 from rollerrig.rig.compiled import state_type
 from rollerrig.rig.multibody import coach_state
 
@@ -123,6 +123,20 @@ class State(NamedTuple):
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
+    # dynamic brake and traction; empty in a process whose vehicles have none
+    dynamic_torque: np.ndarray  # N m, of the motor on the wheelset, positive brakes; dynamic_brake
+    dynamic_before: np.ndarray  # N m, at the beginning of the step; dynamic_brake
+    dynamic_credit: np.ndarray  # N, force that blending counts; dynamic_brake
+    dynamic_share: np.ndarray  # -, of the force that slide control permits; dynamic_brake
+    dynamic_credit_share: np.ndarray  # -, as blending counts it; dynamic_brake
+    dynamic_permitted: np.ndarray  # -, share that the bus permits; the tick
+    dynamic_failed: np.ndarray  # 1: the motor gives no torque; the tick
+    dynamic_work: np.ndarray  # J, taken from the wheelset so far; integrate
+    friction_demand: np.ndarray  # Pa, demanded from the friction brake; dynamic_brake
+    traction_command: (
+        np.ndarray
+    )  # -, share of traction that the bus demands, below 0 none; the tick
+    traction_demand: np.ndarray  # -, share of the traction force that acts; dynamic_brake
     # (coach_state.SIZE,) of the multibody model, None for the planar vehicle
     coach: np.ndarray | None = None
 
@@ -146,8 +160,22 @@ PER_VEHICLE = frozenset(
         "rail_front",
     )
 )
+# the slots of the dynamic brake
+OF_DYNAMIC_BRAKE = (
+    "dynamic_torque",
+    "dynamic_before",
+    "dynamic_credit",
+    "dynamic_share",
+    "dynamic_credit_share",
+    "dynamic_permitted",
+    "dynamic_failed",
+    "dynamic_work",
+    "friction_demand",
+)
 # number of values in the slots that do not have one for each axle
 WIDTHS = dict.fromkeys(PER_VEHICLE, 1) | {"rail_sand": CELLS, "roller_film": AXLES * SECTORS}
+WIDTHS |= dict.fromkeys(OF_DYNAMIC_BRAKE, AXLES if HAS_DYNAMIC_BRAKE else 0)
+WIDTHS |= dict.fromkeys(("traction_command", "traction_demand"), int(HAS_DYNAMIC_BRAKE))
 # where each slot lies in the buffer; the coach's state follows behind
 SLOTS: dict[str, slice] = {}
 _at = 0

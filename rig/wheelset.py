@@ -8,18 +8,19 @@ The secant slope T / s is used for the derivative, which that method allows with
 The brake is dry friction: a wheel that stops stays locked while r T is below what the discs can
 hold [W4].
 
-    [W1] J domega/dt = r T - C, paper eq. 20
+    [W1] J domega/dt = r T - M - C, paper eq. 20 with the torque M of a dynamic brake or of traction
     [W2] J_R dOmega/dt = u - R T on rollers; on a plain track the surface is the vehicle's
     [W3] (I - gamma h p q')^-1 k = k + p gamma h (q'k) / (1 - gamma h q'p),
          p = (r / J, -R / J_R), q = g (-r, R), g = T / s
-    [W4] C = min(C_max, r T) at omega = 0
+    [W4] C = min(C_max, r T - M) at omega = 0
 
 Second order in the step while no wheel locks or leaves its lock within it. Rotation backwards does
-not exist here: the vehicle only brakes.
+not exist here: the vehicle brakes, or drives forwards.
 """
 
 import math
 
+from rollerrig.rig import dynamic_brake
 from rollerrig.rig import vehicle as body
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion, creep_force
@@ -114,12 +115,13 @@ def lagged_transition(lagging, lambda_0, speed_m_s, step_s, effects):
 
 
 @kernel
-def wheel_acceleration(wheel_rad_s, T, brake_Nm, axle, wheels):
+def wheel_acceleration(wheel_rad_s, T, brake_Nm, motor_Nm, axle, wheels):
     """Return a wheelset's acceleration in rad/s2 [W1], its brake torque, and whether it is locked.
 
-    `T` is the contact force in N, `brake_Nm` the torque that the discs can hold.
+    `T` is the contact force in N, `brake_Nm` the torque that the discs can hold, `motor_Nm` that of
+    a dynamic brake, negative in traction.
     """
-    drive_Nm = wheels.table[body.RADIUS_M + axle] * T
+    drive_Nm = wheels.table[body.RADIUS_M + axle] * T - motor_Nm
     if wheel_rad_s <= 0.0 and drive_Nm <= brake_Nm:
         return 0.0, max(drive_Nm, 0.0), True  # [W4]
     return (drive_Nm - brake_Nm) / wheels.table[body.INERTIA_KGM2 + axle], brake_Nm, False
@@ -233,7 +235,10 @@ def integrate(state, params):
         )
         if remembers:
             state.instantaneous_transition[j] = lambda_0
-        wheel_k, brake_Nm, locked = wheel_acceleration(wheel, T, state.brake_capacity[j], j, wheels)
+        electric_Nm = dynamic_brake.torque(state, j, params.dynamic)
+        wheel_k, brake_Nm, locked = wheel_acceleration(
+            wheel, T, state.brake_capacity[j], electric_Nm, j, wheels
+        )
         roller_k = roller_acceleration(state.motor_before[j], T, on_track, drive)
         state.wheel_rate[j], state.roller_rate[j], added_N = implicit_slopes(
             wheel_k, roller_k, g, locked, on_track, h, j, wheels, drive
@@ -268,7 +273,10 @@ def integrate(state, params):
             state.lagged_transition[j] = lagged_transition(
                 state.lagged_transition[j], 0.5 * (before + lambda_0), 0.5 * (v + v2), h, effects
             )
-        wheel_k, brake_Nm, locked = wheel_acceleration(wheel, T, state.brake_torque[j], j, wheels)
+        electric_Nm = dynamic_brake.torque(state, j, params.dynamic)
+        wheel_k, brake_Nm, locked = wheel_acceleration(
+            wheel, T, state.brake_torque[j], electric_Nm, j, wheels
+        )
         roller_k = roller_acceleration(motor_Nm, T, on_track, drive)
         wheel_k, roller_k, added_N = implicit_slopes(
             wheel_k - 2.0 * wheel1,
@@ -334,4 +342,5 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     )
     state.sliding_work[axle] += state.contact_force[axle] * slid_m
     state.brake_work[axle] += state.brake_mean[axle] * wheel_rad
+    dynamic_brake.count_work(state, axle, wheel_rad, params.dynamic)
     state.motor_work[axle] += motor_Nm * roller_rad

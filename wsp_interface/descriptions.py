@@ -465,6 +465,7 @@ def _node_name(node: int) -> str:
         signals.SPEED_NODE: "axle_speed_unit",
         signals.BRAKE_NODE: "brake_io",
         signals.SANDER_NODE: "sander_io",
+        signals.TRACTION_NODE: "traction_io",
         signals.WSP_NODE: "wsp_unit",
         signals.BENCH_NODE: "bench",
     }

@@ -83,6 +83,7 @@ class Code(StrEnum):
     MAGNETS_FAIL_SAFE = "magnets.fail_safe"
     MAGNETS_VENT_ALONE = "magnets.vent_alone"
     SANDERS_STOPPED = "sanders.stopped"
+    DYNAMIC_BRAKE_RELEASED = "dynamic_brake.released"
     BUS_PLACE = "bus.place"
     BUS_PORT = "bus.port"
     BUS_PORT_IN_USE = "bus.port_in_use"
@@ -373,6 +374,11 @@ TABLE: dict[Code, Row] = {
     ),
     Code.SANDERS_STOPPED: Row(
         WARNING, _NODE | {"reason": str}, "node {node}: sanders stop: {reason}"
+    ),
+    Code.DYNAMIC_BRAKE_RELEASED: Row(
+        WARNING,
+        _NODE | {"reason": str},
+        "node {node}: the motors give no more force, the friction brake alone brakes: {reason}",
     ),
     # the bus and the ways into the bench
     Code.BUS_PLACE: Row(INFO, {"address": str}, "the rig is on the bus {address}"),

@@ -25,6 +25,7 @@ from rollerrig.wsp_interface.signals import (
     BRAKE_NODE,
     SANDER_NODE,
     SPEED_NODE,
+    TRACTION_NODE,
     WSP_NODE,
 )
 
@@ -105,6 +106,8 @@ REFERENCE_SPEED = layout(TPDO[0] + WSP_NODE, "wsp_reference_speed")  # 1A0h
 MAGNETS_ID = RPDO[0] + BRAKE_NODE  # 211h, one byte: see `magnets`
 SAND_ID = RPDO[0] + SANDER_NODE  # 212h, one byte: bit 2j commands the sander of axle j + 1
 ALL_SANDERS = 0b01_01_01_01
+SHARES_ID = RPDO[0] + TRACTION_NODE  # 213h, the permitted share of each motor, I16, per mille
+WHOLE_SHARE = 1000  # count of the whole force
 UNIT_HEARTBEAT_ID = HEARTBEAT + WSP_NODE  # 720h
 UNIT_EMERGENCY_ID = EMERGENCY + WSP_NODE  # 0A0h
 # error code in an EMCY of the unit (CiA 301 Table 26: device specific): it has failed, for example
@@ -123,6 +126,7 @@ class UnitFrames:
     reference_speed: Layout
     magnets_id: int
     sand_id: int
+    shares_id: int
     heartbeat_id: int
     emergency_id: int
 
@@ -137,6 +141,7 @@ def unit_frames(group: int) -> UnitFrames:
         reference_speed=layout(TPDO[0] + WSP_NODE + offset, "wsp_reference_speed"),
         magnets_id=MAGNETS_ID + offset,
         sand_id=SAND_ID + offset,
+        shares_id=SHARES_ID + offset,
         heartbeat_id=UNIT_HEARTBEAT_ID + offset,
         emergency_id=UNIT_EMERGENCY_ID + offset,
     )

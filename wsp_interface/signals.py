@@ -9,7 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES, AXLES_OF_GROUP, GROUPS, UNIT_AXLES
+from rollerrig.configs.vehicle import (
+    AXLES,
+    AXLES_OF_GROUP,
+    GROUPS,
+    HAS_DYNAMIC_BRAKE,
+    UNIT_AXLES,
+)
 
 BUS_CHANNEL = "rig0"
 DEFAULT_ADDRESS = "socketcand://127.0.0.1:29536/rig0"
@@ -18,6 +24,7 @@ DEFAULT_ADDRESS = "socketcand://127.0.0.1:29536/rig0"
 SPEED_NODE = 16
 BRAKE_NODE = 17
 SANDER_NODE = 18  # only where the vehicle has sanders
+TRACTION_NODE = 19  # only where the vehicle has a dynamic brake
 WSP_NODE = 32
 # the nodes of each further group have numbers that are higher by this
 NODES_OF_GROUP = 32
@@ -422,6 +429,51 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("tick_duration", "us", 1, "longest tick since the last sample", group="loop"),
     Signal("ticks_missed", "", 1, "ticks so far that began after the next one was due"),
 )
+
+# the signals of a dynamic brake, only in a process whose vehicles have one
+OF_DYNAMIC_BRAKE: tuple[Signal, ...] = (
+    Signal(
+        "dynamic_torque",
+        "Nm",
+        AXLES,
+        "torque of the traction motor on the wheelset, positive when it brakes",
+        group="torques",
+        places=(Place(TRACTION_NODE, 0x6401, 1, "I16", 1.0),),
+    ),
+    Signal(
+        "dynamic_share",
+        "",
+        AXLES,
+        "share of the motor's force that slide control permits",
+        group="dynamic_share",
+        places=(
+            # behind the torques of all axles of a group
+            Place(TRACTION_NODE, 0x6401, 1 + UNIT_AXLES, "I16", 1e-3),
+        ),
+    ),
+    Signal(
+        "friction_demand",
+        "Pa",
+        AXLES,
+        "pressure that blending demands from the friction brake",
+        group="pressures",
+    ),
+    Signal(
+        "dynamic_work",
+        "J",
+        AXLES,
+        "energy that the traction motor took from the wheelset so far, negative in traction",
+    ),
+    Signal(
+        "traction_demand",
+        "",
+        1,
+        "demanded share of the traction force",
+        group="dynamic_share",
+    ),
+)
+if HAS_DYNAMIC_BRAKE:
+    SIGNALS += OF_DYNAMIC_BRAKE
 
 
 def axles_at(signal: Signal, node: int) -> range:

@@ -14,6 +14,7 @@ from typing import Any
 from rollerrig.configs import table, toml_text
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, integer, number
+from rollerrig.configs.vehicle import HAS_DYNAMIC_BRAKE
 from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODE
 
@@ -272,6 +273,16 @@ CATALOGUE: tuple[Kind, ...] = (
         (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "additional lag of the hose")),
     ),
 )
+if HAS_DYNAMIC_BRAKE:
+    CATALOGUE += (
+        Kind(
+            29,
+            "dynamic_brake_lost",
+            TICK,
+            "the traction motor of an axle gives no torque; the friction brake takes over",
+            (_AXLE,),
+        ),
+    )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
 BY_NUMBER = {kind.number: kind for kind in CATALOGUE}
 # the option of the command line that gives a fault

@@ -49,6 +49,7 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "sander_blocked": lambda v: [(effects.SAND_FLAW, v["axle"], -1.0)],
     "sander_wrong_orifice": lambda v: [(effects.SAND_FLAW, v["axle"], v["factor"] - 1.0)],
     "sander_late": lambda v: [(effects.SAND_LATE_s, v["axle"], v["delay_s"])],
+    "dynamic_brake_lost": lambda v: [(effects.MOTOR_LOST, v["axle"], 1.0)],
     "torque_ripple": lambda v: [
         (effects.RIPPLE_Nm, v["axle"], v["amplitude_Nm"]),
         (effects.RIPPLE_ORDER, v["axle"], v["order"]),

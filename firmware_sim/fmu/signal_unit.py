@@ -181,6 +181,9 @@ class Fmu:
     def stuck(self) -> int:
         return 0
 
+    def permitted_shares(self) -> None:
+        return None
+
     def sand(self) -> bool:
         return False
 

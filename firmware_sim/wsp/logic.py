@@ -202,6 +202,19 @@ def cycle(unit, inputs):
 
 
 @kernel
+def permitted_share(unit, j):
+    """Return the share of its force that the unit permits to the motor of axle j: all or none.
+
+    A motor is released as soon as its axle slides, before the valve vents, and while the valve
+    holds or vents.
+    """
+    params = unit.params
+    begin = params.slide_begin_m_s + params.slide_begin_fraction * unit.state.reference_m_s[0]
+    slides = unit.state.sliding_m_s[j] > begin
+    return 0.0 if slides or unit.state.phase[j] != 0.0 else 1.0
+
+
+@kernel
 def stuck(unit):
     """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
     bits = 0

@@ -32,7 +32,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
-from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, GROUPS, UNIT_AXLES
+from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, GROUPS, HAS_DYNAMIC_BRAKE, UNIT_AXLES
 from rollerrig.firmware_sim.cia301.nmt import STATE_AFTER, Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import rig_objects as rig
@@ -78,6 +78,9 @@ class Wsp(Protocol):
     def sand(self) -> bool:
         """Whether the sanders should be on."""
 
+    def permitted_shares(self) -> tuple[float, ...] | None:
+        """The share of its force that each motor may give; None for a unit that commands none."""
+
 
 class Serving(Protocol):
     """A unit on an open bus."""
@@ -111,6 +114,11 @@ class Reference:
 
     def stuck(self) -> int:
         return int(logic.stuck(self._wsp))
+
+    def permitted_shares(self) -> tuple[float, ...] | None:
+        if not HAS_DYNAMIC_BRAKE:
+            return None
+        return tuple(logic.permitted_share(self._wsp, axle) for axle in range(self._axles))
 
     def sand(self) -> bool:
         """True, if configured, from the first sliding until `calm_s` after the last."""
@@ -209,6 +217,7 @@ class Unit:
         self._syncs = 0
         self._awaiting = False
         self._sand = False
+        self._shares: tuple[float, ...] | None = None
         self.state = State.INITIALISING
         self._heartbeat()
         self.state = State.OPERATIONAL
@@ -267,6 +276,7 @@ class Unit:
             self._send(layout.can_id, layout.struct.pack(reference))
         self._report_stuck(self._wsp.stuck())
         self._switch_sanders()
+        self._permit_shares()
         self._answer()
 
     def _report_stuck(self, axles: int) -> None:
@@ -289,6 +299,14 @@ class Unit:
         if sand != self._sand:
             self._sand = sand
             self._send(self._frames.sand_id, bytes((rig.ALL_SANDERS if sand else 0,)))
+
+    def _permit_shares(self) -> None:
+        """Permit the motors their shares of the dynamic brake, if they have changed."""
+        shares = self._wsp.permitted_shares()
+        if shares is not None and shares != self._shares:
+            self._shares = shares
+            counts = [round(share * rig.WHOLE_SHARE) for share in shares]
+            self._send(self._frames.shares_id, struct.pack(f"<{len(counts)}h", *counts))
 
     def _answer_without_speeds(self) -> None:
         self._heartbeat_if_due()
@@ -320,6 +338,8 @@ def warm(params: logic.Params) -> None:
     unit = logic.new_unit(params)
     logic.cycle(unit, np.zeros(UNIT_AXLES, dtype=np.int64))
     logic.stuck(unit)
+    if HAS_DYNAMIC_BRAKE:
+        logic.permitted_share(unit, 0)
 
 
 def main(

@@ -52,7 +52,9 @@ class Stop:
         self.events: list[Event] = []
         self.ended = "finished"
         self.faults = faults or panel.Panel(plan.faults, self._record)
-        self.faults.connect(panel.Site(data.commands.values[tick.FAULTS :], lambda: None))
+        self.faults.connect(
+            panel.Site(data.commands.values[tick.FAULTS : tick.MOTORS], lambda: None)
+        )
         self._call: UnitCall | None = unit if callable(unit) else None
         if self._call and GROUPS > 1:
             raise ConfigError(

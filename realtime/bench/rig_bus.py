@@ -14,7 +14,7 @@ import numpy as np
 
 from rollerrig.configs.errors import BusError, PortInUseError
 from rollerrig.configs.vehicle import GROUPS
-from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401
+from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401, traction401
 from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.drive402 import drive
@@ -422,7 +422,7 @@ class RigBus:
             return self.frozen
 
         return Site(
-            self.command[tick.FAULTS :],
+            self.command[tick.FAULTS : tick.MOTORS],
             self.post,
             self.nodes,
             self.rack,
@@ -523,9 +523,12 @@ def _heartbeat_ms(scenario: Scenario) -> int:
 
 
 def _node_numbers(scenario: Scenario) -> tuple[int, ...]:
+    numbers = tuple(signals.RIG_NODES)
     if scenario.params.sanders.axles:
-        return (*signals.RIG_NODES, *signals.nodes(signals.SANDER_NODE))
-    return tuple(signals.RIG_NODES)
+        numbers += signals.nodes(signals.SANDER_NODE)
+    if scenario.params.dynamic is not None:
+        numbers += signals.nodes(signals.TRACTION_NODE)
+    return numbers
 
 
 def _build_master(scenario: Scenario) -> NmtMaster:
@@ -578,6 +581,10 @@ def _build_nodes(
         for group, number in enumerate(signals.nodes(signals.SANDER_NODE)):
             commands = command[tick.SAND : tick.DRIVES]
             nodes[number] = sander401.build(row, commands, post, store(number), parameters, group)
+    if scenario.params.dynamic is not None:
+        for group, number in enumerate(signals.nodes(signals.TRACTION_NODE)):
+            commands = command[tick.MOTORS : tick.COMMANDS]
+            nodes[number] = traction401.build(row, commands, post, store(number), parameters, group)
     return nodes
 
 

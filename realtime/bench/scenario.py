@@ -18,9 +18,16 @@ import tomli_w
 from rollerrig.configs import store, table, toml_text
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
-from rollerrig.configs.vehicle import COACH_AXLES, check_axles
+from rollerrig.configs.vehicle import (
+    COACH_AXLES,
+    DYNAMIC_BRAKE,
+    EQUIPMENT,
+    check_axles,
+    check_equipment,
+)
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import seal
+from rollerrig.rig import dynamic_params
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -102,6 +109,10 @@ MODBUS = (
     number("emergency_pressure_Pa", 3.8e5, 0.0, 1e6, "assumption: that of full service"),
 )
 DEMAND = (number("from_s", 0.0, 0.0, 36000.0, "s"), number("pressure_Pa", None, 0.0, 1e6, "Pa"))
+TRACTION = (
+    number("from_s", 0.0, 0.0, 36000.0, "s"),
+    number("share", None, 0.0, 1.0, "of the traction force"),
+)
 FRICTION = (
     number("from_s", -1.0, 0.0, 36000.0, "s"),
     number("from_m", -1.0, -1e3, 1e6, "m"),
@@ -179,7 +190,9 @@ def names() -> list[str]:
         content, path = store.load("scenarios", name)
         vehicle_set = content.get("vehicle", COACH)
         vehicle, _ = store.load("vehicles", vehicle_set, path)
-        if vehicle["vehicle"].get("axles", COACH_AXLES) == AXLES:
+        layers: list[Layer] = [("", vehicle), ("", content)]
+        has_axles = vehicle["vehicle"].get("axles", COACH_AXLES) == AXLES
+        if has_axles and _equipment(layers)[0] == EQUIPMENT:
             found.append(name)
     return found
 
@@ -219,6 +232,7 @@ def read(
         layers.append((str(at), store.parse(at)))
     layers.append((sources.settings, single_rest))
     layers.append(("the running rig", tables or {}))
+    _check_vehicle(layers)  # the kinds of faults depend on the vehicle
     plain_faults = [catalogue.plain(catalogue.parse(text, sources.faults)) for text in faults]
     layers.append((sources.faults, {"fault": plain_faults}))
 
@@ -236,7 +250,7 @@ def _rows_of(given: Mapping[str, Any]) -> list[table.Row]:
 
 def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     """Merge layers of tables, check them, and return the scenario with its parameters."""
-    _check_number_of_axles(layers)
+    _check_vehicle(layers)
     merged = _merge(head, layers)
     checked: dict[str, Any] = dict(physics.check(merged.sections, name))
     _check_held_speed(checked, name)
@@ -247,6 +261,7 @@ def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     ratios = _ratios(checked, name)
 
     steps, demand = _demand(merged.demand, merged.programme_from)
+    traction = _traction(merged.traction, merged.programme_from)
     friction, friction_rows = _friction(merged.friction, checked["adhesion"], merged.programme_from)
     resolved = {
         **merged.head,
@@ -255,7 +270,13 @@ def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
         "friction": friction_rows,
         "fault": [catalogue.plain(fault) for fault in merged.faults],
     }
-    params = physics.build(acting, friction, demand, ratios.tick_s, ratios.substeps)
+    if traction:
+        resolved["traction"] = traction
+    if not checked["dynamic_brake"]["axles"]:
+        # a vehicle without a dynamic brake has the scenario that it always had
+        del resolved["dynamic_brake"]
+    params = physics.build(acting, friction, demand, ratios.tick_s, ratios.substeps, traction)
+    _check_blending(params, demand, checked)
     rollers = None
     if checked["rig"]["mode"] == physics.VIRTUAL_TRACK:
         rollers = physics.build_rollers(acting, demand, ratios.tick_s, ratios.substeps)
@@ -284,6 +305,7 @@ class Merged:
     sections: dict[str, dict[str, Any]]
     demand: list[dict[str, Any]]
     friction: list[dict[str, Any]]
+    traction: list[dict[str, Any]]
     faults: tuple[catalogue.Fault, ...]
     programme_from: str
 
@@ -295,6 +317,7 @@ def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
         sections={section: {} for section in SECTIONS},
         demand=[],
         friction=[],
+        traction=[],
         faults=(),
         programme_from=layers[0][0],
     )
@@ -304,10 +327,22 @@ def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
     return merged
 
 
-def _check_number_of_axles(layers: list[Layer]) -> None:
+def _equipment(layers: list[Layer]) -> tuple[frozenset[str], str]:
+    """Return the equipment of the vehicle, and the layer that gives it last."""
+    found: frozenset[str] = frozenset()
+    given_by = "default"
+    for where, layer in layers:
+        section = layer.get(DYNAMIC_BRAKE)
+        if isinstance(section, Mapping) and "axles" in section:
+            found = frozenset((DYNAMIC_BRAKE,)) if section["axles"] else frozenset()
+            given_by = where
+    return found, given_by
+
+
+def _check_vehicle(layers: list[Layer]) -> None:
     """Check that this process simulates the vehicle: bounds of other keys depend on its axles.
 
-    Raises ConfigError, OtherAxlesError.
+    Raises ConfigError, OtherVehicleError.
     """
     axles: Any = COACH_AXLES
     given_by = "default"
@@ -316,7 +351,9 @@ def _check_number_of_axles(layers: list[Layer]) -> None:
         if isinstance(vehicle, Mapping) and "axles" in vehicle:
             axles = vehicle["axles"]
             given_by = where
-    check_axles(axles, f"{given_by} [vehicle] axles")
+    equipment, equipped_by = _equipment(layers)
+    check_axles(axles, f"{given_by} [vehicle] axles", equipment)
+    check_equipment(equipment, f"{equipped_by} [{DYNAMIC_BRAKE}]")
 
 
 def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
@@ -329,7 +366,7 @@ def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
             # a later mu_cd wins over the initial adhesion from which an earlier one followed
             merged.sections[key].pop("initial_adhesion", None)
         merged.sections[key].update(content)
-    elif key in ("demand", "friction"):
+    elif key in ("demand", "friction", "traction"):
         is_programme = isinstance(content, list) and all(isinstance(c, Mapping) for c in content)
         form = f"[[{key}]] with two brackets, one for each step"
         _require(is_programme, where, key, content, form)
@@ -341,7 +378,7 @@ def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
     elif key in heads:
         merged.head |= table.read([heads[key]], {key: content}, where)
     else:
-        allowed = [*SECTIONS, "demand", "friction", "fault", *heads]
+        allowed = [*SECTIONS, "demand", "friction", "traction", "fault", *heads]
         # a key of a table was perhaps written without its table
         in_tables = [f"{section}.{row.name}" for section in SECTIONS for row in SECTIONS[section]]
         hint = table.nearest(key, allowed, others=in_tables)
@@ -471,6 +508,30 @@ def _demand(rows: list[dict[str, Any]], where: str) -> tuple[list[dict[str, Any]
         raise ConfigError(f"{where} [[demand]]: from_s must rise from step to step, not {starts}")
     pressures = [step["pressure_Pa"] for step in steps]
     return steps, physics.Demand(np.array(starts), np.array(pressures))
+
+
+def _traction(rows: list[dict[str, Any]], where: str) -> list[dict[str, Any]]:
+    """Return the steps of the demand of traction. Raises ConfigError."""
+    steps = [
+        table.read(TRACTION, row, f"{where} [[traction]] {place}")
+        for place, row in enumerate(rows, start=1)
+    ]
+    starts = [step["from_s"] for step in steps]
+    if starts != sorted(starts):
+        raise ConfigError(f"{where} [[traction]]: from_s must rise from step to step, not {starts}")
+    return steps
+
+
+def _check_blending(
+    params: physics.Params, demand: physics.Demand, checked: dict[str, Any]
+) -> None:
+    """Raise ConfigError where the demand requests more than both brakes of a vehicle have."""
+    pressures = [*demand.pressure_Pa, checked["modbus"]["emergency_pressure_Pa"]]
+    dynamic_params.check_blending(
+        params.dynamic,
+        largest_Pa=max(pressures) * params.brake.weighed_share,
+        limit_Pa=checked["dynamic_brake"]["friction_pressure_Pa"],
+    )
 
 
 def _friction(

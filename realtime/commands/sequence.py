@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rollerrig.configs.errors import ConfigError, OtherAxlesError
+from rollerrig.configs.errors import ConfigError, OtherVehicleError
 from rollerrig.configs.output_files import check_no_link, make_folder, writing
 from rollerrig.configs.processes import children, interruption
 from rollerrig.realtime.commands import output, wsp
@@ -203,8 +203,8 @@ def load(names: list[str]) -> "list[Sequence]":
     for sequence in sequences:
         try:
             scenario_of(sequence)
-        except OtherAxlesError:
-            # the command line starts itself again for this number of axles
+        except OtherVehicleError:
+            # the command line starts itself again for this vehicle
             raise
         except ConfigError as error:
             errors.append(f"{sequence.path} [start]: {error}")

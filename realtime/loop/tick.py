@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES_OF_GROUP
+from rollerrig.configs.vehicle import AXLES_OF_GROUP, HAS_DYNAMIC_BRAKE
 from rollerrig.firmware_sim import pole_wheel, rig_control
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
@@ -21,6 +21,7 @@ from rollerrig.realtime.loop import mailbox as box
 from rollerrig.realtime.loop.mailbox import Mailbox
 from rollerrig.rig import plant, vehicle
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.dynamic_brake import NO_COMMAND
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SLOTS, State
 from rollerrig.wsp_interface import signals
@@ -34,7 +35,9 @@ FRICTION = REFERENCE + 1  # kinematic friction under the axles; 0: as in the sce
 SAND = FRICTION + AXLES  # 1: the sander of the axle is on
 DRIVES = SAND + AXLES  # commands of each drive, laid out as in drive402.axis
 FAULTS = DRIVES + AXLES * axis.COMMANDS  # faults that act, laid out as in faults.effects
-COMMANDS = FAULTS + effects.SIZE
+# with a dynamic brake: the permitted share of each motor, then the demand of traction
+MOTORS = FAULTS + effects.SIZE
+COMMANDS = MOTORS + (AXLES + 1 if HAS_DYNAMIC_BRAKE else 0)
 
 # slots of the control array, int64
 TICK = 0  # ticks of the run so far
@@ -125,6 +128,9 @@ def first_command() -> np.ndarray:
     row = np.full(COMMANDS, np.nan)
     row[MAGNETS : MAGNETS + AXLES] = 0.0
     row[FRICTION:] = 0.0
+    if HAS_DYNAMIC_BRAKE:
+        row[MOTORS:] = 1.0
+        row[MOTORS + AXLES] = NO_COMMAND
     drives = row[DRIVES:FAULTS].reshape(AXLES, axis.COMMANDS)
     drives[:, axis.ENABLED] = 1.0
     drives[:, axis.LOOP] = axis.LOOP_RIG
@@ -252,6 +258,17 @@ def begin(m, tick):
         m.state.sand_command[j] = m.command[SAND + j]
         m.state.sand_rate_fault[j] = effects.value(faults, effects.SAND_FLAW, j)
         m.state.sand_delay_fault[j] = effects.value(faults, effects.SAND_LATE_s, j)
+    command_motors(m, faults, m.params.dynamic)
+
+
+@kernel_inlined
+def command_motors(m, faults, dynamic):
+    """Pass commands and faults to the motors of a dynamic brake; nothing without one."""
+    if dynamic is not None:
+        for j in range(AXLES):
+            m.state.dynamic_permitted[j] = m.command[MOTORS + j]
+            m.state.dynamic_failed[j] = effects.value(faults, effects.MOTOR_LOST, j)
+        m.state.traction_command[0] = m.command[MOTORS + AXLES]
 
 
 @kernel_inlined
@@ -348,5 +365,14 @@ def run_unit_cycle(m, unit, group, inputs):
     command = m.commands.values
     for j in range(unit.state.speed_m_s.size):
         command[MAGNETS + first + j] = (magnets_byte >> (BITS_PER_AXLE * j)) & PAIR_MASK
+    permit_shares(unit, command, first, m.params.dynamic)
     if group == 0:
         command[REFERENCE] = reference * _REFERENCE_SCALE
+
+
+@kernel_inlined
+def permit_shares(unit, command, first, dynamic):
+    """Pass the unit's shares of the dynamic brake as commands; nothing without such a brake."""
+    if dynamic is not None:
+        for j in range(unit.state.speed_m_s.size):
+            command[MOTORS + first + j] = logic.permitted_share(unit, j)

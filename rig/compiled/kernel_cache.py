@@ -1,8 +1,9 @@
 """The folder in which compiled kernels are kept from one process to the next.
 
 Numba does not notice that a function which a cached kernel calls has changed. Therefore the folder
-is named after a hash of this installation, of all its sources that affect compiled code, and of the
-number of axles: a changed source leads to another folder, and everything is compiled again.
+is named after a hash of this installation, of all its sources that affect compiled code, of the
+number of axles and of the equipment: a changed source leads to another folder, and everything is
+compiled again.
 
 A kept kernel is a program: who can write into the folder can run code as its user. So the folder is
 used only if it belongs to this user or to root, and no other user may write into it.
@@ -19,7 +20,7 @@ import shutil
 import stat
 from pathlib import Path
 
-from rollerrig.configs.vehicle import AXLES, COACH_AXLES
+from rollerrig.configs.vehicle import AXLES, COACH_AXLES, EQUIPMENT
 from rollerrig.rig.compiled.numba_import import numba, settings
 
 # folders of the product that contain kernels
@@ -43,7 +44,7 @@ BYTES_KEPT = 200_000_000
 
 def _fingerprint(root: Path) -> str:
     """Return a hash of all that compiled code depends on: numba, the installation, the sources."""
-    digest = hashlib.sha256(f"{numba.__version__} {root} {AXLES}".encode())
+    digest = hashlib.sha256(f"{numba.__version__} {root} {AXLES} {sorted(EQUIPMENT)}".encode())
     paths = sorted(path for room in _ROOMS for path in (root / room).rglob("*.py"))
     for path in paths:
         source = path.read_bytes()
@@ -125,11 +126,11 @@ def is_compiled() -> bool:
 def use_folder_of_user(folder: Path) -> None:
     """Make numba keep compiled kernels in a folder that the user has chosen.
 
-    The kernels of other numbers of axles are in a folder inside: numba would load kernels that were
-    compiled for arrays of another size.
+    The kernels of other numbers of axles, or with further equipment, are in a folder inside: numba
+    would load kernels that were compiled for arrays of another size.
     """
-    if AXLES != COACH_AXLES:
-        settings.CACHE_DIR = str(folder / f"axles_{AXLES}")
+    if AXLES != COACH_AXLES or EQUIPMENT:
+        settings.CACHE_DIR = str(folder / "-".join([f"axles_{AXLES}", *sorted(EQUIPMENT)]))
 
 
 if os.environ.get("NUMBA_CACHE_DIR"):

@@ -122,6 +122,7 @@ def fits(params: Params) -> bool:
         and not params.pads.vary
         and params.flats.wear_m3_J == 0.0
         and params.sanders.axles == 0
+        and params.dynamic is None
         and not params.film.acts
     )
 

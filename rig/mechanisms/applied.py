@@ -90,13 +90,19 @@ def extended(model: Mapping[str, Any], m: Mapping[str, Any]) -> dict[str, Any]:
     return changed
 
 
-def wheels(vehicle: Mapping[str, Any], m: Mapping[str, Any]) -> Wheels:
-    """Return the wheels of the checked sections [vehicle] (radius, inertia) and [mechanisms]."""
+def wheels(
+    vehicle: Mapping[str, Any], m: Mapping[str, Any], rotors_kgm2: np.ndarray | float = 0.0
+) -> Wheels:
+    """Return the wheels of the checked sections [vehicle] (radius, inertia) and [mechanisms].
+
+    `rotors_kgm2` are the inertias of the motors on the wheelsets, shape (AXLES,).
+    """
     swing = _of_axles(m, "wheel_out_of_round", "wheel_out_of_round_amplitude")
     radius_fraction = _of_axles(m, "wheel_radius", "wheel_radius_fraction")
     inertia_fraction = _of_axles(m, "wheel_inertia", "wheel_inertia_fraction")
     radius_m = constants.wheel_radius(vehicle, radius_fraction)["wheel_radius_m"]
     inertia_kgm2 = constants.wheel_inertia(vehicle, inertia_fraction)["wheelset_inertia_kgm2"]
+    inertia_kgm2 = inertia_kgm2 + rotors_kgm2
     return Wheels(
         table=np.concatenate([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing]),
         swings=bool(swing.any()),

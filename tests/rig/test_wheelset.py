@@ -135,7 +135,7 @@ BRAKE_NM = 2000.0
 
 def accelerated(wheel_rad_s, contact_N):
     """Return (acceleration, acting brake torque, locked) of the first wheelset."""
-    return wheelset.wheel_acceleration(wheel_rad_s, contact_N, BRAKE_NM, 0, RIG.wheels)
+    return wheelset.wheel_acceleration(wheel_rad_s, contact_N, BRAKE_NM, 0.0, 0, RIG.wheels)
 
 
 def test_the_wheelset_accelerates_by_contact_less_brake():

@@ -1,0 +1,193 @@
+"""Electrodynamic brake and traction of driven wheelsets, and blending with the friction brake.
+
+A motor brakes or drives its wheelset. Its force at the rim is constant up to a corner speed, and
+its power is constant above [E1]. Braking fades out at low speed [E2]. The force follows its demand
+with a lag and a limited rate [E3]. The demanded brake force of a bogie or of a car comes first from
+its motors, and the friction brake gives the rest [E4].
+
+    [E1] F(v) = F_0 up to v_c, F_0 v_c / v above; v is the speed of the rim
+    [E2] F(v) (v - v_to) / (v_from - v_to) from v_to to v_from, 0 below
+    [E3] dF/dt = (F_demand - F) / T, at most the rate in magnitude
+    [E4] p_f = p_spring + max(0, n k_d (p_d - p_spring) - sum F_c) / (n k_f) for n axles that blend
+    [E5] ds_c/dt = (s - s_c) / T_c
+
+Slide control permits a share s of the force of an axle. Blending counts the force F_c that the
+motors would give with the share s_c [E5]: the friction brake takes over slowly what slide control
+releases, because it would slide the same wheels. What a motor lacks for another reason, the
+friction brake gives without delay. Source: general practice of blended brakes; every default is an
+assumption, not a measurement of one brake.
+
+The torque is positive when it brakes and negative when it drives.
+"""
+
+from rollerrig.rig import vehicle
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.dynamic_params import BUS, TRACTION_UNIT
+from rollerrig.rig.state import AXLES
+
+NO_COMMAND = -1.0  # the bus demands no traction: the programme of the scenario does
+
+
+@kernel
+def curve_N(speed_m_s, force_N, brake):
+    """Return the largest force of a motor in N at a speed of its rim in m/s [E1]."""
+    if speed_m_s <= brake.corner_speed_m_s:
+        return force_N
+    return force_N * brake.corner_speed_m_s / speed_m_s
+
+
+@kernel
+def fade_share(speed_m_s, brake):
+    """Return the share of the brake force that is left at a speed of the rim [E2]."""
+    share = (speed_m_s - brake.fade_to_m_s) / (brake.fade_from_m_s - brake.fade_to_m_s)
+    return min(max(share, 0.0), 1.0)
+
+
+@kernel_inlined
+def begin(state, brake):
+    """Permit all motors their whole force."""
+    if brake is not None:
+        state.traction_command[0] = NO_COMMAND
+        for j in range(AXLES):
+            state.dynamic_share[j] = 1.0
+            state.dynamic_credit_share[j] = 1.0
+            state.dynamic_permitted[j] = 1.0
+
+
+@kernel_inlined
+def advance(state, params, brake):
+    """Advance motors, slide control and blending by a step; nothing without a dynamic brake."""
+    if brake is not None:
+        control_slide(state, params, brake)
+        demand_motors(state, params, brake)
+        blend(state, brake)
+
+
+@kernel
+def control_slide(state, params, brake):
+    """Set the permitted share of each motor, and the share that blending counts [E5]."""
+    for j in range(AXLES):
+        share = 1.0
+        if brake.control == BUS:
+            share = state.dynamic_permitted[j]
+        elif brake.control == TRACTION_UNIT:
+            surface_m_s = state.vehicle_speed[0]
+            if params.mode != 0:
+                surface_m_s = params.drive.roller_radius_m * state.roller_speed[j]
+            rim_m_s = params.wheels.table[vehicle.RADIUS_M + j] * state.wheel_speed[j]
+            limit_m_s = brake.slide_limit * surface_m_s + brake.slide_floor_m_s
+            slides = abs(surface_m_s - rim_m_s) > limit_m_s
+            change = -brake.release_change if slides else brake.return_change
+            share = min(max(state.dynamic_share[j] + change, 0.0), 1.0)
+        state.dynamic_share[j] = share
+        credit = state.dynamic_credit_share[j]
+        state.dynamic_credit_share[j] = credit + (share - credit) * brake.takeover_share  # [E5]
+
+
+@kernel
+def demand_motors(state, params, brake):
+    """Let the forces of all motors follow their demands [E1] to [E3]."""
+    above_spring_Pa = max(0.0, state.brake_demand[0] - brake.spring_pressure_Pa)
+    traction = 0.0
+    if above_spring_Pa == 0.0:
+        traction = state.traction_command[0]
+        if traction == NO_COMMAND:  # the programme
+            traction = 0.0
+            for i in range(brake.traction_start_s.size):
+                if state.time[0] >= brake.traction_start_s[i]:
+                    traction = brake.traction_share[i]
+    state.traction_demand[0] = traction
+
+    for j in range(AXLES):
+        state.dynamic_before[j] = state.dynamic_torque[j]
+        if not brake.driven[j]:
+            continue
+        radius_m = params.wheels.table[vehicle.RADIUS_M + j]
+        rim_m_s = radius_m * state.wheel_speed[j]
+        if state.dynamic_failed[j] != 0.0:
+            state.dynamic_torque[j] = 0.0
+            state.dynamic_credit[j] = 0.0
+            continue
+
+        # what the axles that blend together demand, in equal shares from their motors
+        axles = 0
+        motors = 0
+        for i in range(AXLES):
+            if brake.blends_with[i] == brake.blends_with[j]:
+                axles += 1
+                motors += 1 if brake.driven[i] and state.dynamic_failed[i] == 0.0 else 0
+        wanted_N = above_spring_Pa * brake.demand_N_Pa * axles / motors
+        braking_N = min(
+            wanted_N, curve_N(rim_m_s, brake.force_N, brake) * fade_share(rim_m_s, brake)
+        )
+        driving_N = traction * curve_N(rim_m_s, brake.traction_force_N, brake)
+        request_N = braking_N - driving_N
+
+        force_N = state.dynamic_torque[j] / radius_m
+        force_N = followed(force_N, request_N * state.dynamic_share[j], brake)
+        if state.wheel_speed[j] <= 0.0:
+            force_N = min(force_N, 0.0)  # a motor that does not turn cannot brake
+        state.dynamic_torque[j] = force_N * radius_m
+        counted_N = braking_N * state.dynamic_credit_share[j]
+        state.dynamic_credit[j] = followed(state.dynamic_credit[j], counted_N, brake)
+
+
+@kernel
+def followed(force_N, demand_N, brake):
+    """Return the force after a step in which it follows its demand [E3]."""
+    change_N = (demand_N - force_N) * brake.lag_share
+    return force_N + min(max(change_N, -brake.largest_change_N), brake.largest_change_N)
+
+
+@kernel
+def blend(state, brake):
+    """Set the demanded pressure of the friction brake of each axle [E4]."""
+    p_d = state.brake_demand[0]
+    above_spring_Pa = max(0.0, p_d - brake.spring_pressure_Pa)
+    for j in range(AXLES):
+        if above_spring_Pa == 0.0:
+            state.friction_demand[j] = p_d
+            continue
+        axles = 0
+        counted_N = 0.0
+        for i in range(AXLES):
+            if brake.blends_with[i] == brake.blends_with[j]:
+                axles += 1
+                counted_N += state.dynamic_credit[i]
+        rest_N = max(0.0, axles * brake.demand_N_Pa * above_spring_Pa - counted_N)
+        state.friction_demand[j] = brake.spring_pressure_Pa + rest_N / (
+            axles * brake.friction_N_Pa
+        )  # [E4]
+
+
+@kernel_inlined
+def torque(state, axle, brake):
+    """Return the mean torque in N m of an axle's motor in this step; 0 without a dynamic brake."""
+    if brake is None:
+        return 0.0
+    return 0.5 * (state.dynamic_before[axle] + state.dynamic_torque[axle])
+
+
+@kernel_inlined
+def torque_now(state, axle, brake):
+    """Return the torque in N m of an axle's motor at this time; 0 without a dynamic brake."""
+    if brake is None:
+        return 0.0
+    return state.dynamic_torque[axle]
+
+
+@kernel_inlined
+def count_work(state, axle, turned_rad, brake):
+    """Add the work that an axle's motor takes from the wheelset while it turns by an angle."""
+    if brake is not None:
+        state.dynamic_work[axle] += torque(state, axle, brake) * turned_rad
+
+
+@kernel_inlined
+def settle(state, brake):
+    """Leave no torque on the wheelsets of a vehicle that stands."""
+    if brake is not None and state.standing[0] != 0.0:
+        for j in range(AXLES):
+            state.dynamic_before[j] = 0.0
+            state.dynamic_torque[j] = 0.0
+            state.dynamic_credit[j] = 0.0
