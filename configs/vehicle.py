@@ -124,6 +124,25 @@ def check_axles_of(sections: Mapping[str, Any], where: str) -> None:
         check_axles(vehicle.get("axles", COACH_AXLES), f"{where} [vehicle] axles")
 
 
+def equipment_of(sections: Mapping[str, Any]) -> frozenset[str]:
+    """Return the equipment of the vehicle of a resolved scenario."""
+    section = sections.get(DYNAMIC_BRAKE)
+    has_motors = isinstance(section, Mapping) and bool(section.get("axles"))
+    return frozenset((DYNAMIC_BRAKE,)) if has_motors else frozenset()
+
+
+def check_vehicle_of(resolved: Mapping[str, Any], where: str) -> None:
+    """Check that this process simulates the vehicle of a resolved scenario.
+
+    Raises ConfigError, OtherVehicleError.
+    """
+    vehicle = resolved.get("vehicle")
+    equipment = equipment_of(resolved)
+    if isinstance(vehicle, Mapping):
+        check_axles(vehicle.get("axles", COACH_AXLES), f"{where} [vehicle] axles", equipment)
+    check_equipment(equipment, f"{where} [{DYNAMIC_BRAKE}]")
+
+
 def bodies(bogies_per_body: int) -> int:
     """Return the number of bodies. Raises ConfigError where they cannot share the bogies."""
     bogies = AXLES // AXLES_OF_BOGIE

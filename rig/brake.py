@@ -89,10 +89,12 @@ def fill(state, brake, target_Pa, dynamic):
 
 
 @kernel_inlined
-def pressure(p_d, axle, state, brake):
+def pressure(p_d, axle, state, dynamic):
     """Return the demanded pressure in Pa of an axle's cylinder: `p_d` without a dynamic brake."""
-    if brake is None:
+    if dynamic is None:
         return p_d
+    if state.standing[0] != 0.0:
+        return p_d  # the motors of a vehicle that stands do not brake
     return state.friction_demand[axle]
 
 

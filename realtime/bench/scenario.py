@@ -272,9 +272,9 @@ def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     }
     if traction:
         resolved["traction"] = traction
-    if not checked["dynamic_brake"]["axles"]:
-        # a vehicle without a dynamic brake has the scenario that it always had
-        del resolved["dynamic_brake"]
+    if not merged.sections[DYNAMIC_BRAKE]:
+        # no file mentions a dynamic brake: the resolved scenario is as it always was
+        del resolved[DYNAMIC_BRAKE]
     params = physics.build(acting, friction, demand, ratios.tick_s, ratios.substeps, traction)
     _check_blending(params, demand, checked)
     rollers = None

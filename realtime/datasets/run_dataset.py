@@ -16,6 +16,7 @@ import tomli_w
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
+from rollerrig.configs.vehicle import equipment_of
 from rollerrig.realtime.datasets import run_sensors
 from rollerrig.realtime.record import records
 from rollerrig.rig import params
@@ -225,6 +226,11 @@ def _check_same_base(run: records.Run, first: records.Run) -> None:
                 f"{run.folder}: sand was used, which the base model does not include; "
                 "brake without sanders"
             )
+    if equipment_of(run.scenario):
+        raise ConfigError(
+            f"{run.folder}: the vehicle has a dynamic brake, which the base model does not include; "
+            "brake with dynamic_brake.axles=[]"
+        )
     for table, may_differ in _SHARED_TABLES.items():
         values = _without(run.scenario.get(table, {}), may_differ)
         first_values = _without(first.scenario.get(table, {}), may_differ)

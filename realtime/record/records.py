@@ -53,7 +53,7 @@ class Run(NamedTuple):
 def load(folder: Path | str) -> Run:
     """Read a run's folder.
 
-    Raises ConfigError for a file that is missing or damaged, OtherAxlesError for a vehicle that
+    Raises ConfigError for a file that is missing or damaged, OtherVehicleError for a vehicle that
     this process does not simulate.
     """
     folder = Path(folder)
@@ -64,7 +64,7 @@ def load(folder: Path | str) -> Run:
     if not (folder / SCENARIO).is_file():
         raise ConfigError(f"{folder / SCENARIO}: no such file; {folder} is not a run's folder")
     resolved = store.parse(folder / SCENARIO, within=folder)
-    vehicle.check_axles_of(resolved, str(folder / SCENARIO))
+    vehicle.check_vehicle_of(resolved, str(folder / SCENARIO))
     return Run(
         folder,
         channels.load(folder),

@@ -135,9 +135,10 @@ def _ending(
     if ended != "finished":
         return "" if has_reason else f"the record ends early: {ended}"
 
-    # a rig that holds its speed runs for this time and stops nowhere
+    # a rig that holds its speed, or a vehicle that starts, runs for this time and stops nowhere
     held = scenario.get("rig", {}).get("speed") == "held"
-    limit_s = math.inf if held else scenario.get("duration_max_s", math.inf)
+    starts = bool(scenario.get("traction"))
+    limit_s = math.inf if held or starts else scenario.get("duration_max_s", math.inf)
     reached_limit = (summary["duration_s"] or 0.0) > limit_s - _LIMIT_TOLERANCE_S
     by_harness = any(event.code == Code.RUN_ENDED_BY_HARNESS for event in events)
     if reached_limit and not stopped and not by_harness:

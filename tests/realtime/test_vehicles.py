@@ -15,10 +15,10 @@ import pyarrow.parquet
 import pytest
 
 from rollerrig.configs import vehicle as constants
-from rollerrig.configs.errors import ConfigError, OtherAxlesError
+from rollerrig.configs.errors import ConfigError, OtherAxlesError, OtherEquipmentError
 from rollerrig.realtime.bench import scenario
 
-AXLES = {"bogie_low": 2, "tram_low": 6, "multiple_unit_low": 8}
+AXLES = {"bogie_low": 2, "tram_low": 6, "multiple_unit_low": 8, "tram_low_dynamic": 6}
 GRAVITY_M_S2 = 9.80665
 WITHIN = 1e-3  # relative difference of two balances
 # these processes compile kernels for their number of axles
@@ -113,13 +113,19 @@ def test_brake_and_contact_change_the_angular_momentum_of_each_wheelset_of_a_veh
     last = np.flatnonzero(moving)[-1] + 1
     contact_Nm = vehicle["wheel_radius_m"] * record.contact_N[:last]
     brake_Nm = record.axles("brake_torque", "_Nm")[:last]
+    inertias_kgm2 = np.full(record.number_of_axles, vehicle["wheelset_inertia_kgm2"])
+    motors = record.plan.get("dynamic_brake")
+    if motors and motors["axles"]:
+        brake_Nm = brake_Nm + record.axles("dynamic_torque", "_Nm")[:last]
+        driven = np.array(motors["axles"], dtype=int) - 1
+        inertias_kgm2[driven] += motors["rotor_inertia_kgm2"]
     wheel_rad_s = record.axles("wheel_speed", "_rad_s")[:last]
     time_s = record.time_s[:last]
     for axle in range(record.number_of_axles):
         driven_Nms = np.trapezoid(contact_Nm[:, axle], time_s)
         braked_Nms = np.trapezoid(brake_Nm[:, axle], time_s)
         gained_rad_s = wheel_rad_s[-1, axle] - wheel_rad_s[0, axle]
-        gained_Nms = vehicle["wheelset_inertia_kgm2"] * gained_rad_s
+        gained_Nms = inertias_kgm2[axle] * gained_rad_s
         assert driven_Nms - gained_Nms == pytest.approx(braked_Nms, rel=WITHIN)
 
 
@@ -269,6 +275,21 @@ def test_a_process_refuses_a_vehicle_with_another_number_of_axles_and_names_the_
     with pytest.raises(OtherAxlesError, match="ROLLERRIG_AXLES=6") as caught:
         scenario.load("tram_low")
     assert caught.value.axles == 6
+
+
+def test_a_process_refuses_a_vehicle_with_other_equipment_and_names_the_remedy():
+    with pytest.raises(OtherEquipmentError, match="ROLLERRIG_EQUIPMENT=dynamic_brake"):
+        scenario.load("velim_a1", settings=("dynamic_brake.axles=[1, 2]",))
+    with pytest.raises(OtherAxlesError, match="ROLLERRIG_EQUIPMENT=dynamic_brake") as caught:
+        scenario.load("tram_low_dynamic")
+    assert caught.value.environment["ROLLERRIG_AXLES"] == "6"
+
+
+def test_a_vehicle_without_a_dynamic_brake_does_not_have_its_channels(record):
+    motors = record.plan.get("dynamic_brake", {"axles": []})
+    has_motors = len(motors["axles"]) > 0
+    assert has_motors == record.folder.name.endswith("dynamic")
+    assert ("dynamic_torque_1_Nm" in record.table.column_names) == has_motors
 
 
 def test_bogies_that_no_number_of_bodies_shares_are_refused():
