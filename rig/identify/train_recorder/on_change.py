@@ -75,10 +75,8 @@ def deadband(group: list[Channel]) -> float | None:
     change = np.max([np.abs(np.diff(channel.values)) for channel in group], axis=0)
     no_idle_rows = not np.any(change == 0.0)
     # a recorder that logs every sample repeats the zeros of a standing vehicle
-    wheels = [channel for channel in speeds if channel.quantity == "speed"]
-    stands = np.all([channel.values == 0.0 for channel in wheels or speeds], axis=0)
-    stays = stands[1:] & stands[:-1]
-    one_row_per_stop = no_idle_rows and bool(stands.any()) and not bool(stays.any())
+    stands = np.all([channel.values == 0.0 for channel in speeds], axis=0)
+    one_row_per_stop = no_idle_rows and bool(stands.any())
     least = _STOPS if one_row_per_stop else limit.CHANGE_INTERVALS
     if is_long.sum() < least:
         return None
