@@ -26,6 +26,7 @@ import numpy as np
 from numba import njit
 
 from . import mujoco_contact as contact
+from .conditions import PAD_SPEED_M_S, Conditions, PadVariation, pad_variation
 
 G_M_S2 = 9.81
 # masses of the whole coach, a bogie, a wheelset; moment of inertia of a wheelset about its axle
@@ -175,6 +176,7 @@ class Stop(NamedTuple):
     roller_1_m: float = 0.0
     gradient: float = 0.0  # mean; ahead and up is positive
     sloshing: float = 0.0  # share of the coach's mass
+    pads: PadVariation = pad_variation(Conditions(), 0, 0)
 
 
 def model(stop: Stop, step_s: float) -> mujoco.MjModel:
@@ -314,6 +316,14 @@ def _acting(one, shown, demand, spin, sizes, here):
 
 
 @njit(cache=True)
+def _vary(pads, i, t, v):
+    """Return the change of the torque of wheelset i by its pads, as a share."""
+    swing = 2.0 * math.pi * t / pads.period_s + pads.phase
+    by_speed = pads.by_speed[i] * max(1.0 - v / PAD_SPEED_M_S, -1.0)
+    return pads.constant[i] + pads.by_time[i] * math.cos(swing) + by_speed
+
+
+@njit(cache=True)
 def _friction(one, i, t, v, sand, sizes):
     """Return the factor of the hidden effects on the contaminant's friction under wheelset i."""
     factor = ((20.0 + 12.2) / (v + 12.2)) ** (3.22 * sizes[SPEED])
@@ -372,6 +382,7 @@ def step(
     radii,
     inertia,
     K,
+    pads,
 ):
     """Write the forces of step k, and its row of the trace; return False at the end of the stop.
 
@@ -386,6 +397,7 @@ def step(
     speed0, mu_cd, demand_Nm, high, factors, sizes, axle, radii, inertia : those of `Stop`
     times : of the stop, see BRAKE_FROM
     K : stiffness of the contact, from `mujoco_contact.stiffness`
+    pads : a PadVariation
     """
     t = k * h
     # speed of the coach: its momentum over its mass
@@ -448,6 +460,7 @@ def step(
         shown = one[TORQUE]
         _brake(one, demand, spin, h)
         torque = _acting(one, (shown + one[TORQUE]) / 2.0, demand_Nm, spin, sizes, i == axle)
+        torque *= 1.0 + _vary(pads, i, t, v)
         # the wheelset between brake and rail
         cell = int((row[WAY_M] - POSITIONS_M[i] + BEHIND_M) / CELL_M)
         if cell != one[CELL]:
@@ -541,6 +554,7 @@ def run(stop: Stop, step_s: float = STEP_S) -> np.ndarray:
         stop.radii_m,
         stop.inertia_kgm2,
         K,
+        stop.pads,
     )
     k = 0
     while True:

@@ -23,6 +23,13 @@ from scipy.signal import lfilter
 
 from . import mujoco_coach as coach
 from . import mujoco_contact as contact
+from .conditions import (
+    Conditions,
+    pad_variation,
+    pole_wheels,
+    rail_deviations,
+    wheel_speeds,
+)
 
 # smallest size of each cause; fractions, or the unit of its formula
 SMALLEST = {
@@ -90,6 +97,7 @@ SAME_MEANING = {
 
 RUNS = ("long_1", "long_2", "short_1", "short_2", "check_1", "check_2")
 _SPEEDS_M_S = dict(zip(RUNS, (43.0, 35.5, 29.0, 23.0, 39.0, 26.0), strict=True))
+IDEAL = Conditions()
 SAMPLE_S = 0.01
 # standard deviations of the sensors; of the torque relative to its largest value, of the load
 # relative to the static one
@@ -108,7 +116,13 @@ _PLACES = np.arange(-40.0, 1600.0, coach.CELL_M)
 _ARMS = np.array([10.78, 8.22, -8.22, -10.78]) / 9.5  # of the wheelsets about the body, mean 1
 
 
-def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ...] = RUNS) -> Path:
+def make(
+    folder: Path,
+    effects: dict[str, float],
+    seed: int,
+    runs: tuple[str, ...] = RUNS,
+    conditions: Conditions = IDEAL,
+) -> Path:
     """Write a dataset of stops with hidden effects; return its folder.
 
     `effects` has the size of each effect by its name. The same seed writes the same bytes. Raises
@@ -120,8 +134,8 @@ def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ..
     (folder / "runs").mkdir(parents=True, exist_ok=True)
     tables = []
     for run in runs:
-        stop = nature(effects, seed, run)
-        header, rows = records(coach.run(stop), stop, effects, seed, run)
+        stop = nature(effects, seed, run, conditions)
+        header, rows = records(coach.run(stop), stop, effects, seed, run, conditions)
         np.savetxt(
             folder / "runs" / f"{run}.csv",
             rows,
@@ -135,11 +149,16 @@ def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ..
             f'\n[[run]]\nfile = "runs/{run}.csv"\ngroup = "{group}"\n'
             f"initial_speed_m_s = {stop.speed_m_s:.2f}\n"
         )
-    head = _HEAD + f"positions_m = {list(coach.POSITIONS_M)}\n"
+    head = _HEAD
+    if conditions.sensor:
+        # nobody declares the noise of such a sensor: it depends on the speed
+        head = head.replace(_SPIN_NOISE, "")
+    head += f"positions_m = {list(coach.POSITIONS_M)}\n"
     (folder / "dataset.toml").write_text(head + "".join(tables), encoding="utf-8")
     return folder
 
 
+_SPIN_NOISE = f"wheel_speed_rad_s = {SPIN_NOISE_RAD_S}\n"
 _HEAD = f"""kind = "braking_runs"
 title = "braking stops of a coach on a contaminated rail"
 vehicle = "uic_z1"
@@ -156,7 +175,9 @@ calibration_fraction = {CALIBRATION}
 """
 
 
-def nature(effects: dict[str, float], seed: int, run: str) -> coach.Stop:
+def nature(
+    effects: dict[str, float], seed: int, run: str, conditions: Conditions = IDEAL
+) -> coach.Stop:
     """Return a stop as it happens. The effects do not change what the random draws decide."""
     of_set = np.random.default_rng((seed, 71))
     rng = np.random.default_rng((seed, 72, RUNS.index(run)))
@@ -173,6 +194,11 @@ def nature(effects: dict[str, float], seed: int, run: str) -> coach.Stop:
     rail = _field(rng)
     treads = np.stack([_field(rng) for _ in range(4)])
     factors = 1.0 + FIELD / np.sqrt(2.0) * (rail + treads)
+    if conditions.rail_deviation:
+        of_rail, of_tread = rail_deviations(conditions, FIELD)
+        if conditions.rail_is_shared:
+            rail = _field(np.random.default_rng((seed, 75)))
+        factors = 1.0 + of_rail * rail + of_tread * treads
     factors[axle] *= 1.0 - size["one_glazed_tread"]
     begin = _smooth((_PLACES - patch_m) / 8.0)
     end = _smooth((patch_m + patch_length_m - _PLACES) / 8.0)
@@ -207,11 +233,17 @@ def nature(effects: dict[str, float], seed: int, run: str) -> coach.Stop:
         roller_1_m=_roller(size["roller_curvature"]),
         gradient=size["track_gradient"],
         sloshing=size["sloshing_tank"],
+        pads=pad_variation(conditions, seed, RUNS.index(run)),
     )
 
 
 def records(
-    trace: np.ndarray, stop: coach.Stop, effects: dict[str, float], seed: int, run: str
+    trace: np.ndarray,
+    stop: coach.Stop,
+    effects: dict[str, float],
+    seed: int,
+    run: str,
+    conditions: Conditions = IDEAL,
 ) -> tuple[str, np.ndarray]:
     """Return the head and the rows of a CSV file: what sensors show of a trace."""
     of_set = np.random.default_rng((seed, 73))
@@ -249,11 +281,15 @@ def records(
     spin_noise = rng.normal(0.0, SPIN_NOISE_RAD_S, torques.shape)
     load_noise = rng.normal(size=torques.shape)
     torque_noise = rng.normal(size=torques.shape)
+    shown_spins = sampled(spins, spins_late_s) + spin_noise
+    if conditions.sensor:
+        wheels = pole_wheels(seed, RUNS.index(run))
+        shown_spins = wheel_speeds(conditions, clock, spins, at - spins_late_s, wheels)
     rows = np.hstack(
         [
             at[:, None],
             speeds + speed_noise,
-            sampled(spins, spins_late_s) + spin_noise,
+            shown_spins,
             load_gain * sampled(loads)
             + LOAD_NOISE * coach.MASS_KG * coach.G_M_S2 / 4.0 * load_noise,
             torque_gain * torques + TORQUE_NOISE * torques.max() * torque_noise,

@@ -32,6 +32,8 @@ from numba import njit
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
+from generator import conditions as measured
+
 # causes whose size has the meaning of a parameter in the rig's table: (parameter, sign)
 SAME_MEANING = {
     "brake_gain": ("gain", 1.0),
@@ -166,6 +168,8 @@ TAIL_M = 30.0
 LENGTH_M = 2600.0
 CELL_M = 0.1
 FIELD_M = 0.25
+# speed about which the friction of the pads turns, m/s
+PAD_SPEED_M_S = measured.PAD_SPEED_M_S
 # deviation of the friction along the rail, and of each wheelset's, in every run
 FIELD_DEVIATION = 0.0141
 # step of the integrator, and of contact and record; steps per slow step, and per protection cycle
@@ -184,6 +188,7 @@ VENT = 2
 NEVER = 1e9
 
 RUNS = ("a1", "a2", "a3", "b1", "b2", "b3")
+IDEAL = measured.Conditions()
 
 
 class Stop(NamedTuple):
@@ -214,6 +219,7 @@ class Stop(NamedTuple):
     wave_m: float
     burst_s: float  # negative: not in this run
     slope: float  # pi G a b c11 / 4 at N_REF, N
+    pads: measured.PadVariation
 
 
 class State(NamedTuple):
@@ -455,6 +461,11 @@ def act(e, stop, now, j):
     torque = now.torque[j]
     omega = now.y[1 + j]
     c = torque * (1.0 + e[GAIN]) * (1.0 - e[FADE] * max(now.heat[j] - 25.0, 0.0) / 75.0)
+    # pads within their calibration
+    swing = 2.0 * pi * now.track[TIME] / stop.pads.period_s + stop.pads.phase
+    vary = stop.pads.constant[j] + stop.pads.by_time[j] * cos(swing)
+    vary += stop.pads.by_speed[j] * max(1.0 - now.y[0] / PAD_SPEED_M_S, -1.0)
+    c *= 1.0 + vary
     c += e[OFFSET] * stop.demand_Nm * tanh(torque / 250.0)
     c *= 1.0 + e[RIPPLE] * cos(2.0 * now.angle[j])
     c += e[SWING] * (now.swing[j, 0] - torque)
@@ -621,7 +632,13 @@ def rolling(stop: Stop, e: np.ndarray) -> State:
 # --- sets ---
 
 
-def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ...] = RUNS) -> Path:
+def make(
+    folder: Path,
+    effects: dict[str, float],
+    seed: int,
+    runs: tuple[str, ...] = RUNS,
+    conditions: measured.Conditions = IDEAL,
+) -> Path:
     """Write a dataset of six stops with hidden effects; return its folder.
 
     `effects` has the size of each effect by its name in SMALLEST or UNKNOWN. The same seed writes
@@ -634,16 +651,33 @@ def make(folder: Path, effects: dict[str, float], seed: int, runs: tuple[str, ..
     (folder / "runs").mkdir(parents=True, exist_ok=True)
     # calibration of load sensors, torque gauges, and the declared mass
     gains = 1.0 + draw.normal(0.0, 0.003, 3)
-    rail = friction_field(draw, FIELD_DEVIATION)
+    of_rail, of_wheelset = measured.rail_deviations(conditions, FIELD_DEVIATION)
+    rail = friction_field(draw, of_rail)
     text = _HEAD
+    if conditions.sensor:
+        # nobody declares the noise of such a sensor: it depends on the speed
+        text = text.replace(_WHEEL_NOISE, "")
     for name, stop, mass, mapped in _plan(draw, e, gains[2]):
         if name not in runs:
             continue
-        rng = np.random.default_rng((71, seed, RUNS.index(name)))
-        own = friction_field(rng, FIELD_DEVIATION, (4,))
+        number = RUNS.index(name)
+        stop = stop._replace(pads=measured.pad_variation(conditions, seed, number))
+        rng = np.random.default_rng((71, seed, number))
+        own = friction_field(rng, of_wheelset, (4,))
         fine = np.zeros((LONGEST_ROWS, ROW_COLUMNS))
         rows = run(stop, e, rolling(stop, e), rail, own, fine)
-        _record(folder / "runs" / f"{name}.csv", fine[:rows], e, mass, gains, mapped, rng)
+        fine = fine[:rows]
+        wheels = None
+        if conditions.sensor:
+            ms = 0.001 * np.arange(rows)
+            wheels = measured.wheel_speeds(
+                conditions,
+                ms,
+                fine[:, ROW_WHEELS : ROW_WHEELS + 4],
+                ms[::ROWS_PER_SAMPLE] - e[SPEED_DELAY],
+                measured.pole_wheels(seed, number),
+            )
+        _record(folder / "runs" / f"{name}.csv", fine, e, mass, gains, mapped, rng, wheels)
         text += _RUN.format(
             name=name, group="tune" if name[0] == "a" else "validate", v0=stop.v0, mass=mass
         )
@@ -674,6 +708,7 @@ def _plan(
         patch_length_m=draw.uniform(70.0, 130.0),
         wave_m=draw.uniform(14.0, 25.0),
         slope=0.25 * pi * _curved(e[CURVATURE]),
+        pads=measured.pad_variation(IDEAL, 0, 0),
     )
     soiled = draw.uniform(0.033, 0.043)
     burst = draw.choice(RUNS)  # the run with the shower
@@ -717,11 +752,12 @@ def _record(
     gains: np.ndarray,
     mapped: bool,
     rng: np.random.Generator,
+    from_pulses: np.ndarray | None = None,
 ) -> None:
     """Write the CSV of a stop as its sensors see it, every 10 ms.
 
     `fine` has the rows of `run`, `gains` the calibration of load and torque. `mapped`: the record
-    has positions.
+    has positions. `from_pulses` (samples, 4) replaces wheel speeds of ideal sensors.
     """
     ms = np.arange(len(fine))
     at = np.arange(0, len(fine), ROWS_PER_SAMPLE)
@@ -732,6 +768,8 @@ def _record(
 
     speed = fine[at, ROW_SPEED] + rng.normal(0.0, 0.03, len(at))
     wheel = sensed(slice(1, 5), e[SPEED_DELAY]) + rng.normal(0.0, 0.03 / R, (len(at), 4))
+    if from_pulses is not None:
+        wheel = from_pulses
     if e[QUANTUM] > 0.0:
         wheel = np.floor(wheel / e[QUANTUM]) * e[QUANTUM]
     load = sensed(slice(5, 9)) * gains[0] + rng.normal(0.0, 0.0025 * mass * G, (len(at), 4))
@@ -764,6 +802,7 @@ initial_speed_m_s = {v0}
 mass_kg = {mass}
 """
 
+_WHEEL_NOISE = "wheel_speed_rad_s = 0.06742\n"
 _HEAD = """title = "Six stops of a coach on a soiled rail"
 kind = "braking_runs"
 vehicle = "uic_z1"

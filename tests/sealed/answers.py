@@ -54,7 +54,7 @@ def answer(folder: Path, tool: str, say: Callable[[str], None], alone: bool = Fa
     names = sorted(path.parent.name for path in (folder / SETS).glob("*/dataset.toml"))
     left = [name for name in names if not (out / f"{name}.json").exists()]
     answered = len(names) - len(left)
-    for name, answer_of_set in work.all_of(partial(_one, folder / SETS, tool), left, alone):
+    for name, answer_of_set in work.all_of(partial(answer_one, folder / SETS, tool), left, alone):
         # written under another name first, so that an interruption leaves no half answer
         part = out / f"{name}.part"
         with writing(part, "free some space"):
@@ -72,7 +72,7 @@ def answer(folder: Path, tool: str, say: Callable[[str], None], alone: bool = Fa
     return out
 
 
-def _one(folder: Path, tool: str, name: str) -> tuple[str, Answer]:
+def answer_one(folder: Path, tool: str, name: str) -> tuple[str, Answer]:
     """Return the name of a set and the answer of a tool to it."""
     from rollerrig.realtime.reports import cause_report as report
     from rollerrig.rig.identify.data import dataset
