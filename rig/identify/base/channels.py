@@ -21,7 +21,9 @@ from rollerrig.rig.identify.data.smoothing import smoothed
 # no exchange of a right set gives more than 0. Chosen.
 LEAST_GAIN = 0.15
 LEAST_SHARE_OF_RUNS = 0.6
-# share of equal samples with which two columns hold the same signal
+# Share of equal samples with which two columns hold the same signal. A column of few values, as of
+# counted pulses, is equal to another one by chance as often as to itself a sample later; of the
+# other samples this share must be equal.
 MOST_EQUAL = 0.5
 # Largest load that moves to the rear, as a share of mass times deceleration. Right sets have 0.06
 # to 0.11 to the front. Load sensors that miss the transfer can show less than 0, down to half of
@@ -103,7 +105,9 @@ def _check_equal(data: Dataset) -> list[Finding]:
             shares = []
             for run in data.runs:
                 values = run.wheel_speed_rad_s if unit == "rad_s" else run.torque_Nm
-                shares.append(float(np.mean(values[:, first] == values[:, second])))
+                equal_share = float(np.mean(values[:, first] == values[:, second]))
+                by_chance = float(np.mean(values[1:, first] == values[:-1, first]))
+                shares.append((equal_share - by_chance) / max(1.0 - by_chance, 1e-9))
             if min(shares) > MOST_EQUAL:
                 equal.append(
                     Finding(

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.ndimage import shift
 
-from rollerrig.rig.identify.causes import courses, table
+from rollerrig.rig.identify.causes import courses, discrepancy, table
 from rollerrig.rig.identify.causes.table import Search, Shape
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
@@ -85,8 +85,12 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
     load_factors = [1.0 + base[f"load_gain_{axle}"] for axle in design.axle]
     mass_factors = [1.0 + base[f"mass_{run}"] for run in runs]
     sizes = np.diff(design.start)
+    torque_Nm = design.torque_Nm * np.repeat(torque_factors, sizes)
+    brake_share = discrepancy.brake_share(design, explanation.base)
+    if brake_share is not None:
+        torque_Nm *= 1.0 + brake_share
     replay_inputs = Inputs(
-        torque_Nm=design.torque_Nm * np.repeat(torque_factors, sizes),
+        torque_Nm=torque_Nm,
         load_N=design.load_N * np.repeat(load_factors, sizes),
         speed_m_s=design.speed_m_s,
         friction=np.ones((2, design.measured_rad_s.size)),
@@ -94,6 +98,14 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
         mass_kg=design.mass_kg * mass_factors,
         force_N=np.zeros(design.vehicle_m_s.size),
     )
+    if design.wheel_sensor.is_pulses:
+        late_s = discrepancy.wheel_late_s(design, explanation.base)
+        replay_inputs = _with_late_inputs(
+            design,
+            replay_inputs,
+            torque_Nm=discrepancy.earlier(design, replay_inputs.torque_Nm, late_s),
+            speed_m_s=discrepancy.earlier(design, replay_inputs.speed_m_s, late_s),
+        )
     for cause in explanation.causes:
         replay_inputs = _with_cause(design, replay_inputs, cause)
     return replay_inputs
@@ -135,17 +147,30 @@ def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inp
     """Return inputs for a wheel speed that is measured late.
 
     The inputs of the wheel are shifted by the same time.
-    The vehicle is measured in time, so its force balance keeps the torque that is not shifted.
     """
     by_s = np.where(courses.acts_on(design, axle), -late_s, 0.0)
-    torque_Nm = shifted(design, i.torque_Nm, by_s)
+    return _with_late_inputs(
+        design,
+        i,
+        torque_Nm=shifted(design, i.torque_Nm, by_s),
+        speed_m_s=shifted(design, i.speed_m_s, by_s),
+    )
+
+
+def _with_late_inputs(
+    design: Design, i: Inputs, torque_Nm: np.ndarray, speed_m_s: np.ndarray
+) -> Inputs:
+    """Return inputs with the torques and surface speeds of an earlier time for the wheels.
+
+    The vehicle is measured in time, so its force balance keeps the torque that is not shifted.
+    """
     missing_N = (i.torque_Nm - torque_Nm) / i.parameters[0, parameters.RADIUS]
     on_vehicles_N = np.concatenate(
         [design.by_axle(missing_N, run).sum(axis=1) for run in range(design.mass_kg.size)]
     )
     return i._replace(
         torque_Nm=torque_Nm,
-        speed_m_s=shifted(design, i.speed_m_s, by_s),
+        speed_m_s=speed_m_s,
         force_N=i.force_N + on_vehicles_N,
     )
 

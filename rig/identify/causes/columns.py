@@ -14,11 +14,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.configs.vehicle import wheelsets_of
-from rollerrig.rig.identify.causes import candidates, courses, table
+from rollerrig.rig.identify.causes import candidates, courses, discrepancy, table
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.causes.courses import of_run, vehicle_samples
 from rollerrig.rig.identify.causes.table import Search, Shape
-from rollerrig.rig.identify.data import parameters
+from rollerrig.rig.identify.data import parameters, pulses
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.replay import sensitivity
@@ -341,6 +341,37 @@ def _add_base(writer: _Writer) -> None:
     run_of_sample = np.repeat(runs, np.diff(design.vehicle_start))
     for run in runs:
         writer.add(BASE, f"mass_{run}", -1, force * (run_of_sample == run), prior=tolerance)
+    _add_discrepancy(writer)
+
+
+def _add_discrepancy(writer: _Writer) -> None:
+    """Add the columns of the model discrepancy, which are base parameters too."""
+    design = writer.design
+    shared: dict[tuple[str, int, bool], tuple[int, np.ndarray | None]] = {}
+    for mode in discrepancy.modes(design):
+        key = (mode.along, mode.number, mode.run is None)
+        if key not in shared:
+            part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, *key))
+            shared[key] = (writer.add_course(part.wheel), part.felt)
+        course, felt = shared[key]
+        vehicle = writer.vehicle_acceleration(felt, mode.axle)
+        if mode.run is not None and vehicle is not None:
+            of_vehicle = np.repeat(np.arange(design.mass_kg.size), np.diff(design.vehicle_start))
+            vehicle = vehicle * (of_vehicle == mode.run)
+        writer.add(
+            BASE, mode.label, course, vehicle, prior=mode.prior, axle=mode.axle, run=mode.run
+        )
+
+    if design.wheel_sensor.is_pulses:
+        late = _speed_delay_part(writer).wheel
+        assert late is not None
+        turning_rad_s = design.speed_m_s / design.base[parameters.RADIUS]
+        priors = discrepancy.priors(design)
+        for label, unit_s in (
+            (discrepancy.LATE_WINDOW, design.step_s),
+            (discrepancy.LATE_PULSE, 1.0 / np.maximum(turning_rad_s, pulses.LEAST_SPEED_RAD_S)),
+        ):
+            writer.add(BASE, label, writer.add_course(late * unit_s), prior=priors[label])
 
 
 def _parts(

@@ -21,7 +21,9 @@ from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.configs.vehicle import RESISTANCE
 from rollerrig.rig.compiled.kernel import kernel_with_memory
+from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import base_parameters
+from rollerrig.rig.identify.data.pulses import PulseSensor
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
@@ -80,6 +82,7 @@ class Design(NamedTuple):
     # accuracy, one standard deviation
     speed_noise_m_s: float
     wheel_noise_rad_s: float
+    wheel_sensor: PulseSensor
     torque_noise_Nm: np.ndarray  # (runs,)
     calibration: float  # of torque, load and mass, as a share
     form: float  # how far the law of a cause may differ from the true law, as a share of its effect
@@ -202,6 +205,14 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
 
     # three arrays of shape (runs,)
     speed_noise, wheel_noise, torque_noise = np.array([_noise(data, run) for run in runs]).T
+    wheel_sensor = pulses.recognise(runs) if like is None else like.wheel_sensor
+    wheel_noise_rad_s = float(np.median(wheel_noise))
+    if wheel_sensor.is_pulses:
+        if like is None:
+            of_runs = [pulses.noise_of_pulses(wheel_sensor, run, step_s) for run in runs]
+            wheel_noise_rad_s = float(np.median(of_runs))
+        else:
+            wheel_noise_rad_s = like.wheel_noise_rad_s
     speed_noise_m_s = float(np.median(speed_noise))
 
     parts = []
@@ -247,7 +258,8 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
         vehicle_start=np.concatenate([[0], np.cumsum(sizes)]),
         vehicle_m_s=np.concatenate([run.speed_m_s for run in runs]),
         speed_noise_m_s=speed_noise_m_s,
-        wheel_noise_rad_s=float(np.median(wheel_noise)),
+        wheel_noise_rad_s=wheel_noise_rad_s,
+        wheel_sensor=wheel_sensor,
         torque_noise_Nm=torque_noise.copy(),
         calibration=data.accuracy["calibration_fraction"],
         form=data.accuracy["form_fraction"],

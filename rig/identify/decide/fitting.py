@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import wheelsets_of
-from rollerrig.rig.identify.causes import columns, table
+from rollerrig.rig.identify.causes import columns, discrepancy, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix, Variant
 from rollerrig.rig.identify.causes.courses import acts_on
@@ -31,7 +31,7 @@ from rollerrig.rig.identify.replay.sensitivity import LinearisedReplay
 _STEP = 1e-3
 
 # largest absolute values of base parameters (logarithms, shares) by the beginnings of their labels
-_BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1}
+_BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1, "brake": 0.03, "late_window": 0.5, "late_pulse": 0.1}
 _OTHER_BOUND = 1.0
 
 # steps of Gauss-Newton before which the irregularity of the rail is fitted
@@ -99,6 +99,8 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
             # the gain of a torque is the sum of that of all wheelsets and that of the wheelset
             weight = 2.0 if label.startswith("torque") else 1.0
             cost += (value / tolerance) ** 2 * weight
+    for label, prior in discrepancy.priors(design).items():
+        cost += (explanation.base.get(label, 0.0) / prior) ** 2
 
     offsets_Nm = np.zeros(design.segments)
     for cause in explanation.causes:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.identify.causes import discrepancy
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import WINDOW_S, Design
@@ -163,7 +164,7 @@ def fit_level(design: Design, explanation: Explanation, metric: str = ADHESION) 
     most = TOLERANCES * design.calibration
     base = {}
     for label, value in explanation.base.items():
-        if label.startswith(("ln_mu_cd", "mass")):
+        if label.startswith(("ln_mu_cd", "mass", discrepancy.BRAKE)):
             continue
         if is_of_vehicle and label.startswith(("torque_gain", "load_gain")):
             value = float(np.clip(value, -most, most))

@@ -14,6 +14,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
+from rollerrig.rig.identify.causes import discrepancy
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
@@ -115,7 +116,8 @@ def score_against_nulls(
     half of them can be replayed, or if the scores of the measured runs are not finite.
     """
     # tolerances are drawn again for each null simulation: the fitted ones belong to the recording
-    free = {label: value for label, value in explanation.base.items() if label.startswith("ln_")}
+    kept = ("ln_", discrepancy.LATE)
+    free = {label: value for label, value in explanation.base.items() if label.startswith(kept)}
     without_tolerances = explanation._replace(base=free)
 
     normal, *_ = fitting.normal_equations(workspace.design, explanation)

@@ -19,10 +19,12 @@ from scipy.ndimage import gaussian_filter1d
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.compiled.variants import variant
 from rollerrig.rig.compiled.vector_math import MATH
-from rollerrig.rig.identify.causes import columns
+from rollerrig.rig.identify.causes import columns, discrepancy
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
+from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import MEMORY, RADIUS
 from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.replay import lanes, replay
 from rollerrig.rig.identify.replay.sensitivity import Inputs
@@ -318,6 +320,8 @@ class _SharedInputs(NamedTuple):
     torque_Nm: np.ndarray  # flat: the torque that acts, smooth
     sliding_m_s: np.ndarray  # flat: the sliding that the feedback aims at
     errors: _CalibrationErrors
+    brake_share: np.ndarray  # flat: the torque that acts over the recorded one, less 1
+    late: tuple[float, float]  # both parts of [D3] of `data/pulses`
 
 
 def runs(
@@ -328,7 +332,9 @@ def runs(
     rng: np.random.Generator,
 ) -> list[Run]:
     """Return simulated stops like the measured ones, under an explanation, with fresh noise."""
-    replay_inputs = inputs(design, explanation)
+    # the wheels react in time; a sensor of pulses shows it later
+    in_time = design._replace(wheel_sensor=PulseSensor(Sensor.DIRECT))
+    replay_inputs = inputs(in_time, explanation)
 
     # the gain of all torques and that of a wheelset share the tolerance
     gain_tolerance = design.calibration / math.sqrt(2.0)
@@ -338,6 +344,10 @@ def runs(
         load=rng.normal(0.0, design.calibration, AXLES),
         mass=rng.normal(0.0, design.calibration),
     )
+    brake = discrepancy.brake_share(design, discrepancy.draw_brake(design, rng))
+    assert brake is not None
+    late_window = explanation.base.get(discrepancy.LATE_WINDOW, 0.0)
+    late_pulse = explanation.base.get(discrepancy.LATE_PULSE, 0.0)
 
     # the measured sliding, with the wheel radius of the explanation
     radius_m = np.repeat(replay_inputs.parameters[:, RADIUS], np.diff(design.start))
@@ -347,6 +357,8 @@ def runs(
         torque_Nm=columns.smooth_torque(design, replay_inputs.torque_Nm),
         sliding_m_s=design.speed_m_s - radius_m * wheel_rad_s,
         errors=errors,
+        brake_share=brake,
+        late=(late_window, late_pulse),
     )
 
     # all runs go over the same rail; each wheelset adds an irregularity of the same strength
@@ -420,12 +432,23 @@ def _simulate_run(
     speed_noise_m_s = rng.normal(0.0, design.speed_noise_m_s, n)
     load_noise = rng.normal(0.0, load_noise_N, (n, AXLES))
     torque_noise_Nm = rng.normal(0.0, design.torque_noise_Nm[number], (n, AXLES))
+    sensor = design.wheel_sensor
+    if sensor.kind is Sensor.COUNTED:
+        shown_rad_s = pulses.counted(wheel_rad_s[:n], sensor.quantum_rad_s, rng)
+    elif sensor.kind is Sensor.TIMED:
+        late_window, late_pulse = shared.late
+        shown_rad_s = pulses.timed(
+            sensor, wheel_rad_s[:n], design.step_s, late_window, late_pulse, rng
+        )
+    else:
+        shown_rad_s = wheel_rad_s[:n] + wheel_noise_rad_s
+    brake_share = by_axle(shared.brake_share)[:n]
     return run._replace(
         time_s=run.time_s[:n],
         speed_m_s=speed_m_s[:n] + speed_noise_m_s,
-        wheel_speed_rad_s=wheel_rad_s[:n] + wheel_noise_rad_s,
+        wheel_speed_rad_s=shown_rad_s,
         load_N=by_axle(design.load_N)[:n] + load_noise,
-        torque_Nm=shown_Nm[:n] * (1.0 + errors.torque) + torque_noise_Nm,
+        torque_Nm=shown_Nm[:n] * (1.0 + errors.torque - brake_share) + torque_noise_Nm,
         position_m=None if run.position_m is None else run.position_m[:n],
         surface_m_s=None if run.surface_m_s is None else run.surface_m_s[:n],
     )

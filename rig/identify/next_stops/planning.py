@@ -22,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.vehicle import wheelsets_of
+from rollerrig.rig.identify.causes import discrepancy
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE, Variant
 from rollerrig.rig.identify.data.preparation import Design, prepare
@@ -57,7 +58,7 @@ DISTINGUISHED = 15.0
 SEED = 3
 
 # base parameters that each run has for itself, by the beginnings of their labels
-_LABELS_OF_RUNS = ("ln_mu_cd", "mass")
+_LABELS_OF_RUNS = ("ln_mu_cd", "mass", discrepancy.BRAKE)
 
 # least values that are divided by: of a separation, and of the information of a base parameter
 _LEAST_SEPARATION = 1e-12

@@ -1,0 +1,135 @@
+"""The model discrepancy: what a right model may differ by from measured runs.
+
+No cause of the library accounts for it, and none may win from it. It consists of base parameters
+with priors, so the fit may use them, the scores leave out what they can absorb, and each null
+simulation draws them again.
+
+    [Y1] acting torque = recorded torque (1 + sum_k x_k phi_k), x_k with deviation `share` times
+         the declared calibration, over k
+    [Y2] phi_k = cos(k pi t / T) of each wheelset in each run, T the time of the run; and of all
+         wheelsets and runs together along time and along speed
+    [Y3] wheel speeds from pulses are late [D3]
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.rig.identify.data import parameters, pulses
+from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.runs import AXLES
+
+# --- the shape of the brake inside its calibration ---
+
+# beginning of the labels of all its parameters
+BRAKE = "brake"
+# Deviation of the modes of a wheelset in a run over the declared calibration, from k = 0 on. Chosen
+# for pads that vary slowly by up to two standard deviations of the calibration.
+SHARE_OF_MODE = (0.5, 0.5, 0.5)
+# Modes of all wheelsets and runs, along time and along speed, and their deviation over the declared
+# calibration. Chosen: a larger one would take up a weak resistance or fade.
+COMMON_MODES = (1, 2, 3)
+SHARE_OF_COMMON_MODE = 0.4
+ALONG_TIME = "time"
+ALONG_SPEED = "speed"
+
+# --- a sensor of pulses ---
+
+LATE_WINDOW = "late_window"  # in steps, less the mean of [D3]
+LATE_PULSE = "late_pulse"  # in rad, less the mean of [D3]
+LATE = "late_"  # beginning of both labels
+
+
+class Mode(NamedTuple):
+    """A mode of the brake: a base parameter."""
+
+    label: str
+    run: int | None  # None: all runs
+    axle: int  # 0: all wheelsets
+    along: str  # ALONG_TIME or ALONG_SPEED
+    number: int  # k of [Y2]
+    prior: float
+
+
+def modes(design: Design) -> list[Mode]:
+    """Return the modes of the brake in the runs of a design."""
+    found = []
+    for along in (ALONG_TIME, ALONG_SPEED):
+        for k in COMMON_MODES:
+            prior = SHARE_OF_COMMON_MODE * design.calibration
+            found.append(Mode(f"{BRAKE}_along_{along}_{k}", None, 0, along, k, prior))
+    for run in range(design.mass_kg.size):
+        for axle in range(1, AXLES + 1):
+            for k, share in enumerate(SHARE_OF_MODE):
+                label = f"{BRAKE}_{run}_{axle}_{k}"
+                found.append(Mode(label, run, axle, ALONG_TIME, k, share * design.calibration))
+    return found
+
+
+def course(design: Design, along: str, number: int, of_all: bool) -> np.ndarray:
+    """Return a mode [Y2] at each sample of each wheelset, shape (n,).
+
+    `of_all`: the mode of all runs, whose scale is that of the longest or fastest run.
+    """
+    if along == ALONG_SPEED:
+        return np.cos(number * np.pi * design.speed_m_s / design.speed_m_s.max())
+    if of_all:
+        return np.cos(number * np.pi * design.time_s / design.time_s.max())
+    last_s = [design.time_s[design.span(s)][-1] for s in range(design.segments)]
+    ends_s = np.repeat(last_s, np.diff(design.start))
+    return np.cos(number * np.pi * design.time_s / ends_s)
+
+
+def brake_share(design: Design, base: dict[str, float]) -> np.ndarray | None:
+    """Return the change of the torque by the modes of the brake, as a share (n,); None: no change."""
+    present = {label: value for label, value in base.items() if label.startswith(BRAKE)}
+    if not present:
+        return None
+    change = np.zeros(design.time_s.size)
+    courses: dict[tuple[str, int, bool], np.ndarray] = {}
+    for mode in modes(design):
+        value = present.get(mode.label, 0.0)
+        if value == 0.0:
+            continue
+        key = (mode.along, mode.number, mode.run is None)
+        if key not in courses:
+            courses[key] = course(design, *key)
+        if mode.run is None:
+            change += value * courses[key]
+        else:
+            at = design.span(AXLES * mode.run + mode.axle - 1)
+            change[at] += value * courses[key][at]
+    return change
+
+
+def draw_brake(design: Design, rng: np.random.Generator) -> dict[str, float]:
+    """Return random values of the modes of the brake, by their labels."""
+    found = modes(design)
+    values = rng.normal(size=len(found))
+    return {mode.label: float(mode.prior * x) for mode, x in zip(found, values, strict=True)}
+
+
+def priors(design: Design) -> dict[str, float]:
+    """Return the prior standard deviations of all parameters of the discrepancy, by their labels."""
+    found = {mode.label: mode.prior for mode in modes(design)}
+    if design.wheel_sensor.is_pulses:
+        found[LATE_WINDOW] = pulses.LATE_WINDOW_DEVIATION
+        found[LATE_PULSE] = pulses.LATE_PULSE_DEVIATION_RAD
+    return found
+
+
+def wheel_late_s(design: Design, base: dict[str, float]) -> np.ndarray:
+    """Return how late the speed of each wheel is [Y3], shape (n,)."""
+    turning_rad_s = design.speed_m_s / design.base[parameters.RADIUS]
+    return pulses.late_s(
+        design.step_s, turning_rad_s, base.get(LATE_WINDOW, 0.0), base.get(LATE_PULSE, 0.0)
+    )
+
+
+def earlier(design: Design, values: np.ndarray, by_s: np.ndarray) -> np.ndarray:
+    """Return values(t - by) in each segment; `values` and `by_s` have the shape (n,)."""
+    out = np.empty_like(values)
+    for s in range(design.segments):
+        at = design.span(s)
+        out[at] = pulses.delayed(values[at], by_s[at] / design.step_s)
+    return out
