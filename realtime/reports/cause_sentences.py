@@ -138,9 +138,8 @@ def note_sentence(note: Note) -> str:
             )
         case NoteCode.IMMATERIAL:
             return (
-                f"{causes} is significant but immaterial: it changes the torque by "
-                f"{number(100.0 * note.share, 2)} %, inside your {number(100.0 * note.tolerance, 2)} % "
-                "(calibration_fraction)"
+                f"{causes} is significant but immaterial: it changes the braking force by "
+                f"{number(100.0 * note.share, 2)} %, {_tolerance(note)}"
             )
         case NoteCode.NO_TRIGGER | NoteCode.OTHER_PLACES | NoteCode.OTHER_FORCE:
             assert note.contradicted is not None
@@ -149,6 +148,11 @@ def note_sentence(note: Note) -> str:
             return (
                 f"{causes} together leave a remainder along {remainder}: they are two wrong forms of "
                 "one force, and are not reported as causes"
+            )
+        case NoteCode.IMMATERIAL_REMAINDER:
+            return (
+                f"a remainder along {remainder} is significant but immaterial: it is "
+                f"{number(100.0 * note.share, 2)} % of the braking force, {_tolerance(note)}"
             )
         case NoteCode.SMALL_REMAINDER:
             return f"a small remainder is left along {remainder}"
@@ -179,6 +183,12 @@ def _contradicted_sentence(contradicted: Contradicted) -> str:
         f"something lowers friction {where}, but its place differs from run to run, so it is not "
         "reported as a patch of the rail"
     )
+
+
+def _tolerance(note: Note) -> str:
+    """Return how an immaterial size compares with the declared calibration."""
+    within = "inside" if note.share <= note.tolerance else "within twice"
+    return f"{within} your {number(100.0 * note.tolerance, 2)} % (calibration_fraction)"
 
 
 # --- remainder, and rejected causes ---

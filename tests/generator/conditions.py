@@ -1,8 +1,8 @@
 """Realistic conditions in which stops are measured while nothing is wrong with the model.
 
 The generators of stops have ideal sensors, a brake of one calibration error and a smooth rail.
-With `Conditions` they have wheel speeds from pulses, pads whose friction varies a little, and a rail
-that is rougher and the same under all wheelsets and in all runs. None of these is a fault.
+With `Conditions` they have wheel speeds from pulses, pads whose friction varies a little, and a
+rail that is rougher and the same under all wheelsets and in all runs. None of these is a fault.
 """
 
 from typing import NamedTuple
@@ -120,8 +120,8 @@ def wheel_speeds(
 ) -> np.ndarray:
     """Return wheel speeds from pulses in rad/s, shape (samples, 4).
 
-    `spins_rad_s` (n, 4) are the true speeds at the times `time_s` (n,), and `samples_s` the times of
-    the samples. The wheels roll before the first time as they do there.
+    `spins_rad_s` (n, 4) are the true speeds at the times `time_s` (n,), and `samples_s` the times
+    of the samples. The wheels roll before the first time as they do there.
     """
     sample_s = float(samples_s[1] - samples_s[0])
     before_s = 2.0 * sample_s
@@ -150,11 +150,10 @@ def _pulses_per_second(
         return (seen - seen_before) / sample_s
 
     last = np.clip(seen - 1, 1, len(pulses_s) - 1)
+    first = last - 1
     if sensor == "timed":
         # from the last pulse before the sample to the last one in it; a period if there is none
-        first = np.clip(np.minimum(seen_before - 1, last - 1), 0, None)
-    else:
-        first = last - 1
+        first = np.clip(np.minimum(seen_before - 1, first), 0, None)
     periods_s = pulses_s[last] - pulses_s[first]
     rate = (last - first) / np.maximum(periods_s, CLOCK_S)
     # no pulse for longer than the last period: the wheel is slower than that

@@ -4,9 +4,9 @@
     cd tests; python -m generator.discrepancy_rates FOLDER --kinds "pulses timed" --causes
 
 Makes sets of each kind of `conditions.KINDS` with nothing hidden, or with --causes one cause in
-each, lets `explain` answer them, and prints the rates with Wilson's 95 % intervals and the sets that
-are not answered right. The sets and answers stay in FOLDER, and the same command goes on after an
-interruption. --again answers all sets anew.
+each, lets `explain` answer them, and prints the rates with Wilson's 95 % intervals and the sets
+that are not answered right. The sets and answers stay in FOLDER, and the same command goes on after
+an interruption. --again answers all sets anew.
 """
 
 import argparse
@@ -16,10 +16,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from generator.conditions import KINDS
 from scipy.stats import binomtest
 from sealed import answers, cases, work
-
-from generator.conditions import KINDS
 
 # generators that know conditions
 GENERATORS = ("second", "third")
@@ -54,13 +53,15 @@ def main() -> None:
         judged = answer(folder, given.generator, kind, hidden, seed, given.again)
         lines += rows(kind, judged)
         failed += failures(kind, judged)
-    print("| conditions | measure | yes | of | share | 95 % interval |", "|---|---|---|---|---|---|")
+    print(
+        "| conditions | measure | yes | of | share | 95 % interval |", "|---|---|---|---|---|---|"
+    )
     print(*lines, sep="\n")
     print(*failed, sep="\n")
 
 
 def hidden_effects(generator: str, sets: int, causes: bool) -> list[dict[str, float]]:
-    """Return what is hidden in each set: nothing, or each cause in turn at once or twice its size."""
+    """Return what is hidden in each set: nothing, or each cause in turn at two sizes."""
     if not causes:
         return [{}] * sets
     make = cases.generator(generator)
@@ -154,10 +155,9 @@ def failures(kind: str, judged: dict[str, tuple[dict[str, float], dict[str, Any]
     lines = []
     for name, (effects, one) in judged.items():
         names = [cause["name"] for cause in one["causes"]]
+        is_right = one["verdict"] == "consistent"
         if effects:
             is_right = _is_first_or_in_two(effects, one) and len(names) == 1
-        else:
-            is_right = one["verdict"] == "consistent"
         if not is_right:
             notes = "; ".join(one["notes"])
             lines.append(f"not answered right: {kind}, {name}: {one['verdict']} {names} {notes}")

@@ -28,11 +28,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from generator import conditions as measured
 from numba import njit
 from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
-
-from generator import conditions as measured
 
 # causes whose size has the meaning of a parameter in the rig's table: (parameter, sign)
 SAME_MEANING = {

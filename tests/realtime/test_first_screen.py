@@ -255,7 +255,9 @@ def test_a_cause_inside_the_declared_calibration_is_a_note_and_no_cause(
 
 def test_an_immaterial_cause_is_reported_with_its_size() -> None:
     note = Note(NoteCode.IMMATERIAL, causes=("pad_fade",), share=0.001, tolerance=0.003)
-    assert "changes the torque by 0.1 %, inside your 0.3 %" in cause_sentences.note_sentence(note)
+    assert "changes the braking force by 0.1 %, inside your 0.3 %" in cause_sentences.note_sentence(
+        note
+    )
 
 
 def test_the_metric_of_a_gain_shows_what_its_causes_act_on() -> None:

@@ -428,7 +428,7 @@ def _inertia_part(writer: _Writer) -> Part:
     design = writer.design
     inertia_kgm2 = writer.inputs.parameters[0, parameters.INERTIA]
     wheel = writer.torque_Nm / inertia_kgm2 - writer.rate("irregularity")
-    return Part(wheel, inertia_kgm2 * time_derivative(design, design.measured_rad_s))
+    return Part(wheel, inertia_kgm2 * time_derivative(design, design.turning_rad_s))
 
 
 def _radius_part(writer: _Writer) -> Part:

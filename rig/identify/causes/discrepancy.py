@@ -6,8 +6,8 @@ simulation draws them again.
 
     [Y1] acting torque = recorded torque (1 + sum_k x_k phi_k), x_k with deviation `share` times
          the declared calibration, over k
-    [Y2] phi_k = cos(k pi t / T) of each wheelset in each run, T the time of the run; and of all
-         wheelsets and runs together along time and along speed
+    [Y2] phi_k = T_k(2 t / t_end - 1), Chebyshev's polynomial, of each wheelset in each run; and of
+         all wheelsets and runs together along time and along speed
     [Y3] wheel speeds from pulses are late [D3]
 """
 
@@ -72,16 +72,27 @@ def course(design: Design, along: str, number: int, of_all: bool) -> np.ndarray:
     `of_all`: the mode of all runs, whose scale is that of the longest or fastest run.
     """
     if along == ALONG_SPEED:
-        return np.cos(number * np.pi * design.speed_m_s / design.speed_m_s.max())
+        return _chebyshev(2.0 * design.speed_m_s / design.speed_m_s.max() - 1.0, number)
     if of_all:
-        return np.cos(number * np.pi * design.time_s / design.time_s.max())
-    last_s = [design.time_s[design.span(s)][-1] for s in range(design.segments)]
+        return _chebyshev(2.0 * design.time_s / design.time_s.max() - 1.0, number)
+    last_s = design.time_s[design.start[1:] - 1]
     ends_s = np.repeat(last_s, np.diff(design.start))
-    return np.cos(number * np.pi * design.time_s / ends_s)
+    return _chebyshev(2.0 * design.time_s / ends_s - 1.0, number)
+
+
+def _chebyshev(x: np.ndarray, number: int) -> np.ndarray:
+    """Return Chebyshev's polynomial T_k at x for k up to 3."""
+    if number == 0:
+        return np.ones_like(x)
+    if number == 1:
+        return x
+    if number == 2:
+        return 2.0 * x * x - 1.0
+    return x * (4.0 * x * x - 3.0)
 
 
 def brake_share(design: Design, base: dict[str, float]) -> np.ndarray | None:
-    """Return the change of the torque by the modes of the brake, as a share (n,); None: no change."""
+    """Return the change of the torque by the modes of the brake, as a share (n,); None: none."""
     present = {label: value for label, value in base.items() if label.startswith(BRAKE)}
     if not present:
         return None
@@ -110,7 +121,7 @@ def draw_brake(design: Design, rng: np.random.Generator) -> dict[str, float]:
 
 
 def priors(design: Design) -> dict[str, float]:
-    """Return the prior standard deviations of all parameters of the discrepancy, by their labels."""
+    """Return the prior standard deviations of the discrepancy's parameters, by their labels."""
     found = {mode.label: mode.prior for mode in modes(design)}
     if design.wheel_sensor.is_pulses:
         found[LATE_WINDOW] = pulses.LATE_WINDOW_DEVIATION

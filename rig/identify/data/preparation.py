@@ -22,8 +22,8 @@ from scipy.ndimage import gaussian_filter1d
 from rollerrig.configs.vehicle import RESISTANCE
 from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.identify.data import pulses
-from rollerrig.rig.identify.data.parameters import base_parameters
-from rollerrig.rig.identify.data.pulses import PulseSensor
+from rollerrig.rig.identify.data.parameters import RADIUS, base_parameters
+from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
@@ -106,6 +106,17 @@ class Design(NamedTuple):
     def vehicle_span(self, run: int) -> slice:
         """Return where the samples of a run are in a flat array of the vehicles."""
         return slice(int(self.vehicle_start[run]), int(self.vehicle_start[run + 1]))
+
+    @property
+    def turning_rad_s(self) -> np.ndarray:
+        """The wheel speed whose momentum counts as the vehicle's, flat (n,).
+
+        It is the measured one, but for counted pulses: their error would exceed that of the
+        vehicle's speed, and a smaller inertia would reduce it.
+        """
+        if self.wheel_sensor.kind is not Sensor.COUNTED:
+            return self.measured_rad_s
+        return (self.speed_m_s - self.sliding_m_s) / self.base[RADIUS]
 
     def by_axle(self, flat: np.ndarray, run: int) -> np.ndarray:
         """Return the part of a flat array that belongs to a run, shape (samples, AXLES)."""
@@ -210,7 +221,8 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
     if wheel_sensor.is_pulses:
         if like is None:
             of_runs = [pulses.noise_of_pulses(wheel_sensor, run, step_s) for run in runs]
-            wheel_noise_rad_s = float(np.median(of_runs))
+            # the error grows with the speed: that of the fastest run is on the safe side
+            wheel_noise_rad_s = max(of_runs)
         else:
             wheel_noise_rad_s = like.wheel_noise_rad_s
     speed_noise_m_s = float(np.median(speed_noise))

@@ -1,8 +1,9 @@
 """Recognises wheel speeds that a sensor makes from the pulses of a pole wheel.
 
-Such a speed belongs to an earlier time: to the middle of the window in which pulses are counted, or
-of the periods that are timed. Its error is no white noise either. A counted pulse more in one sample
-is a pulse less in the next one, and the error of a timed period grows with the square of the speed.
+Such a speed belongs to an earlier time: to the middle of the window in which pulses are counted,
+or of the periods that are timed. Its error is no white noise either. A counted pulse more in one
+sample is a pulse less in the next one, and the error of a timed period grows with the square of the
+speed.
 
     [D1] counted: omega = 2 pi n / (teeth window), so all values are multiples of a quantum, and the
          differences of neighbouring samples have a correlation of -2/3 (white noise: -1/2)
@@ -32,8 +33,8 @@ LEAST_GROWTH = 1.6
 # A channel with less noise than this share of its largest value has no white noise.
 LEAST_NOISE_SHARE = 2e-4
 
-# Deviation of white noise over the median of its absolute third differences, which have 20 times its
-# variance.
+# Deviation of white noise over the median of its absolute third differences, which have 20 times
+# its variance.
 _OF_MEDIAN = 1.0 / (0.6745 * np.sqrt(20.0))
 
 # --- what is assumed of a pole wheel that nobody describes ---
@@ -87,9 +88,7 @@ def recognise(runs: list[Run]) -> PulseSensor:
     if most is Sensor.TIMED:
         fast = [_noise_of_fast(values) for run in runs for values in run.wheel_speed_rad_s.T]
         noise_rad_s, speed_rad_s = np.median(fast, axis=0)
-        return PulseSensor(
-            most, fast_noise_rad_s=float(noise_rad_s), fast_rad_s=float(speed_rad_s)
-        )
+        return PulseSensor(most, fast_noise_rad_s=float(noise_rad_s), fast_rad_s=float(speed_rad_s))
     return PulseSensor(most)
 
 

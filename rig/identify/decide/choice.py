@@ -238,7 +238,8 @@ def add_ready_fits(
             continue
         known = best.get(cause.name)
         if known is None:
-            if deviance - fit.deviance > thresholds.CERTAIN_RATIO:
+            # null simulations show by how much a nominal likelihood is too large
+            if deviance - fit.deviance > thresholds.CERTAIN_RATIO * max(1.0, test.spread**2):
                 # trials=1: no price of a choice among shapes; this ratio exceeds any such price
                 best[cause.name] = Candidate(test._replace(trials=1), fit)
         elif fit.deviance < known.fit.deviance - thresholds.BETTER_FIT_RATIO:

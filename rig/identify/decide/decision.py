@@ -104,7 +104,8 @@ def explain_braking_runs(
         base = base_fit.explanation
         goodness.check_deviance(design, base_fit.deviance)
         _check_accuracy(design, base)
-        search = _search_causes(workspace, base_fit, seed)
+        shares = null_simulations.rail_shares(workspace, base, seed)
+        search = _search_causes(workspace._replace(shares=shares), base_fit, seed)
         search, immaterial = _without_immaterial(design, search)
 
         held_out = None
@@ -255,19 +256,24 @@ def _choose_coherent(
 
 
 def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[Note]]:
-    """Return the search without causes that lie inside the declared calibration, and their notes.
+    """Return the search without what lies inside the declared calibration, and the notes on that.
 
-    Such a cause changes the torque by less than the dataset declares as its error. It is no error
-    of the model, however significant it is.
+    Such a cause changes the torque, or the force on the vehicle, by no more than the dataset
+    declares as its error. So does such a remaining force on the vehicle. It is no error of the
+    model, however significant it is.
     """
     kept = []
     notes = []
     for place, found in enumerate(search.causes):
         mechanism = table.BY_NAME[found.cause.name].mechanism
         share = 0.0
+        most = design.calibration
         if mechanism.acts_on == TORQUE:
             share = stopping.torque_share(design, search.explanation, place)
-        if 0.0 < share <= design.calibration:
+            most *= thresholds.IMMATERIAL_DEVIATIONS
+        elif mechanism.acts_on == VEHICLE:
+            share = stopping.force_share(design, search.explanation, place)
+        if 0.0 < share <= most:
             notes.append(
                 Note(
                     NoteCode.IMMATERIAL,
@@ -278,8 +284,22 @@ def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[
             )
         else:
             kept.append(found)
+
+    left = []
+    for test in search.remainder or []:
+        share = np.inf
+        if test.name in (stopping.TIME, stopping.SPEED):
+            share = stopping.remaining_force_share(design, test.name, test.estimate)
+        is_immaterial = share <= thresholds.IMMATERIAL_DEVIATIONS * design.calibration
+        if is_immaterial and evidence.is_significant(test, thresholds.CLEAR_REMAINDER):
+            note = Note(NoteCode.IMMATERIAL_REMAINDER, remainder=test, share=float(share))
+            notes.append(note._replace(tolerance=design.calibration))
+        else:
+            left.append(test)
     if not notes:
         return search, []
+    if search.remainder is not None:
+        search = search._replace(remainder=left)
     unbiased = tuple(found.unbiased for found in kept)
     explanation = search.explanation._replace(causes=unbiased)
     return search._replace(explanation=explanation, causes=kept), notes

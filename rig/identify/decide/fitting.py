@@ -31,7 +31,16 @@ from rollerrig.rig.identify.replay.sensitivity import LinearisedReplay
 _STEP = 1e-3
 
 # largest absolute values of base parameters (logarithms, shares) by the beginnings of their labels
-_BASE_BOUNDS = {"ln_tau": 2.0, "ln_mu": 2.5, "torque_gain": 0.1, "load_gain": 0.1, "mass": 0.1, "brake": 0.03, "late_window": 0.5, "late_pulse": 0.1}
+_BASE_BOUNDS = {
+    "ln_tau": 2.0,
+    "ln_mu": 2.5,
+    "torque_gain": 0.1,
+    "load_gain": 0.1,
+    "mass": 0.1,
+    discrepancy.BRAKE: 0.03,
+    discrepancy.LATE_WINDOW: 0.5,
+    discrepancy.LATE_PULSE: 0.1,
+}
 _OTHER_BOUND = 1.0
 
 # steps of Gauss-Newton before which the irregularity of the rail is fitted

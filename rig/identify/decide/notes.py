@@ -31,6 +31,8 @@ class NoteCode(Enum):
     TWO_FORCES = "causes.two_forces"
     # this cause changes the torque by less than its declared calibration: it is not reported
     IMMATERIAL = "cause.immaterial"
+    # a remaining force on the vehicle is smaller than that calibration of the brake
+    IMMATERIAL_REMAINDER = "remainder.immaterial"
     # the reported causes leave a small remainder
     SMALL_REMAINDER = "remainder.small"
 
@@ -42,5 +44,5 @@ class Note(NamedTuple):
     causes: tuple[str, ...] = ()
     remainder: ScoreTest | None = None
     contradicted: Contradicted | None = None
-    share: float = 0.0  # of an immaterial cause: how much it changes the torque
+    share: float = 0.0  # of what is immaterial: how much it changes the torque or the force
     tolerance: float = 0.0  # the declared calibration, as a share

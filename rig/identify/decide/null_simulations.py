@@ -15,11 +15,14 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
 from rollerrig.rig.identify.causes import discrepancy
-from rollerrig.rig.identify.causes.candidates import Explanation
+from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.decide import evidence, fitting, goodness, simulate, thresholds
 from rollerrig.rig.identify.decide.evidence import Scores, ScoreTest
+from rollerrig.rig.identify.replay import rail, sensitivity
+from rollerrig.rig.identify.replay.rail import USUAL, RailShares
+from rollerrig.rig.identify.replay.sensitivity import LinearisedReplay
 
 MOST_PROCESSES = 8
 SEED_STRIDE = 100003  # seeds of a search do not overlap with those of the next
@@ -34,6 +37,7 @@ class Workspace(NamedTuple):
     design: Design  # the same, prepared
     pool: Executor
     progress: Progress  # called with the title of a step and its share done, 0 to 1
+    shares: RailShares = USUAL  # of the irregularity that wheelsets have in common
 
     def run_all(
         self, work: Callable[..., Any], tasks: Iterable[tuple[Any, ...]], title: str
@@ -85,14 +89,18 @@ def simulate_and_score(
     explanation: Explanation,
     seed: int,
     known: Sequence[str],
+    shares: RailShares,
+    most_mean_square: float,
 ) -> Scores | None:
-    """Return the scores of one null simulation; None if wheels locked or scores are not finite."""
-    simulated = simulate.runs(data, design, measured, explanation, np.random.default_rng(seed))
+    """Return the scores of one null simulation; None if wheels locked or scores are not finite.
+
+    `most_mean_square` is that of normalised innovations above which a wheel has locked.
+    """
+    rng = np.random.default_rng(seed)
+    simulated = simulate.runs(data, design, measured, explanation, rng, shares)
     normal, linear, _ = fitting.normal_equations(prepare(data, simulated, design), explanation)
 
-    # a locked wheel has innovations of any size: bound each, so that one instant does not decide
-    squares = np.minimum(linear.nu**2 / linear.variance, 100.0)
-    has_run_away = np.mean(squares) > thresholds.RUNAWAY_VARIANCE
+    has_run_away = _mean_square(linear) > most_mean_square
     is_finite = np.all(np.isfinite(normal.A)) and np.all(np.isfinite(normal.b))
     if has_run_away or not is_finite:
         return None
@@ -100,6 +108,56 @@ def simulate_and_score(
     result = evidence.scores(normal, known)
     # single precision: the matrix goes from process to process
     return Scores(S=result.S.astype(np.float32), g=result.g)
+
+
+def _mean_square(linear: LinearisedReplay) -> float:
+    """Return the mean square of the normalised innovations.
+
+    A locked wheel has innovations of any size: each is bounded, so that one instant does not
+    decide.
+    """
+    return float(np.mean(np.minimum(linear.nu**2 / linear.variance, 100.0)))
+
+
+def _common_irregularity(
+    data: Dataset, measured: list[Run], design: Design, explanation: Explanation, seed: int
+) -> RailShares:
+    """Return the correlations of the irregularity in stops simulated on a shared rail."""
+    on_shared_rail = RailShares(1.0, 1.0)
+    rng = np.random.default_rng(seed)
+    simulated = simulate.runs(data, design, measured, explanation, rng, on_shared_rail)
+    prepared = prepare(data, simulated, design)
+    _, _, field, *_ = sensitivity.innovations(prepared, inputs(prepared, explanation))
+    return rail.common(prepared, field)
+
+
+def rail_shares(workspace: Workspace, explanation: Explanation, seed: int) -> RailShares:
+    """Return how much of the irregularity of the rail the measured wheelsets have in common."""
+    design = workspace.design
+    _, _, field, *_ = sensitivity.innovations(design, inputs(design, explanation))
+    without_tolerances = _without_tolerances(explanation)
+    tasks = [
+        (
+            workspace.data,
+            workspace.measured,
+            design,
+            without_tolerances,
+            seed * SEED_STRIDE + SEED_STRIDE - k - 1,
+        )
+        for k in range(rail.SIMULATED)
+    ]
+    on_shared_rail = workspace.run_all(_common_irregularity, tasks, "shared rail")
+    return rail.shares(rail.common(design, field), on_shared_rail)
+
+
+def _without_tolerances(explanation: Explanation) -> Explanation:
+    """Return the explanation without the tolerances, which belong to one recording.
+
+    Each null simulation draws them again.
+    """
+    kept = ("ln_", discrepancy.LATE)
+    free = {label: value for label, value in explanation.base.items() if label.startswith(kept)}
+    return explanation._replace(base=free)
 
 
 def score_against_nulls(
@@ -115,13 +173,13 @@ def score_against_nulls(
     rounds until more would not change what counts, at most `most`. Raises ConfigError if less than
     half of them can be replayed, or if the scores of the measured runs are not finite.
     """
-    # tolerances are drawn again for each null simulation: the fitted ones belong to the recording
-    kept = ("ln_", discrepancy.LATE)
-    free = {label: value for label, value in explanation.base.items() if label.startswith(kept)}
-    without_tolerances = explanation._replace(base=free)
-
-    normal, *_ = fitting.normal_equations(workspace.design, explanation)
+    without_tolerances = _without_tolerances(explanation)
+    normal, linear, _ = fitting.normal_equations(workspace.design, explanation)
     goodness.check_finite(workspace.design, normal)
+    # the error of pulses is not white, so also the measured innovations are larger at times
+    most_mean_square = thresholds.RUNAWAY_VARIANCE
+    if workspace.design.wheel_sensor.is_pulses:
+        most_mean_square *= max(1.0, _mean_square(linear))
     nulls: list[Scores] = []
     for begin in range(0, most, thresholds.NULL_SIMULATIONS_PER_ROUND):
         end = min(begin + thresholds.NULL_SIMULATIONS_PER_ROUND, most)
@@ -133,6 +191,8 @@ def score_against_nulls(
                 without_tolerances,
                 seed * SEED_STRIDE + number,
                 known,
+                workspace.shares,
+                most_mean_square,
             )
             for number in range(begin, end)
         ]

@@ -6,8 +6,8 @@ noise. Irregularity of the rail, noise and calibration are drawn again. Without 
 what "nothing is wrong" looks like. With a cause it shows what the method makes of that cause.
 
     [Q1] C = C_measured + K (s_measured - s), smoothed; wheel and vehicle as in `replay`
-    [Q2] field = rail(x) + axle_j(x), equal shares, Ornstein-Uhlenbeck in distance; rail(x) is the
-         same for all runs
+    [Q2] field = rail(x) + run_i(x) + axle_ij(x), Ornstein-Uhlenbeck in distance; shares by
+         `rail.shares`
 """
 
 import math
@@ -27,6 +27,7 @@ from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
 from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
 from rollerrig.rig.identify.replay import lanes, replay
+from rollerrig.rig.identify.replay.rail import USUAL, RailShares
 from rollerrig.rig.identify.replay.sensitivity import Inputs
 
 SUBSTEPS = 5
@@ -330,8 +331,12 @@ def runs(
     measured: list[Run],
     explanation: Explanation,
     rng: np.random.Generator,
+    shares: RailShares = USUAL,
 ) -> list[Run]:
-    """Return simulated stops like the measured ones, under an explanation, with fresh noise."""
+    """Return simulated stops like the measured ones, under an explanation, with fresh noise.
+
+    `shares` says how much of the irregularity the wheelsets have in common.
+    """
     # the wheels react in time; a sensor of pulses shows it later
     in_time = design._replace(wheel_sensor=PulseSensor(Sensor.DIRECT))
     replay_inputs = inputs(in_time, explanation)
@@ -361,15 +366,24 @@ def runs(
         late=(late_window, late_pulse),
     )
 
-    # all runs go over the same rail; each wheelset adds an irregularity of the same strength
+    # a rail for all runs, one for each run, and what each wheelset adds
     longest_s = float(np.max(np.diff(design.start))) * design.step_s
     longest_m = longest_s * float(design.speed_m_s.max())
-    half = explanation.sigma * math.sqrt(0.5)
-    rail = field(rng, longest_m, half, explanation.length_m, 1)
+    of_all = explanation.sigma * math.sqrt(shares.in_all)
+    of_run = explanation.sigma * math.sqrt(shares.in_run - shares.in_all)
+    of_wheelset = explanation.sigma * math.sqrt(1.0 - shares.in_run)
+    # runs may begin at different places of the same rail
+    starts_m = [0.0 if run.position_m is None else float(run.position_m[0]) for run in measured]
+    longest_m += max(starts_m) - min(starts_m)
+    rail = field(rng, longest_m, of_all, explanation.length_m, 1)
     simulated = []
     for number, run in enumerate(measured):
-        of_wheelsets = field(rng, longest_m, half, explanation.length_m, AXLES)
-        irregularity = np.ascontiguousarray(rail + of_wheelsets)
+        irregularity = rail + field(rng, longest_m, of_wheelset, explanation.length_m, AXLES)
+        if of_run > 0.0:
+            irregularity += field(rng, longest_m, of_run, explanation.length_m, 1)
+        # the grid of a run begins 100 m before its start
+        before = int((starts_m[number] - min(starts_m)) / _GRID_M)
+        irregularity = np.ascontiguousarray(irregularity[before:])
         simulated.append(_simulate_run(data, design, run, number, shared, irregularity, rng))
     return simulated
 

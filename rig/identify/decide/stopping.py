@@ -7,11 +7,15 @@ that base and extended model give to the same runs. A friction cause changes wha
 transmit while they slide as in the runs. A cause of brake or vehicle changes the forces themselves.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.identify.causes import columns
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
+from rollerrig.rig.identify.causes.courses import vehicle_samples
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.decide import gain
@@ -21,6 +25,9 @@ from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, TORQUE, VEHICL
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 LEAST_DECELERATION_M_S2 = 0.05
+# along what a force on the vehicle may remain, as `columns` names it
+TIME = "along vehicle time"
+SPEED = "along vehicle speed"
 
 
 class StoppingDistance(NamedTuple):
@@ -104,3 +111,28 @@ def torque_share(design: Design, explanation: Explanation, place: int) -> float:
     without = explanation._replace(causes=(*causes[:place], *causes[place + 1 :]))
     change_Nm = inputs(design, explanation).torque_Nm - inputs(design, without).torque_Nm
     return float(np.sqrt(np.mean(change_Nm**2) / np.mean(design.torque_Nm**2)))
+
+
+def force_share(design: Design, explanation: Explanation, place: int) -> float:
+    """Return how much cause number `place` adds to the braking force, as a share of it (rms)."""
+    causes = explanation.causes
+    without = explanation._replace(causes=(*causes[:place], *causes[place + 1 :]))
+    change_N = inputs(design, explanation).force_N - inputs(design, without).force_N
+    return float(np.sqrt(np.mean(change_N**2) / np.mean(_braking_N(design) ** 2)))
+
+
+def remaining_force_share(design: Design, along: str, coefficients: Sequence[float]) -> float:
+    """Return a remaining force on the vehicle as a share of the braking force (rms).
+
+    `along` is TIME or SPEED, `coefficients` are those of the bumps in m/s2.
+    """
+    covariate = {TIME: design.time_s, SPEED: design.speed_m_s}[along]
+    bumps = columns.bumps(vehicle_samples(design, covariate), len(coefficients))
+    force_N = np.asarray(coefficients) @ bumps * columns.vehicle_mass(design)
+    return float(np.sqrt(np.mean(force_N**2) / np.mean(_braking_N(design) ** 2)))
+
+
+def _braking_N(design: Design) -> np.ndarray:
+    """Return the force of all brakes, shape (vehicle samples,)."""
+    torque_Nm = columns.sum_of_wheelsets(design, design.torque_Nm)
+    return torque_Nm / design.base[parameters.RADIUS]

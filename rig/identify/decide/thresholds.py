@@ -235,6 +235,14 @@ RATIO_OF_OTHER_WINDOW = 4.0
 # Likelihood ratio that each move of a scale must earn. Chosen.
 RATIO_OF_SCALE_MOVE = 1.0
 
+# --- materiality ---
+
+# A cause that changes the torque, or a remaining force on the vehicle, by up to this number of
+# declared standard deviations of the calibration is no error of the model. For a cause that acts on
+# the vehicle it is one deviation: brakes within their calibration do not act before they are
+# applied, and such a cause does. Chosen: two deviations are what a declared accuracy means.
+IMMATERIAL_DEVIATIONS = 2.0
+
 # --- remainder, and the verdict ---
 
 # Statistic, less the number of coefficients, above which a remainder counts; as LEAST_RATIO.

@@ -358,7 +358,7 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
 def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     """Return the measured u of [R3] of `replay`, shape (samples,)."""
     p = inputs.parameters[run * AXLES : (run + 1) * AXLES]
-    turning = design.by_axle(design.measured_rad_s, run) @ (
+    turning = design.by_axle(design.turning_rad_s, run) @ (
         p[:, parameters.INERTIA] / p[:, parameters.RADIUS]
     )
     return design.vehicle_m_s[design.vehicle_span(run)] + turning / inputs.mass_kg[run]
