@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from generator import other_stops
+from generator import conditions, other_stops
 from scipy.special import lambertw
 
 NOTHING = np.zeros(len(other_stops.NAMES))
@@ -59,7 +59,9 @@ def test_the_second_generator_imports_nothing_of_the_bench():
         elif isinstance(node, ast.ImportFrom):
             modules.add(node.module)
     packages = {name.split(".")[0] for name in modules}
-    assert packages == {"math", "pathlib", "typing", "numpy", "numba", "scipy"}
+    assert packages == {"math", "pathlib", "typing", "numpy", "numba", "scipy", "generator"}
+    # the conditions are arithmetic alone
+    assert "rollerrig" not in Path(conditions.__file__).read_text()
 
 
 def test_the_same_seed_writes_the_same_files(clean, tmp_path):

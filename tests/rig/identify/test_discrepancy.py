@@ -1,0 +1,165 @@
+"""What a right model may differ by from measured runs is no cause: sensors, brakes, rails."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from generator import conditions, other_stops
+from generator.conditions import Conditions
+
+from rollerrig.realtime.reports import cause_sentences
+from rollerrig.rig.identify.causes import candidates, discrepancy
+from rollerrig.rig.identify.data import dataset, preparation, pulses
+from rollerrig.rig.identify.data.pulses import Sensor
+from rollerrig.rig.identify.decide import decision, evidence, fitting, simulate, stopping
+from rollerrig.rig.identify.decide.notes import Note, NoteCode
+from rollerrig.rig.identify.replay import rail, sensitivity
+from rollerrig.rig.identify.replay.rail import RailShares
+
+STEP_S = 0.01
+SEED = 3
+
+
+def slowing_wheels() -> tuple[np.ndarray, np.ndarray]:
+    """Times of a millisecond, and speeds of four wheels that slow down and slide now and then."""
+    time_s = np.arange(0.0, 30.0, 0.001)
+    slides = 4.0 * np.sin(2.0 * np.pi * time_s[:, None] / (1.7 + 0.1 * np.arange(4)))
+    return time_s, 90.0 - 2.4 * time_s[:, None] - np.maximum(slides, 0.0)
+
+
+def shown(sensor: str) -> np.ndarray:
+    """What a sensor of the generators shows of these wheels, shape (samples, 4)."""
+    time_s, spins_rad_s = slowing_wheels()
+    wheels = conditions.pole_wheels(SEED, 0)
+    of_sensor = Conditions(sensor=sensor)
+    return conditions.wheel_speeds(of_sensor, time_s, spins_rad_s, time_s[::10], wheels)
+
+
+def run_of(wheel_rad_s: np.ndarray) -> preparation.Run:
+    data = dataset.load("open_none")
+    run = data.runs[0]
+    return run._replace(time_s=STEP_S * np.arange(len(wheel_rad_s)), wheel_speed_rad_s=wheel_rad_s)
+
+
+# --- wheel speeds from pulses ---
+
+
+@pytest.mark.parametrize(
+    ("sensor", "kind"),
+    [("counted", Sensor.COUNTED), ("timed", Sensor.TIMED), ("last period", Sensor.TIMED)],
+)
+def test_wheel_speeds_from_pulses_are_recognised(sensor: str, kind: Sensor) -> None:
+    assert pulses.recognise([run_of(shown(sensor))]).kind is kind
+
+
+@pytest.mark.parametrize("step_rad_s", [0.0, 0.01, 0.1])
+def test_white_noise_is_no_sensor_of_pulses_also_where_it_is_rounded(step_rad_s: float) -> None:
+    _, spins_rad_s = slowing_wheels()
+    noise_rad_s = np.random.default_rng(SEED).normal(0.0, 0.07, spins_rad_s[::10].shape)
+    wheel_rad_s = spins_rad_s[::10] + noise_rad_s
+    if step_rad_s:
+        wheel_rad_s = np.round(wheel_rad_s / step_rad_s) * step_rad_s
+    assert not pulses.recognise([run_of(wheel_rad_s)]).is_pulses
+
+
+def test_the_quantum_of_counted_pulses_is_one_pulse_in_a_sample() -> None:
+    teeth = conditions.pole_wheels(SEED, 0).teeth
+    sensor = pulses.recognise([run_of(shown("counted"))])
+    assert sensor.quantum_rad_s == pytest.approx(2.0 * np.pi / teeth / STEP_S, rel=1e-3)
+
+
+def test_simulated_sensors_of_pulses_keep_the_angle_and_are_late() -> None:
+    _, spins_rad_s = slowing_wheels()
+    wheel_rad_s = spins_rad_s[::10]
+    rng = np.random.default_rng(SEED)
+    quantum_rad_s = 5.0
+    counted = pulses.counted(wheel_rad_s, quantum_rad_s, rng)
+    in_sample_rad_s = 0.5 * (wheel_rad_s[1:] + wheel_rad_s[:-1])
+    off_rad = np.cumsum(counted[1:] - in_sample_rad_s, axis=0) * STEP_S
+    # the error of the angle is never more than a pulse
+    assert np.ptp(off_rad, axis=0).max() < 1.01 * quantum_rad_s * STEP_S
+
+    sensor = pulses.recognise([run_of(shown("last period"))])
+    timed = pulses.timed(sensor, wheel_rad_s, STEP_S, -pulses.LATE_WINDOW, 0.0, rng)
+    late_steps = pulses.late_s(STEP_S, wheel_rad_s, -pulses.LATE_WINDOW, 0.0) / STEP_S
+    for wheel in range(4):
+        expected = pulses.delayed(wheel_rad_s[:, wheel], late_steps[:, wheel])
+        off_rad_s = timed[100:-100, wheel] - expected[100:-100]
+        in_time_rad_s = timed[100:-100, wheel] - wheel_rad_s[100:-100, wheel]
+        assert np.abs(off_rad_s.mean()) < 0.2 * np.abs(in_time_rad_s.mean())
+
+
+# --- the brake and the rail ---
+
+
+@pytest.fixture(scope="module")
+def stops() -> tuple[dataset.Dataset, preparation.Design, candidates.Explanation]:
+    data = dataset.load("open_none")
+    design = preparation.prepare(data, data.group("tune"))
+    return data, design, fitting.fit(design, candidates.untuned(design), 4).explanation
+
+
+def test_the_shape_of_the_brake_stays_within_its_calibration(stops) -> None:
+    _, design, _ = stops
+    shares = []
+    for seed in range(20):
+        drawn = discrepancy.draw_brake(design, np.random.default_rng(seed))
+        shares.append(discrepancy.brake_share(design, drawn))
+    deviation = float(np.std(shares))
+    assert 0.5 * design.calibration < deviation < 1.5 * design.calibration
+    assert discrepancy.brake_share(design, {}) is None
+
+
+def test_a_rail_that_all_wheelsets_share_is_recognised(stops) -> None:
+    data, design, base = stops
+    base = base._replace(sigma=0.04)
+
+    def common(shares: RailShares, seed: int) -> RailShares:
+        rng = np.random.default_rng(seed)
+        made = simulate.runs(data, design, data.group("tune"), base, rng, shares)
+        prepared = preparation.prepare(data, made, design)
+        replayed = sensitivity.innovations(prepared, candidates.inputs(prepared, base))
+        return rail.common(prepared, replayed[2])
+
+    on_shared = [common(RailShares(1.0, 1.0), seed) for seed in range(2)]
+    shared = rail.shares(common(RailShares(0.95, 0.95), 7), on_shared)
+    assert shared.in_all > 0.8
+    own = rail.shares(common(RailShares(0.0, 0.0), 7), on_shared)
+    assert own == rail.USUAL
+    of_runs = rail.shares(common(RailShares(0.95, 0.0), 7), on_shared)
+    assert of_runs.in_run > 0.8
+    assert of_runs.in_all < 0.7
+
+
+def test_a_remaining_force_inside_the_calibration_of_the_brake_is_a_note(stops) -> None:
+    _, design, _ = stops
+    small = stopping.remaining_force_share(design, stopping.TIME, (1e-4, 1e-4, 1e-4, 1e-4))
+    large = stopping.remaining_force_share(design, stopping.TIME, (1e-2, 1e-2, 1e-2, 1e-2))
+    assert large == pytest.approx(100.0 * small)
+    test = evidence.ScoreTest(
+        name=stopping.TIME,
+        axle=0,
+        shape={},
+        estimate=(1e-4,),
+        bias=(0.0,),
+        deviation=(1e-5,),
+        statistic=100.0,
+        p_value=1e-9,
+        expected=1.0,
+        spread=1.0,
+    )
+    note = Note(NoteCode.IMMATERIAL_REMAINDER, remainder=test, share=0.005, tolerance=0.003)
+    sentence = cause_sentences.note_sentence(note)
+    assert "0.5 % of the braking force, within twice your 0.3 %" in sentence
+
+
+# --- whole explanations of stops with nothing hidden ---
+
+
+@pytest.mark.explanation
+@pytest.mark.parametrize("kind", ["pulses timed", "brake by time", "rough shared rail"])
+def test_realistic_stops_with_nothing_hidden_are_consistent(kind: str, tmp_path: Path) -> None:
+    folder = other_stops.make(tmp_path / "none", {}, 5, conditions=conditions.KINDS[kind])
+    diagnosis = decision.explain_braking_runs(dataset.load(folder), 0, lambda *_: None)
+    assert diagnosis.verdict == "consistent"
+    assert diagnosis.causes == []
