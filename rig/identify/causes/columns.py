@@ -347,17 +347,16 @@ def _add_base(writer: _Writer) -> None:
 def _add_discrepancy(writer: _Writer) -> None:
     """Add the columns of the model discrepancy, which are base parameters too."""
     design = writer.design
-    shared: dict[tuple[str, int, bool], tuple[int, np.ndarray | None]] = {}
+    of_vehicle = np.repeat(np.arange(design.mass_kg.size), np.diff(design.vehicle_start))
+    parts = []
+    for number in range(len(discrepancy.SHARE_OF_MODE)):
+        part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, number))
+        parts.append((writer.add_course(part.wheel), part.felt))
     for mode in discrepancy.modes(design):
-        key = (mode.along, mode.number, mode.run is None)
-        if key not in shared:
-            part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, *key))
-            shared[key] = (writer.add_course(part.wheel), part.felt)
-        course, felt = shared[key]
+        course, felt = parts[mode.number]
         vehicle = writer.vehicle_acceleration(felt, mode.axle)
-        if mode.run is not None and vehicle is not None:
-            of_vehicle = np.repeat(np.arange(design.mass_kg.size), np.diff(design.vehicle_start))
-            vehicle = vehicle * (of_vehicle == mode.run)
+        assert vehicle is not None
+        vehicle = vehicle * (of_vehicle == mode.run)
         writer.add(
             BASE, mode.label, course, vehicle, prior=mode.prior, axle=mode.axle, run=mode.run
         )

@@ -109,7 +109,7 @@ def test_the_shape_of_the_brake_stays_within_its_calibration(stops) -> None:
         drawn = discrepancy.draw_brake(design, np.random.default_rng(seed))
         shares.append(discrepancy.brake_share(design, drawn))
     deviation = float(np.std(shares))
-    assert 0.5 * design.calibration < deviation < 1.5 * design.calibration
+    assert 0.2 * design.calibration < deviation < design.calibration
     assert discrepancy.brake_share(design, {}) is None
 
 
