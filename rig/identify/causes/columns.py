@@ -349,7 +349,7 @@ def _add_discrepancy(writer: _Writer) -> None:
     design = writer.design
     of_vehicle = np.repeat(np.arange(design.mass_kg.size), np.diff(design.vehicle_start))
     parts = []
-    for number in range(len(discrepancy.SHARE_OF_MODE)):
+    for number in range(discrepancy.MODES):
         part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, number))
         parts.append((writer.add_course(part.wheel), part.felt))
     for mode in discrepancy.modes(design):

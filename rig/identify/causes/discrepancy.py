@@ -22,11 +22,12 @@ from rollerrig.rig.identify.data.runs import AXLES
 
 # beginning of the labels of all its parameters
 BRAKE = "brake"
-# Deviation of the modes of a wheelset in a run over the declared calibration, from k = 0 on. Modes of
-# all wheelsets together are left out: with a deviation of 0.25 the score of a gradient of 0.6 per
+# Deviation of the modes of a wheelset in a run over the declared calibration. Modes of all
+# wheelsets together are left out: with a deviation of 0.25 the score of a gradient of 0.6 per
 # mille, on a clean set of the second generator, would fall from 65 to 11. What all brakes have in
 # common is judged by its size instead (`thresholds.IMMATERIAL_DEVIATIONS`). Chosen.
-SHARE_OF_MODE = (0.25, 0.25, 0.25)
+SHARE_OF_MODE = 0.25
+MODES = 3
 
 # --- a sensor of pulses ---
 
@@ -50,9 +51,9 @@ def modes(design: Design) -> list[Mode]:
     found = []
     for run in range(design.mass_kg.size):
         for axle in range(1, AXLES + 1):
-            for k, share in enumerate(SHARE_OF_MODE):
+            for k in range(MODES):
                 label = f"{BRAKE}_{run}_{axle}_{k}"
-                found.append(Mode(label, run, axle, k, share * design.calibration))
+                found.append(Mode(label, run, axle, k, SHARE_OF_MODE * design.calibration))
     return found
 
 
@@ -78,7 +79,7 @@ def brake_share(design: Design, base: dict[str, float]) -> np.ndarray | None:
     if not present:
         return None
     change = np.zeros(design.time_s.size)
-    courses = [course(design, number) for number in range(len(SHARE_OF_MODE))]
+    courses = [course(design, number) for number in range(MODES)]
     for mode in modes(design):
         at = design.span(AXLES * mode.run + mode.axle - 1)
         change[at] += present.get(mode.label, 0.0) * courses[mode.number][at]
