@@ -124,12 +124,18 @@ def force_share(design: Design, explanation: Explanation, place: int) -> float:
 def remaining_force_share(design: Design, along: str, coefficients: Sequence[float]) -> float:
     """Return a remaining force on the vehicle as a share of the braking force (rms).
 
-    `along` is TIME or SPEED, `coefficients` are those of the bumps in m/s2.
+    `along` is TIME or SPEED, `coefficients` are those of the bumps in m/s2. What is in proportion to
+    the braking force of a run is left out: the scales of torque and mass take it up.
     """
     covariate = {TIME: design.time_s, SPEED: design.speed_m_s}[along]
     bumps = columns.bumps(vehicle_samples(design, covariate), len(coefficients))
     force_N = np.asarray(coefficients) @ bumps * columns.vehicle_mass(design)
-    return float(np.sqrt(np.mean(force_N**2) / np.mean(_braking_N(design) ** 2)))
+    braking_N = _braking_N(design)
+    for run in _runs(design):
+        at = design.vehicle_span(run)
+        gain_of_run = force_N[at] @ braking_N[at] / (braking_N[at] @ braking_N[at])
+        force_N[at] -= gain_of_run * braking_N[at]
+    return float(np.sqrt(np.mean(force_N**2) / np.mean(braking_N**2)))
 
 
 def _braking_N(design: Design) -> np.ndarray:
