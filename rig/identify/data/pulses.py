@@ -187,8 +187,8 @@ def counted(wheel_rad_s: np.ndarray, quantum_rad_s: float, rng: np.random.Genera
     # angle in pulses, which the speed changes by its quotient to the quantum in a sample
     steps = wheel_rad_s / quantum_rad_s
     steps = 0.5 * (steps + np.concatenate([steps[:1], steps[:-1]]))
-    before = rng.uniform(size=wheel_rad_s.shape[1])
-    angle = np.concatenate([before[None, :], before + np.cumsum(steps, axis=0)])
+    before = rng.uniform(size=(1, wheel_rad_s.shape[1]))
+    angle = np.concatenate([before, before + np.cumsum(steps, axis=0)])
     return np.diff(np.floor(angle), axis=0) * quantum_rad_s
 
 

@@ -124,8 +124,8 @@ def force_share(design: Design, explanation: Explanation, place: int) -> float:
 def remaining_force_share(design: Design, along: str, coefficients: Sequence[float]) -> float:
     """Return a remaining force on the vehicle as a share of the braking force (rms).
 
-    `along` is TIME or SPEED, `coefficients` are those of the bumps in m/s2. What is in proportion to
-    the braking force of a run is left out: the scales of torque and mass take it up.
+    `along` is TIME or SPEED, `coefficients` are those of the bumps in m/s2. What is in proportion
+    to the braking force of a run is left out: the scales of torque and mass take it up.
     """
     covariate = {TIME: design.time_s, SPEED: design.speed_m_s}[along]
     bumps = columns.bumps(vehicle_samples(design, covariate), len(coefficients))
