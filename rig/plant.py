@@ -283,7 +283,6 @@ def observe(state, params):
         state.brake_torque[j] = torque
 
         # speed sensor
-        state.wheel_circumferential_speed[j] = r * state.wheel_speed[j]
         teeth_per_rad = params.teeth / (2.0 * np.pi)
         state.tooth_frequency[j] = state.wheel_speed[j] * teeth_per_rad
         state.pulse_count[j] = np.floor(state.wheel_angle[j] * teeth_per_rad)
@@ -292,7 +291,12 @@ def observe(state, params):
 
 @kernel_inlined
 def watch_lock(state, axle, params):
-    """Count how long a wheelset has been locked while the vehicle still runs."""
+    """Count how long a wheelset has been locked while the vehicle still runs.
+
+    A tick that nobody observes needs only this of `observe`.
+    """
+    radius_m = params.wheels.table[vehicle.RADIUS_M + axle]
+    state.wheel_circumferential_speed[axle] = radius_m * state.wheel_speed[axle]
     runs = state.vehicle_speed[0] > params.lock_above_m_s
     if runs and state.wheel_circumferential_speed[axle] < LOCKED_BELOW_M_S:
         state.locked_since[axle] += params.tick_s

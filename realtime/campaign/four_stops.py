@@ -7,27 +7,31 @@ next stop. No bus, clock or Python code runs between two ticks. The samples agre
 """
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rollerrig.configs.errors import UnitError
-from rollerrig.configs.vehicle import GROUPS
+from rollerrig.configs.vehicle import AXLES, GROUPS, UNIT_AXLES
+from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import tick
+from rollerrig.realtime.loop import mailbox, tick
 from rollerrig.realtime.loop.ring import Memory
 from rollerrig.realtime.loop.tick import DONE, TICK
 from rollerrig.rig import heat, plant
 from rollerrig.rig.compiled.generated import buffer_viewer
-from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import RIGS
 from rollerrig.wsp_interface.events import Event
 
 _MOST_TICKS = 1 << 20  # in one call
+# the number of steps of the next tick aims at this share of the tolerance
+_SAFETY = 0.5
 # the unit's state as views into its buffer, for compiled code
 see_unit = buffer_viewer(logic.State, logic.PLACES)
 
@@ -46,6 +50,21 @@ class Finished(NamedTuple):
     ended: str
 
 
+class Pace(NamedTuple):
+    """How far the four stops are in their ticks; int64 (4,) unless another shape is given.
+
+    The stops do not wait for one another: each has its tick, and its number of steps in it.
+    """
+
+    begun: np.ndarray  # 1: a tick has begun and not ended
+    left: np.ndarray  # steps that are left in this tick
+    steps: np.ndarray  # steps of this tick
+    each_tick: np.ndarray  # 1: the row of all signals acts in the next tick, so each tick makes it
+    target_Pa: np.ndarray  # float64, demanded brake pressure in this tick
+    tolerance_m_s: np.ndarray  # (1,), as in `together`
+    counted: np.ndarray  # (2,), steps so far, and ticks that were done again
+
+
 class _Placed(NamedTuple):
     """A stop, the tag by which its caller knows it, and the memory of its samples."""
 
@@ -55,31 +74,35 @@ class _Placed(NamedTuple):
 
 
 def together(
-    jobs: Iterable[tuple[Any, Scenario]], unit: free.Unit = "reference"
+    jobs: Iterable[tuple[Any, Scenario]],
+    unit: free.Unit = "reference",
+    tolerance_m_s: float = 0.0,
 ) -> Iterator[Finished]:
     """Run many scenarios, four at a time if possible; yield each that is done.
 
     `jobs` are (tag, scenario). The results come in the order in which the stops are done. A result
-    does not depend on the stops in the other places. It differs from that of `free.simulate` by
-    rounding.
+    does not depend on the stops in the other places.
+
+    With `tolerance_m_s` 0 each tick has the steps of its scenario, and a result differs from that
+    of `free.simulate` by rounding. Otherwise a tick has as few steps as keep the error of the
+    sliding of each step below `tolerance_m_s` (estimated, [L1] of `rig.lanes.step`), and at most
+    those of its scenario. A stop that does not fit (`fits`) always has the steps of its scenario.
     """
     is_compiled = unit in ("reference", "none") or isinstance(unit, logic.Params)
-    # stops in one call have the same number of steps in a tick
-    groups: dict[int, list[tuple[Any, Scenario]]] = {}
+    fitting: list[tuple[Any, Scenario]] = []
     for tag, plan in jobs:
         if is_compiled and fits(plan):
-            groups.setdefault(plan.params.substeps, []).append((tag, plan))
+            fitting.append((tag, plan))
         else:
             yield _alone(tag, plan, unit)
 
     with_unit = unit != "none"
     # the compiled call needs a unit; without one, it gets a unit that never runs
     placed_unit = unit if with_unit else "reference"
-    for group in groups.values():
-        stops = (_Placed(tag, *free.remembered(plan, placed_unit)) for tag, plan in group)
-        for tag, stop, memory in _run(stops, with_unit):
-            # these stops have no events: they have no faults, and a planar vehicle cannot derail
-            yield finished(tag, stop, memory)
+    stops = (_Placed(tag, *free.remembered(plan, placed_unit)) for tag, plan in fitting)
+    for tag, stop, memory in _run(stops, with_unit, tolerance_m_s):
+        # these stops have no events: they have no faults, and a planar vehicle cannot derail
+        yield finished(tag, stop, memory)
 
 
 def _alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
@@ -99,9 +122,10 @@ def finished(tag: Any, stop: free.Stop, memory: Memory) -> Finished:
 
 
 def fits(plan: Scenario) -> bool:
-    """Whether a scenario may run together with others: one planar plant, one unit, no faults."""
+    """Whether a scenario may run together with others: one planar plant, no faults."""
     return (
-        GROUPS == 1
+        # groups of different sizes have units of different types
+        AXLES == GROUPS * UNIT_AXLES
         and plan.rollers is None
         and not plan.faults
         and not plan["bus"]["arbitration"]
@@ -109,11 +133,8 @@ def fits(plan: Scenario) -> bool:
     )
 
 
-def _run(stops: Iterable[_Placed], with_unit: bool) -> Iterator[_Placed]:
-    """Run stops four at a time; yield each that is done.
-
-    All must fit (`fits`) and have the same number of steps in a tick.
-    """
+def _run(stops: Iterable[_Placed], with_unit: bool, tolerance_m_s: float) -> Iterator[_Placed]:
+    """Run stops four at a time; yield each that is done. All must fit (`fits`)."""
     waiting = iter(stops)
     row = list(itertools.islice(waiting, RIGS))
     if not row:
@@ -125,11 +146,20 @@ def _run(stops: Iterable[_Placed], with_unit: bool) -> Iterator[_Placed]:
 
     lanes = np.zeros(layout.SIZE)
     inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
+    pace = Pace(
+        np.zeros(RIGS, dtype=np.int64),
+        np.zeros(RIGS, dtype=np.int64),
+        np.zeros(RIGS, dtype=np.int64),
+        np.zeros(RIGS, dtype=np.int64),
+        np.zeros(RIGS),
+        np.array([tolerance_m_s]),
+        np.zeros(2, dtype=np.int64),
+    )
     for rig, placed in enumerate(row):
-        layout.load_constants(lanes, rig, placed.stop.data.params)
+        _place(placed, rig, lanes, pace)
 
     while runs.any():
-        _run_until_done(row, with_unit, runs, lanes, inputs)
+        _run_until_done(row, with_unit, runs, pace, lanes, inputs)
         for rig in range(RIGS):
             if not runs[rig] or not row[rig].stop.data.control[DONE]:
                 continue
@@ -139,90 +169,162 @@ def _run(stops: Iterable[_Placed], with_unit: bool) -> Iterator[_Placed]:
                 runs[rig] = 0
             else:
                 row[rig] = following
-                layout.load_constants(lanes, rig, following.stop.data.params)
+                _place(following, rig, lanes, pace)
+
+
+def _place(placed: _Placed, rig: int, lanes: np.ndarray, pace: Pace) -> None:
+    """Give a place of the row to a stop that has not begun."""
+    params = placed.stop.data.params
+    layout.load_constants(lanes, rig, params)
+    pace.begun[rig] = 0
+    pace.left[rig] = 0
+    pace.steps[rig] = params.substeps
+    pace.each_tick[rig] = int(_is_observed_each_tick(placed.stop))
+
+
+def _is_observed_each_tick(stop: free.Stop) -> bool:
+    """Return whether the row of all signals, or what it is made of, acts in the next tick."""
+    return stop.data.sensor.model != pole_wheel.IDEAL or stop.data.params.effects.on_friction
 
 
 def _run_until_done(
     row: list[_Placed],
     with_unit: bool,
     runs: np.ndarray,
+    pace: Pace,
     lanes: np.ndarray,
     inputs: np.ndarray,
 ) -> None:
     """Run the four stops of a row until at least one of them is done."""
     data = tuple(placed.stop.data for placed in row)
     units = tuple(
-        (logic.buffer_of(unit), unit.params)
+        tuple((logic.buffer_of(unit), unit.params) for unit in placed.stop.reference_units)
         for placed in row
-        for unit in placed.stop.reference_units
     )
     # ticks between two cycles of a unit; 0: it does not run
     sync_ticks = np.array(
         [placed.stop.plan.sync_ticks if with_unit else 0 for placed in row], dtype=np.int64
     )
-    run_ticks(data, units, sync_ticks, runs, lanes, inputs, _MOST_TICKS)
+    run_ticks(data, units, sync_ticks, runs, pace, lanes, inputs, _MOST_TICKS)
 
 
 @kernel
-def run_ticks(four, units, syncs, runs, lanes, inputs, ticks):
+def run_ticks(four, units, syncs, runs, pace, lanes, inputs, most):
     """Run ticks until one of the running stops is done.
 
     Parameters
     ----------
     four : the tick data of the four stops
-    units : their units, each as (buffer, parameters)
+    units : of each stop the units of its groups, each as (buffer, parameters)
     syncs : (4,), ticks between two cycles of a unit; 0: it does not run
     runs : (4,), 0 for a place that does not run
+    pace : `Pace`
     lanes : the array of `rig.lanes.layout`
     inputs : int64 scratch, as in `tick.run_ticks_with_units`
-    ticks : the largest number of ticks
+    most : the largest number of steps
     """
     m0, m1, m2, m3 = four
     rigs = (m0.params.vehicle, m1.params.vehicle, m2.params.vehicle, m3.params.vehicle)
-    for _ in range(ticks):
-        before(m0, units[0], syncs[0], runs[0], lanes, 0, inputs)
-        before(m1, units[1], syncs[1], runs[1], lanes, 1, inputs)
-        before(m2, units[2], syncs[2], runs[2], lanes, 2, inputs)
-        before(m3, units[3], syncs[3], runs[3], lanes, 3, inputs)
-        for _ in range(m0.params.substeps):
-            step.step(lanes, rigs)
-        done = after(m0, runs[0], lanes, 0)
-        done += after(m1, runs[1], lanes, 1)
-        done += after(m2, runs[2], lanes, 2)
-        done += after(m3, runs[3], lanes, 3)
+    for _ in range(most):
+        done = between_ticks(m0, units[0], syncs[0], runs[0], pace, lanes, 0, inputs)
+        done += between_ticks(m1, units[1], syncs[1], runs[1], pace, lanes, 1, inputs)
+        done += between_ticks(m2, units[2], syncs[2], runs[2], pace, lanes, 2, inputs)
+        done += between_ticks(m3, units[3], syncs[3], runs[3], pace, lanes, 3, inputs)
         if done != 0:
             return
+        step.step(lanes, rigs)
+        for rig in range(RIGS):
+            pace.left[rig] -= 1
 
 
 @kernel
-def before(m, unit, sync_ticks, runs, lanes, rig, inputs):
-    """Do what precedes the physics of a tick, and scatter the state of the stop into its lanes."""
-    if runs == 0:
-        return
+def between_ticks(m, units, sync_ticks, runs, pace, lanes, rig, inputs):
+    """End the tick of a stop whose steps are done, and begin its next one.
+
+    A tick whose error is above the tolerance is done again with more steps: its state is still
+    that of its beginning. Returns 1 if the stop is done now, else 0.
+    """
+    if runs == 0 or pace.left[rig] > 0:
+        return 0
+    tolerance_m_s = pace.tolerance_m_s[0]
+    if pace.begun[rig] != 0:
+        if tolerance_m_s > 0.0:
+            steps = pace.steps[rig]
+            error_m_s = layout.error(lanes, rig)
+            wanted = steps_for(error_m_s, tolerance_m_s, steps, m.params.substeps)
+            pace.steps[rig] = wanted
+            if error_m_s > tolerance_m_s and wanted > steps:
+                pace.counted[1] += 1
+                start_steps(m, pace, lanes, rig)
+                return 0
+        after(m, sync_ticks, pace.each_tick[rig], lanes, rig)
+        pace.begun[rig] = 0
+        if m.control[DONE] != 0:
+            return 1
+    pace.target_Pa[rig] = before(m, units, sync_ticks, inputs)
+    pace.begun[rig] = 1
+    start_steps(m, pace, lanes, rig)
+    return 0
+
+
+@kernel_inlined
+def steps_for(error_m_s, tolerance_m_s, steps, most):
+    """Return the number of steps of a tick for an error like that of `steps` steps.
+
+    The error of a step grows with the square of its length. From one tick to the next the number
+    falls by at most a half.
+    """
+    wanted = math.ceil(steps * math.sqrt(error_m_s / (_SAFETY * tolerance_m_s)))
+    return min(max(wanted, (steps + 1) // 2), most)
+
+
+@kernel_inlined
+def start_steps(m, pace, lanes, rig):
+    """Scatter the state of a stop into its lanes, for the steps of the tick that has begun."""
+    steps = pace.steps[rig]
+    if pace.tolerance_m_s[0] > 0.0:
+        layout.set_step(lanes, rig, m.params, steps)
+    layout.scatter(lanes, rig, m.state, pace.target_Pa[rig])
+    pace.left[rig] = steps
+    pace.counted[0] += steps
+
+
+@kernel_inlined
+def before(m, units, sync_ticks, inputs):
+    """Do what precedes the physics of a tick; return the demanded pressure in Pa."""
     now = m.control[TICK]
     if sync_ticks != 0 and now % sync_ticks == 0:
         tick.write_unit_inputs(m, inputs)
-        tick.run_unit_cycle(m, logic.Unit(see_unit(unit[0]), unit[1]), 0, inputs)
-    tick.begin(m, now)
-    target_Pa = plant.prepare(
+        for group in range(len(units)):
+            buffer, params = units[group]
+            tick.run_unit_cycle(m, logic.Unit(see_unit(buffer), params), group, inputs)
+        # nobody else writes commands
+        mailbox.fetch(m.commands, m.command)
+    tick.record(m, now)
+    tick.obey(m)
+    return plant.prepare(
         m.state, m.delay, m.command[: tick.AXLES], m.command[tick.DEMAND], now, m.params
     )
-    layout.scatter(lanes, rig, m.state, target_Pa)
 
 
-@kernel
-def after(m, runs, lanes, rig):
+@kernel_inlined
+def after(m, sync_ticks, each_tick, lanes, rig):
     """Gather the state of the stop, and do what follows the physics of a tick.
 
-    Returns 1 if the stop is done now, else 0.
+    The row of all signals is made only where somebody reads it: the next tick records a sample or
+    runs the unit.
     """
-    if runs == 0:
-        return 0
     now = m.control[TICK]
     params = m.params
     layout.gather(lanes, rig, m.state)
     m.state.time[0] = (now * params.substeps + params.substeps) * params.step_s
     heat.advance(m.state, params.heat)
-    plant.observe(m.state, params)
-    tick.end(m, now)
-    return int(m.control[DONE])
+    following = now + 1
+    is_read = each_tick != 0 or following % m.record_ticks == 0
+    if is_read or (sync_ticks != 0 and following % sync_ticks == 0):
+        plant.observe(m.state, params)
+        tick.publish(m)
+    else:
+        for axle in range(tick.AXLES):
+            plant.watch_lock(m.state, axle, params)
+    tick.count(m, now)

@@ -227,6 +227,14 @@ def run_tick(m):
 @kernel_inlined
 def begin(m, tick):
     """Do what precedes the physics of a tick: sample, commands, drive control, faults."""
+    record(m, tick)
+    box.fetch(m.commands, m.command)
+    obey(m)
+
+
+@kernel_inlined
+def record(m, tick):
+    """Push the row of all signals into the ring if a sample is due at this tick."""
     if tick % m.record_ticks == 0:
         # the largest values since the last sample, including the lateness of this tick
         m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
@@ -234,7 +242,11 @@ def begin(m, tick):
         appending.push(m.ring_header, m.ring_rows, m.row)
         m.control[LATE_NS] = 0
         m.control[BUSY_NS] = 0
-    box.fetch(m.commands, m.command)
+
+
+@kernel_inlined
+def obey(m):
+    """Let the command row act in the coming tick: drive control, faults, friction, sanders."""
     faults = m.command[FAULTS:]
     if m.virtual != 0:
         table = m.params.wheels.table
@@ -275,6 +287,12 @@ def command_motors(m, faults, dynamic):
 def end(m, tick):
     """Do what follows the physics of a tick: publish it and count it."""
     publish(m)
+    count(m, tick)
+
+
+@kernel_inlined
+def count(m, tick):
+    """Count a tick, and set DONE if it is the last one."""
     m.control[TICK] = tick + 1
     if m.state.standing[0] != 0.0:
         m.control[STANDING_TICKS] += 1
