@@ -5,6 +5,8 @@ thousands of dots takes the parser minutes, and a whole number of thousands of d
 for the rest of the program. Source: TOML 1.0 (whole numbers have 64 bits).
 """
 
+import copy
+import functools
 import re
 import tomllib
 from collections.abc import Iterator
@@ -14,6 +16,7 @@ from rollerrig.configs.errors import ConfigError
 
 MOST_NESTED = 32  # tables and lists in one another
 LARGEST = 2**63 - 1
+_KEPT = 16  # parsed texts
 _SMALLEST = -(2**63)
 
 _INTEGERS = "whole numbers from -2^63 to 2^63 - 1 are allowed"
@@ -31,9 +34,16 @@ _LONG_NUMBER = re.compile(r"[0-9_]{400}")
 def parse(text: str, where: str) -> dict[str, Any]:
     """Return the content of a TOML text. Raises ConfigError, which begins with `where`."""
     try:
-        return _parse(text, where)
+        # the caller may change what it gets
+        return copy.deepcopy(_parsed(text, where))
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{where}: not valid TOML: {error}") from None
+
+
+@functools.lru_cache(maxsize=_KEPT)
+def _parsed(text: str, where: str) -> dict[str, Any]:
+    """Return the content of a TOML text; a campaign reads the same few files for each run."""
+    return _parse(text, where)
 
 
 def value(text: str, where: str) -> Any:

@@ -7,7 +7,6 @@ next stop. No bus, clock or Python code runs between two ticks. The samples agre
 """
 
 import itertools
-import math
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
@@ -29,9 +28,7 @@ from rollerrig.rig.lanes import layout, step
 from rollerrig.rig.lanes.layout import RIGS
 from rollerrig.wsp_interface.events import Event
 
-_MOST_TICKS = 1 << 20  # in one call
-# the number of steps of the next tick aims at this share of the tolerance
-_SAFETY = 0.5
+_MOST_STEPS = 1 << 20  # in one call
 # the unit's state as views into its buffer, for compiled code
 see_unit = buffer_viewer(logic.State, logic.PLACES)
 
@@ -51,18 +48,14 @@ class Finished(NamedTuple):
 
 
 class Pace(NamedTuple):
-    """How far the four stops are in their ticks; int64 (4,) unless another shape is given.
+    """How far the four stops are in their ticks, int64 (4,).
 
-    The stops do not wait for one another: each has its tick, and its number of steps in it.
+    The stops do not wait for one another: each has its tick, and its number of steps in a tick.
     """
 
     begun: np.ndarray  # 1: a tick has begun and not ended
     left: np.ndarray  # steps that are left in this tick
-    steps: np.ndarray  # steps of this tick
     each_tick: np.ndarray  # 1: the row of all signals acts in the next tick, so each tick makes it
-    target_Pa: np.ndarray  # float64, demanded brake pressure in this tick
-    tolerance_m_s: np.ndarray  # (1,), as in `together`
-    counted: np.ndarray  # (2,), steps so far, and ticks that were done again
 
 
 class _Placed(NamedTuple):
@@ -74,19 +67,13 @@ class _Placed(NamedTuple):
 
 
 def together(
-    jobs: Iterable[tuple[Any, Scenario]],
-    unit: free.Unit = "reference",
-    tolerance_m_s: float = 0.0,
+    jobs: Iterable[tuple[Any, Scenario]], unit: free.Unit = "reference"
 ) -> Iterator[Finished]:
     """Run many scenarios, four at a time if possible; yield each that is done.
 
     `jobs` are (tag, scenario). The results come in the order in which the stops are done. A result
-    does not depend on the stops in the other places.
-
-    With `tolerance_m_s` 0 each tick has the steps of its scenario, and a result differs from that
-    of `free.simulate` by rounding. Otherwise a tick has as few steps as keep the error of the
-    sliding of each step below `tolerance_m_s` (estimated, [L1] of `rig.lanes.step`), and at most
-    those of its scenario. A stop that does not fit (`fits`) always has the steps of its scenario.
+    does not depend on the stops in the other places. It differs from that of `free.simulate` by
+    rounding.
     """
     is_compiled = unit in ("reference", "none") or isinstance(unit, logic.Params)
     fitting: list[tuple[Any, Scenario]] = []
@@ -100,7 +87,7 @@ def together(
     # the compiled call needs a unit; without one, it gets a unit that never runs
     placed_unit = unit if with_unit else "reference"
     stops = (_Placed(tag, *free.remembered(plan, placed_unit)) for tag, plan in fitting)
-    for tag, stop, memory in _run(stops, with_unit, tolerance_m_s):
+    for tag, stop, memory in _run(stops, with_unit):
         # these stops have no events: they have no faults, and a planar vehicle cannot derail
         yield finished(tag, stop, memory)
 
@@ -133,7 +120,7 @@ def fits(plan: Scenario) -> bool:
     )
 
 
-def _run(stops: Iterable[_Placed], with_unit: bool, tolerance_m_s: float) -> Iterator[_Placed]:
+def _run(stops: Iterable[_Placed], with_unit: bool) -> Iterator[_Placed]:
     """Run stops four at a time; yield each that is done. All must fit (`fits`)."""
     waiting = iter(stops)
     row = list(itertools.islice(waiting, RIGS))
@@ -146,15 +133,7 @@ def _run(stops: Iterable[_Placed], with_unit: bool, tolerance_m_s: float) -> Ite
 
     lanes = np.zeros(layout.SIZE)
     inputs = np.zeros(2 * tick.AXLES, dtype=np.int64)
-    pace = Pace(
-        np.zeros(RIGS, dtype=np.int64),
-        np.zeros(RIGS, dtype=np.int64),
-        np.zeros(RIGS, dtype=np.int64),
-        np.zeros(RIGS, dtype=np.int64),
-        np.zeros(RIGS),
-        np.array([tolerance_m_s]),
-        np.zeros(2, dtype=np.int64),
-    )
+    pace = Pace(*(np.zeros(RIGS, dtype=np.int64) for _ in Pace._fields))
     for rig, placed in enumerate(row):
         _place(placed, rig, lanes, pace)
 
@@ -178,7 +157,6 @@ def _place(placed: _Placed, rig: int, lanes: np.ndarray, pace: Pace) -> None:
     layout.load_constants(lanes, rig, params)
     pace.begun[rig] = 0
     pace.left[rig] = 0
-    pace.steps[rig] = params.substeps
     pace.each_tick[rig] = int(_is_observed_each_tick(placed.stop))
 
 
@@ -205,7 +183,7 @@ def _run_until_done(
     sync_ticks = np.array(
         [placed.stop.plan.sync_ticks if with_unit else 0 for placed in row], dtype=np.int64
     )
-    run_ticks(data, units, sync_ticks, runs, pace, lanes, inputs, _MOST_TICKS)
+    run_ticks(data, units, sync_ticks, runs, pace, lanes, inputs, _MOST_STEPS)
 
 
 @kernel
@@ -221,7 +199,7 @@ def run_ticks(four, units, syncs, runs, pace, lanes, inputs, most):
     pace : `Pace`
     lanes : the array of `rig.lanes.layout`
     inputs : int64 scratch, as in `tick.run_ticks_with_units`
-    most : the largest number of steps
+    most : the largest number of steps in this call
     """
     m0, m1, m2, m3 = four
     rigs = (m0.params.vehicle, m1.params.vehicle, m2.params.vehicle, m3.params.vehicle)
@@ -241,52 +219,20 @@ def run_ticks(four, units, syncs, runs, pace, lanes, inputs, most):
 def between_ticks(m, units, sync_ticks, runs, pace, lanes, rig, inputs):
     """End the tick of a stop whose steps are done, and begin its next one.
 
-    A tick whose error is above the tolerance is done again with more steps: its state is still
-    that of its beginning. Returns 1 if the stop is done now, else 0.
+    Returns 1 if the stop is done now, else 0.
     """
     if runs == 0 or pace.left[rig] > 0:
         return 0
-    tolerance_m_s = pace.tolerance_m_s[0]
     if pace.begun[rig] != 0:
-        if tolerance_m_s > 0.0:
-            steps = pace.steps[rig]
-            error_m_s = layout.error(lanes, rig)
-            wanted = steps_for(error_m_s, tolerance_m_s, steps, m.params.substeps)
-            pace.steps[rig] = wanted
-            if error_m_s > tolerance_m_s and wanted > steps:
-                pace.counted[1] += 1
-                start_steps(m, pace, lanes, rig)
-                return 0
         after(m, sync_ticks, pace.each_tick[rig], lanes, rig)
         pace.begun[rig] = 0
         if m.control[DONE] != 0:
             return 1
-    pace.target_Pa[rig] = before(m, units, sync_ticks, inputs)
+    target_Pa = before(m, units, sync_ticks, inputs)
+    layout.scatter(lanes, rig, m.state, target_Pa)
     pace.begun[rig] = 1
-    start_steps(m, pace, lanes, rig)
+    pace.left[rig] = m.params.substeps
     return 0
-
-
-@kernel_inlined
-def steps_for(error_m_s, tolerance_m_s, steps, most):
-    """Return the number of steps of a tick for an error like that of `steps` steps.
-
-    The error of a step grows with the square of its length. From one tick to the next the number
-    falls by at most a half.
-    """
-    wanted = math.ceil(steps * math.sqrt(error_m_s / (_SAFETY * tolerance_m_s)))
-    return min(max(wanted, (steps + 1) // 2), most)
-
-
-@kernel_inlined
-def start_steps(m, pace, lanes, rig):
-    """Scatter the state of a stop into its lanes, for the steps of the tick that has begun."""
-    steps = pace.steps[rig]
-    if pace.tolerance_m_s[0] > 0.0:
-        layout.set_step(lanes, rig, m.params, steps)
-    layout.scatter(lanes, rig, m.state, pace.target_Pa[rig])
-    pace.left[rig] = steps
-    pace.counted[0] += steps
 
 
 @kernel_inlined

@@ -101,7 +101,8 @@ class Memory:
 
     def __init__(self, capacity: int, width: int) -> None:
         self.header = np.zeros(_HEADER, dtype=np.int64)
-        self.rows = np.zeros((capacity, width))
+        # only rows that were written are read, so the memory need not be cleared
+        self.rows = np.empty((capacity, width))
 
     @property
     def written(self) -> np.ndarray:

@@ -15,8 +15,6 @@ torque without effects, pads without variation, no limit of the air supply, no f
 rollers that stay as they were prepared.
 """
 
-import math
-
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
@@ -75,7 +73,6 @@ LANES = RIGS * AXLES
     FELT_END,
     RATE_BEFORE,  # acceleration of the first stage
     FELT_RATE,
-    ERROR,  # largest error of the sliding of a step in this tick
     RESISTING,  # half of the resistance at the beginning of the step
     # constants
     STEP,  # s
@@ -99,7 +96,7 @@ LANES = RIGS * AXLES
     MOTOR_SHARE,  # share of the way to its demand in a step
     EPS1,  # of `patch.Patch`
     _LAW,
-) = range(0, 64 * LANES, LANES)
+) = range(0, 63 * LANES, LANES)
 # the adhesion law: one row for each field of `Law`, in its order
 _LAW_ROWS = {name: _LAW + LANES * i for i, name in enumerate(Law._fields)}
 # friction of the contaminant: the state has it, not the constants
@@ -201,53 +198,6 @@ def scatter(w, rig, state, target_Pa):
         w[TARGET + at] = target_Pa
         w[MOVING + at] = 1.0 - state.standing[0]
         w[AIR_NL + at] = 0.0
-        w[ERROR + at] = 0.0
-
-
-@kernel
-def set_step(w, rig, params, steps):
-    """Write the constants of a rig that depend on the step, for so many steps in a tick.
-
-    A share of the way in a step is 1 - exp(-step / time constant).
-    """
-    # the array is compared, so that no second memory of the number of steps is needed
-    step_s = params.step_s
-    if steps != params.substeps:
-        step_s = params.tick_s / steps
-    if w[STEP + rig * AXLES] == step_s:
-        return
-    longer = step_s / params.step_s
-    brake = params.brake
-    fills = share_of_longer(brake.demand_fill_share, longer)
-    releases = share_of_longer(brake.demand_release_share, longer)
-    valve_fills = share_of_longer(brake.valve_fill_share, longer)
-    valve_vents = share_of_longer(brake.valve_vent_share, longer)
-    motor_share = share_of_longer(params.drive.torque_share, longer)
-    for j in range(AXLES):
-        at = rig * AXLES + j
-        w[STEP + at] = step_s
-        w[FILLS + at] = fills
-        w[RELEASES + at] = releases
-        w[VALVE_FILLS + at] = valve_fills
-        w[VALVE_VENTS + at] = valve_vents
-        w[MOTOR_SHARE + at] = motor_share
-
-
-@kernel
-def share_of_longer(share, longer):
-    """Return the share of the way in a step that is `longer` times as long."""
-    if longer == 1.0:
-        return share
-    return -math.expm1(longer * math.log1p(-share))
-
-
-@kernel
-def error(w, rig):
-    """Return the largest error in m/s of the sliding of a step of the rig in this tick."""
-    largest_m_s = 0.0
-    for j in range(AXLES):
-        largest_m_s = max(largest_m_s, w[ERROR + rig * AXLES + j])
-    return largest_m_s
 
 
 @kernel_inlined

@@ -5,10 +5,6 @@ quantities of the axles. Loops over the rigs compute those of the vehicles, whic
 the contact forces. For a vehicle at standstill only the air and the pitch change; all other
 quantities remain as they are.
 
-[L1] error of a step = h / 2 |k1 + k2| of the sliding, the difference between the step and its first
-     stage. The first stage is a method of first order (Rosenbrock-Euler). The step itself is more
-     accurate, so the error is an upper estimate. It chooses the steps of a tick by tolerance.
-
 A branch in a loop over the lanes would prevent vector instructions. Therefore these loops compute
 both results and choose between them with a conditional expression.
 """
@@ -237,13 +233,6 @@ def finish(w):
             w, j, w[row.WHEEL_END + j], w[row.BRAKE + j], motor_Nm, 2.0 * wheel1, 2.0 * roller1
         )
         w[row.PULL + j] = pull_N
-
-        # by how much the first stage alone would have missed the sliding [L1]
-        missed_m_s = w[row.ROLLER_M + j] * (roller1 + roller_k)
-        missed_m_s -= w[row.WHEEL_M + j] * (wheel1 + wheel_k)
-        error_m_s = abs(0.5 * h * missed_m_s) if moving else 0.0
-        w[row.ERROR + j] = max(w[row.ERROR + j], error_m_s)
-
         force_N = 0.5 * w[row.PULL_BEFORE + j] + 0.5 * pull_N
         mean_Nm = 0.5 * w[row.BRAKE_BEFORE + j] + 0.5 * brake_Nm
 
