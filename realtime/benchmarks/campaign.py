@@ -1,24 +1,40 @@
 """`rollerrig bench campaign`: how many stops a campaign does, on one worker, on two, and on Dask.
 
-All figures come from stops of the packaged plan `low_adhesion`, at steps of 0.1 ms. The rate is per
-minute of processor time, so that other programs do not affect it. The ratio of two workers to one
-is of wall time, and needs a machine that is otherwise idle. Dask's overhead is the wall time of a
-worker that receives one stop at a time, relative to the time of its stops.
+All figures come from stops of the packaged plan `low_adhesion`. A process with another number of
+axles (`ROLLERRIG_AXLES`) takes the scenario of SCENARIOS instead of that of the plan. The rate is
+per minute of processor time, so that other programs do not affect it. The ratio of two workers to
+one is of wall time, and needs a machine that is otherwise idle. Dask's overhead is the wall time of
+a worker that receives one stop at a time, relative to the time of its stops. All of these have the
+step of the scenario (0.1 ms).
+
+Some stops then run with longer steps, alternately with the same stops at 0.1 ms. The factors are
+ratios of processor time, and the deviations are those of the stopping distance.
 """
 
 import argparse
+import math
 import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.table import Table
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
+from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign
 
 PLAN = "low_adhesion"
+# scenarios of the plan by the number of axles; stops with more axles run alone, at one step
+SCENARIOS = {2: "bogie_low", 4: "velim_a1"}
+# longer steps that are compared with the step of the scenario, and stops of the comparison
+STEPS_S = (2e-4, 5e-4, 1e-3)
+COMPARED = 60
+# the largest deviation of a stopping distance that 99 % of the stops may have
+DEVIATION = 5e-4
 # requirements: stops per minute and core, two workers over one, memory of a worker, Dask's overhead
 RATE = 300.0
 SPEED_UP = 1.8
@@ -36,13 +52,21 @@ _MANY_STOPS = 10_000
 
 def run(given: argparse.Namespace, say: Say) -> Result:
     """Measure the same stops in four ways."""
-    plan = campaign.load(PLAN, runs=RUNS, chunk=CHUNK)
+    if AXLES not in SCENARIOS:
+        raise ConfigError(
+            f"bench campaign has no scenario with {AXLES} axles; allowed are "
+            f"{', '.join(map(str, SCENARIOS))} ({AXLES_VARIABLE})"
+        )
+    plan = campaign.load(PLAN, runs=RUNS, chunk=CHUNK, scenario=SCENARIOS[AXLES], step_s=0.0)
     # loads and compiles what the first stop needs
     campaign.run_chunk(plan._replace(points=plan.points[:1]), 0)
 
     say(f"{CHUNK} stops in this process ...")
     rows, spent = _timed(plan, 0)
     cpu_s = spent["cpu_s"]
+
+    say(f"{COMPARED} stops with longer steps, alternately with 0.1 ms ...")
+    steps = longer_steps(plan)
 
     say(f"{ROUNDS} times {RUNS} stops on one worker, then on two ...")
     one = workers(plan, 1)
@@ -58,6 +82,8 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         "stops_per_minute_and_core": 60.0 * len(rows) / cpu_s,
         "wall_share": cpu_s / spent["wall_s"],
         "stop_mean_s": sum(row["stop_time_s"] or 0.0 for row in rows) / len(rows),
+        "axles": AXLES,
+        "steps": steps,
         "one_worker": one,
         "two_workers": two,
         "speed_up": speed_up,
@@ -77,6 +103,42 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             "and other programs used the rest"
         ],
     }
+
+
+def longer_steps(plan: campaign.Plan) -> list[Result]:
+    """Return, for each of STEPS_S, its factor of time and the deviations of the distances.
+
+    `plan` has the step of the scenario. Each chunk runs with all steps before the next one begins.
+    """
+    plans = {0.0: plan}
+    for step_s in STEPS_S:
+        # without the longest stops, which would run again at the step of the scenario
+        plans[step_s] = plan._replace(head=plan.head | {campaign.STEP: step_s})
+    distances_m: dict[float, list[float]] = {step_s: [] for step_s in plans}
+    spent_s = dict.fromkeys(plans, 0.0)
+    for chunk in range(COMPARED // CHUNK):
+        for step_s, each in plans.items():
+            begun_s = time.process_time()
+            rows = campaign.once(campaign.piece(each, chunk)).values()
+            spent_s[step_s] += time.process_time() - begun_s
+            distances_m[step_s] += [row["braking_distance_m"] or math.nan for row in rows]
+    exact_m = np.array(distances_m[0.0])
+    found = []
+    for step_s in STEPS_S:
+        missed = np.abs(np.array(distances_m[step_s]) / exact_m - 1.0)
+        missed = missed[np.isfinite(missed)]
+        found.append(
+            {
+                "step_s": step_s,
+                "factor": spent_s[0.0] / spent_s[step_s],
+                "stops": missed.size,
+                "median": float(np.quantile(missed, 0.5)),
+                "p99": float(np.quantile(missed, 0.99)),
+                "worst": float(missed.max()),
+                "share_within": float((missed <= DEVIATION).mean()),
+            }
+        )
+    return found
 
 
 def _memory_after_many_stops(one: Result, two: Result) -> float:
@@ -168,6 +230,15 @@ def peak_memory_MB() -> float:
 
 def table(result: Result) -> Table:
     """Return the figures of the campaign."""
+    steps = []
+    for step in result["steps"]:
+        name = f"steps of {1e3 * step['step_s']:g} ms"
+        steps += [
+            (f"{name}: times as many stops as at 0.1 ms", step["factor"], ""),
+            (f"{name}: median deviation of the distance", 100 * step["median"], "%"),
+            (f"{name}: deviation of 99 % of {step['stops']} stops", 100 * step["p99"], "%"),
+            (f"{name}: worst deviation", 100 * step["worst"], "%"),
+        ]
     one = result["one_worker"]
     two = result["two_workers"]
     dask = result["dask"]
@@ -177,6 +248,8 @@ def table(result: Result) -> Table:
         [
             ("stops per minute and core", result["stops_per_minute_and_core"], ""),
             ("mean length of a stop", result["stop_mean_s"], "s"),
+            ("axles", result["axles"], ""),
+            *steps,
             (f"{one['stops']} stops on one worker", one["wall_s"], "s"),
             (f"{two['stops']} stops on two workers", two["wall_s"], "s"),
             ("two workers over one", result["speed_up"], ""),

@@ -9,9 +9,10 @@ campaign keeps no rows of all runs (`large`).
 
 import hashlib
 import json
+import math
 import re
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,8 +38,15 @@ ROWS = (
     integer("runs", 64, 1, 1_000_000_000, "of a random design"),
     integer("seed", 0, 0, 2**31 - 1, "of a random design"),
     integer("chunk", 20, 1, 10_000, "runs that one worker does at a time"),
+    table.number("step_s", 0.0, 0.0, 1e-2, "physics of most stops; 0: the step of the scenario"),
     integer("rows_up_to", 200_000, 0, 10_000_000, "runs of a random design that keep their rows"),
 )
+# Of a chunk, the share of the stops with the longest distances that run again at the step of the
+# scenario, if the others have a longer one.
+AGAIN = 0.01
+# columns of the step of a row, and of the share by which the longer step has missed the distance
+STEP = "step_s"
+MISSED = "long_step_missed"
 # runs in a chunk of a large campaign, if the plan states no other
 _LARGE_CHUNK = 200
 # units that a campaign knows without importing a module
@@ -51,6 +59,8 @@ _UNIT_IS = (
 )
 # the option of the command line without which a plan runs no code
 ALLOW_CODE = "--allow-code"
+
+_DISTANCE = "braking_distance_m"
 
 Row = dict[str, Any]  # one run of the result, by the names of its columns
 
@@ -124,7 +134,20 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
         _check_unit(head["unit"], path, allow_code)
         _unit(head["unit"])
     _check_values(plan, path)
+    _check_step(plan, path)
     return plan
+
+
+def _check_step(plan: Plan, path: Path) -> None:
+    """Raise ConfigError if the step of the plan does not divide the tick of the first run."""
+    if _long_step_s(plan) is not None:
+        try:
+            _with_long_step(plan, plan.first)
+        except ConfigError as error:
+            raise ConfigError(
+                f"{path}: step_s = {plan.head[STEP]:g}: {error}; or set step_s = 0 for the step of "
+                "the scenario"
+            ) from None
 
 
 def _check_values(plan: Plan, path: Path) -> None:
@@ -186,6 +209,33 @@ def resolve(plan: Plan, number: int) -> scenario.Scenario:
     return resolved
 
 
+def _long_step_s(plan: Plan) -> float | None:
+    """Return the step of the plan if it is longer than that of its scenario; None if it is not.
+
+    A plan that varies the step, or whose unit is code, has the step of the scenario.
+    """
+    step_s = float(plan.head[STEP])
+    if step_s == 0.0 or plan.head["unit"] not in _NAMED_UNITS or "loop.step_s" in plan.axes:
+        return None
+    try:
+        of_scenario_s = float(resolve(plan, plan.first)["loop"][STEP])
+    except RollerrigError:
+        # the row of this run reports it
+        return None
+    return step_s if step_s > of_scenario_s else None
+
+
+def _with_long_step(plan: Plan, number: int) -> scenario.Scenario:
+    """Return the scenario of a run with the step of the plan, if it runs in lanes. Raises
+    ConfigError.
+
+    Stops that run alone keep the step of the scenario: longer ones are checked in lanes only.
+    """
+    longer = (*settings(plan, number), f"loop.step_s={plan.head[STEP]!r}")
+    found = scenario.load(plan.head["scenario"], "", longer)
+    return found if four_stops.fits(found) else resolve(plan, number)
+
+
 def settings(plan: Plan, number: int) -> tuple[str, ...]:
     """Return the values that run `number` changes, in the form of `--set`."""
     values = plan.points[number - plan.first]
@@ -224,16 +274,13 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
     """Run one chunk; return one row per run.
 
     A run that fails has an error and no figures. A run that is not valid has its reasons and no
-    figures.
+    figures. Where the step of the plan is longer than that of the scenario, the longest stops (the
+    share AGAIN, at least one) run again with the step of the scenario.
     """
     of_chunk = piece(plan, chunk)
-    rows = {
-        number: empty_row(plan, number, point)
-        for number, point in enumerate(of_chunk.points, start=of_chunk.first)
-    }
-
     unit_command = unit_choice.command_of(plan.head["unit"])
     if unit_command:
+        rows = _empty_rows(of_chunk)
         for number, row in rows.items():
             done = bench_runs.run(
                 plan.head["scenario"],
@@ -248,20 +295,70 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
                     row |= speed_steps.decelerations(done.channels, plan.steps)
         return list(rows.values())
 
-    def resolved() -> Iterator[tuple[int, scenario.Scenario]]:
+    rows = once(of_chunk)
+    if _long_step_s(of_chunk) is not None:
+        _run_again(of_chunk, rows)
+    return list(rows.values())
+
+
+def once(plan: Plan) -> dict[int, Row]:
+    """Run all runs of a plan in this process, none of them again; return their rows by number."""
+    rows = _empty_rows(plan)
+    has_long_step = _long_step_s(plan) is not None
+    _compute(plan, rows, _with_long_step if has_long_step else resolve)
+    return rows
+
+
+def _empty_rows(plan: Plan) -> dict[int, Row]:
+    """Return rows without results for all runs of a plan, by number."""
+    numbered = enumerate(plan.points, start=plan.first)
+    return {number: empty_row(plan, number, point) for number, point in numbered}
+
+
+def _compute(
+    plan: Plan, rows: dict[int, Row], resolved: Callable[[Plan, int], scenario.Scenario]
+) -> None:
+    """Write the results of runs into their rows, by number; `resolved` gives their scenarios."""
+
+    def jobs() -> Iterator[tuple[int, scenario.Scenario]]:
         for number, row in rows.items():
             try:
-                yield number, resolve(plan, number)
+                yield number, resolved(plan, number)
             except RollerrigError as error:
                 row["error"] = str(error)
 
     unit = _unit(plan.head["unit"])
-    for finished in four_stops.together(resolved(), unit):
+    for finished in four_stops.together(jobs(), unit):
         row = rows[finished.tag]
         _fill(row, summarize(finished, plan.head["unit"]))
+        row[STEP] = finished.plan["loop"][STEP]
         if plan.steps is not None:
             row |= speed_steps.decelerations(finished.channels, plan.steps)
-    return list(rows.values())
+
+
+def _run_again(plan: Plan, rows: dict[int, Row]) -> None:
+    """Run the longest stops of a chunk again with the step of the scenario, and replace their rows.
+
+    A vehicle that did not stop within its time is longer than any other.
+    """
+
+    def distance_m(number: int) -> float:
+        row = rows[number]
+        return math.inf if row["stopped"] is False else row[_DISTANCE]
+
+    counted = [number for number, row in rows.items() if row["stopped"] is False or row[_DISTANCE]]
+    counted.sort(key=distance_m, reverse=True)
+    first = plan.first
+    again = {
+        number: empty_row(plan, number, plan.points[number - first])
+        for number in counted[: math.ceil(AGAIN * len(rows))]
+    }
+    _compute(plan, again, resolve)
+    for number, row in again.items():
+        before_m = rows[number][_DISTANCE]
+        if before_m and row[_DISTANCE]:
+            row[MISSED] = before_m / row[_DISTANCE] - 1.0
+        rows[number] = row
 
 
 def _fill(row: Row, found: Row) -> None:
@@ -279,7 +376,7 @@ def empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
     results = (
         *("stopped", "ended", "valid", "invalid_because", "warnings"),
         *figures.BY_NAME,
-        *("config_hash", "error"),
+        *("config_hash", "error", STEP, MISSED),
         *(plan.steps.columns if plan.steps else ()),
     )
     inputs = dict(zip(plan.axes, point, strict=True))
@@ -320,6 +417,7 @@ def claim(plan: Plan, out: Path) -> None:
     """Create a result folder for a plan, or check that it holds this plan. Raises ConfigError."""
     found = fingerprint(plan)
     mark = out / "plan.json"
+    _check_same_step(plan, mark, out)
     if mark.exists() and _fingerprint(mark, out) != found:
         raise ConfigError(
             f"{out} holds the results of another plan or version; give a new folder with --out, or "
@@ -336,6 +434,19 @@ def claim(plan: Plan, out: Path) -> None:
     with writing(out):
         make_folder(out, "results")
         write_text(mark, json.dumps(content, indent=1))
+
+
+def _check_same_step(plan: Plan, mark: Path, out: Path) -> None:
+    """Raise ConfigError if a folder has stops with another step than the plan."""
+    content = user_files.read_json(mark, within=out) if mark.exists() else None
+    head = content.get("head") if isinstance(content, dict) else None
+    step_s = head.get(STEP, plan.head[STEP]) if isinstance(head, dict) else plan.head[STEP]
+    if step_s != plan.head[STEP]:
+        raise ConfigError(
+            f"{out} holds stops with step_s = {step_s}, and this plan has step_s = "
+            f"{plan.head[STEP]}; one result has one step: set step_s = {step_s} to continue, or "
+            "give a new folder with --out"
+        )
 
 
 def fingerprint(plan: Plan) -> str:

@@ -25,6 +25,8 @@ class Outcome(NamedTuple):
     distance_m: order statistics of the stopping distance of the runs that count.
     uncounted, not_stopped: numbers of runs that do not count, and that count as inf.
     quantiles: (figure, its values at QUANTILES); figures that no run has are left out.
+    again: (number of stops that ran again with the step of the scenario, the largest share by which
+    the longer step had missed their distance); of a large campaign, those among its longest stops.
     warnings: what was planned but did not happen, with the number of its runs.
     """
 
@@ -38,6 +40,7 @@ class Outcome(NamedTuple):
     uncounted: int
     not_stopped: int
     quantiles: list[tuple[str, list[float]]]
+    again: tuple[int, float]
     warnings: dict[str, int]
 
     @property
@@ -76,6 +79,7 @@ def of_rows(table: pa.Table) -> Outcome:
         uncounted=int((~counts).sum()),
         not_stopped=int(np.isinf(distance_m).sum()),
         quantiles=quantiles,
+        again=_again(table),
         warnings=dict(Counter(text for text in table["warnings"].to_pylist() if text)),
     )
 
@@ -99,5 +103,13 @@ def of_kept(kept: large.Kept) -> Outcome:
         uncounted=whole.runs - whole.counted,
         not_stopped=whole.not_stopped,
         quantiles=quantiles,
+        again=_again(whole.tails.get(large.DISTANCE, whole.first)),
         warnings=whole.warnings,
     )
+
+
+def _again(table: pa.Table) -> tuple[int, float]:
+    """Return how many rows ran again, and the largest share that the longer step had missed."""
+    missed = np.abs(table[campaign.MISSED].to_numpy().astype(float))
+    missed = missed[np.isfinite(missed)]
+    return missed.size, float(missed.max(initial=0.0))

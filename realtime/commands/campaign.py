@@ -109,6 +109,8 @@ def call(options: argparse.Namespace) -> int:
         lines.append(f"  run {case['run']}: {value}: {case['replay']}")
     for case in not_valid[:_LISTED_NOT_VALID]:
         lines.append(f"  run {case['run']} is not valid: {case['because']}: {case['replay']}")
+    if sentence := campaign_report.step(plan, found):
+        lines.append(sentence)
     lines.append(f"report: {report}")
 
     output.show(
@@ -118,6 +120,11 @@ def call(options: argparse.Namespace) -> int:
             "runs": found.runs,
             "failed": found.failed,
             "not_valid": found.not_valid,
+            "step": {
+                "step_s": plan.head[campaign.STEP],
+                "ran_again": found.again[0],
+                "largest_deviation": found.again[1],
+            },
             "report": str(report),
             "worst": worst,
             "stopping_distance": stopping.bounds(found.distance_m),

@@ -116,6 +116,18 @@ def warnings(outcome: Outcome) -> list[str]:
     return [f"{text} ({count} of {outcome.runs} runs)" for text, count in outcome.warnings.items()]
 
 
+def step(plan: campaign.Plan, outcome: Outcome) -> str:
+    """Return a sentence on the step of the stops, and on those that ran again; "" without any."""
+    again, missed = outcome.again
+    if not again:
+        return ""
+    return (
+        f"stops have steps of {1e3 * plan.head[campaign.STEP]:g} ms; {again} of the longest ran "
+        "again with the step of the scenario, and their stopping distances had differed by at most "
+        f"{100 * missed:.2g} %"
+    )
+
+
 def cells(outcome: Outcome) -> list[list[str]]:
     """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
     rows = [[name, *(f"{value:.4g}" for value in values)] for name, values in outcome.quantiles]
@@ -243,6 +255,8 @@ def _page(
     parts += tail.parts(plan, outcome)
 
     parts += [page.element("h2", "All figures"), page.table(HEAD, cells(outcome))]
+    if sentence := step(plan, outcome):
+        parts.append(page.paragraph(f"{sentence[0].upper()}{sentence[1:]}."))
     if constant:
         parts.append(page.paragraph(f"The same in every run: {', '.join(constant)}."))
     if differing:
