@@ -43,7 +43,10 @@ GROUPS = -(-AXLES // AXLES_OF_GROUP)
 # it is. The command line starts itself again for a vehicle with other equipment.
 EQUIPMENT_VARIABLE = "ROLLERRIG_EQUIPMENT"
 DYNAMIC_BRAKE = "dynamic_brake"
-ALLOWED_EQUIPMENT = (DYNAMIC_BRAKE,)
+MAGNETIC_TRACK_BRAKE = "magnetic_track_brake"
+# the section of a scenario with each equipment, and the key that lists where the vehicle has it
+EQUIPMENT_KEYS = {DYNAMIC_BRAKE: "axles", MAGNETIC_TRACK_BRAKE: "bogies"}
+ALLOWED_EQUIPMENT = tuple(EQUIPMENT_KEYS)
 
 
 def _equipment_of_process() -> frozenset[str]:
@@ -60,6 +63,7 @@ def _equipment_of_process() -> frozenset[str]:
 
 EQUIPMENT = _equipment_of_process()
 HAS_DYNAMIC_BRAKE = DYNAMIC_BRAKE in EQUIPMENT
+HAS_MAGNETIC_TRACK_BRAKE = MAGNETIC_TRACK_BRAKE in EQUIPMENT
 # the axles of a group with the most axles
 UNIT_AXLES = min(AXLES, AXLES_OF_GROUP)
 
@@ -126,9 +130,12 @@ def check_axles_of(sections: Mapping[str, Any], where: str) -> None:
 
 def equipment_of(sections: Mapping[str, Any]) -> frozenset[str]:
     """Return the equipment of the vehicle of a resolved scenario."""
-    section = sections.get(DYNAMIC_BRAKE)
-    has_motors = isinstance(section, Mapping) and bool(section.get("axles"))
-    return frozenset((DYNAMIC_BRAKE,)) if has_motors else frozenset()
+    found = []
+    for name, key in EQUIPMENT_KEYS.items():
+        section = sections.get(name)
+        if isinstance(section, Mapping) and section.get(key):
+            found.append(name)
+    return frozenset(found)
 
 
 def check_vehicle_of(resolved: Mapping[str, Any], where: str) -> None:
@@ -140,7 +147,7 @@ def check_vehicle_of(resolved: Mapping[str, Any], where: str) -> None:
     equipment = equipment_of(resolved)
     if isinstance(vehicle, Mapping):
         check_axles(vehicle.get("axles", COACH_AXLES), f"{where} [vehicle] axles", equipment)
-    check_equipment(equipment, f"{where} [{DYNAMIC_BRAKE}]")
+    check_equipment(equipment, where)
 
 
 def bodies(bogies_per_body: int) -> int:

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, HAS_MAGNETIC_TRACK_BRAKE
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import (
     ACYCLIC,
@@ -26,8 +27,15 @@ from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import Abort, AbortError, key
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.magnets import BITS_PER_AXLE
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
-from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, BY_NAME
+from rollerrig.wsp_interface.signals import (
+    AXLES,
+    BRAKE_NODE,
+    BY_NAME,
+    TRACK_BRAKE_OBJECT,
+    TRACK_BRAKE_SUB,
+)
 
 # the array of commands: the energised magnets of each axle (bit 0 hold, bit 1 vent), then the brake
 # cylinder pressure in Pa that the bus commands (NaN: none)
@@ -36,11 +44,20 @@ BRAKE_DEMAND = AXLES
 COMMANDS = AXLES + 1
 
 DEVICE_TYPE = 0x000F0191
+TEXT_OF_OUTPUTS = "bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1"
 PRODUCT = process_image.Product("brake I/O", 0x401)
 TITLES = {0x6401: "Read analogue input 16-bit"}
 DEMAND = BY_NAME["brake_demand"].places[0]
 HIGHEST_DEMAND_mbar = 10_000
-RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
+RPDOS: tuple[Pdo, ...] = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
+# the bits of 6200h:2 that command the magnets of the leading bogie of the group
+MASK_OF_BOGIE = 0b0101
+# outputs of 8 bits by their sub-index of 6200h; the second only where the vehicle has such a brake
+OUTPUTS: tuple[str, ...] = ("Magnets",)
+if HAS_MAGNETIC_TRACK_BRAKE:
+    OUTPUTS += ("Magnetic track brake",)
+    TEXT_OF_OUTPUTS += "; track brake: bit 2j for the bogie of axle j+1"
+    RPDOS += (Pdo(EVENT_DRIVEN, ((TRACK_BRAKE_OBJECT, TRACK_BRAKE_SUB, 8),)),)
 
 
 def tpdos(axles: int) -> tuple[Pdo, ...]:
@@ -63,13 +80,13 @@ def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
             "Write output 8-bit",
             "U8",
             "rw",
-            [0],
-            ("Magnets",),
+            [0] * len(OUTPUTS),
+            OUTPUTS,
             mappable=True,
-            text="bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1",
+            text=TEXT_OF_OUTPUTS,
         ),
-        *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF], ("Magnets",)),
-        *array(0x6207, "Error value output 8-bit", "U8", "rw", [0], ("Magnets",)),
+        *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF] * len(OUTPUTS), OUTPUTS),
+        *array(0x6207, "Error value output 8-bit", "U8", "rw", [0] * len(OUTPUTS), OUTPUTS),
         *array(
             0x6411,
             "Write analogue output 16-bit",
@@ -106,12 +123,14 @@ def build(
     on_command: Callable[[], None] = lambda: None,
     storage: Path | None = None,
     group: int = 0,
+    track_brake: np.ndarray | None = None,
 ) -> Node:
     """Build the node of a group of axles (0: the leading one).
 
     `row`: live float64 array of all signals. `commands`: float64 array of shape (COMMANDS,), of
     which the node writes the magnets of its axles and the demand before it calls `on_command()`.
-    `storage`: the file of 1010h.
+    `storage`: the file of 1010h. `track_brake`: float64 array of shape (AXLES,), of which the node
+    writes its axles: 1 where the magnetic track brake is on; None for a vehicle without one.
     """
     parameters = dict(parameters or {})
     lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
@@ -134,7 +153,7 @@ def build(
     )
     node.commands = frozenset({0x6200, 0x6411})
     node.event_enablers = {0x6000: key(0x6005, 0), 0x6401: key(0x6423, 0)}
-    node.device = BrakeIo(node, row, commands, on_command, axles)
+    node.device = BrakeIo(node, row, commands, on_command, axles, track_brake)
     return node
 
 
@@ -152,12 +171,16 @@ class BrakeIo:
         commands: np.ndarray,
         on_command: Callable[[], None],
         axles: range,
+        track_brake: np.ndarray | None = None,
     ) -> None:
         self.node = node
         self.commands = commands
         # the magnets of this node's axles, a part of the same memory
         self._magnets = commands[axles[0] - 1 : axles[-1]]
         self._first_axle = axles[0]
+        self._track_brake = np.zeros(0)
+        if track_brake is not None:
+            self._track_brake = track_brake[axles[0] - 1 : axles[-1]]
         self.on_command = on_command
         self.locked = False
         # a vent magnet is energised without its hold magnet
@@ -166,10 +189,13 @@ class BrakeIo:
         read_demand = process_image.reader(row, signals.column("brake_demand"), DEMAND)
         objects.attach(0x6000, 1, read=lambda: objects.values[key(0x6200, 1)])
         objects.attach(0x6200, 1, check=self._check_unlocked, effect=self._energise)
+        if track_brake is not None:
+            objects.attach(TRACK_BRAKE_OBJECT, TRACK_BRAKE_SUB, effect=self._switch_track_brake)
         objects.attach(0x6411, 1, read=read_demand, effect=self._demand)
         node.on_partner.append(self._on_partner)
         node.on_state.append(self._on_state)
         node.on_reset.append(self._forget_demand)
+        node.on_power_off.append(lambda: self._switch_track_brake(0))
         # without power no magnet is energised, whatever 6207h is
         node.on_power_off += [self._forget_demand, lambda: self._energise(magnets.ALL_OFF)]
         self._magnets[:] = 0.0
@@ -184,6 +210,8 @@ class BrakeIo:
         self.node.event(Code.MAGNETS_FAIL_SAFE, magnets=byte, reason=why)
         values[key(0x6200, 1)] = byte
         self._energise(byte)
+        if self._track_brake.size:
+            self._fail_track_brake()
         if values[key(0x6443, 1)]:
             self._demand(values[key(0x6444, 1)])
 
@@ -199,6 +227,22 @@ class BrakeIo:
             self._venting_alone[at] = alone
             self._magnets[at] = magnets.VENTING if alone else pair
         self.on_command()
+
+    def _switch_track_brake(self, byte: int) -> None:
+        """Switch the magnets of bogies: bit 2j is for the bogie of axle j+1."""
+        for first in range(0, self._track_brake.size, AXLES_OF_BOGIE):
+            bits_of_bogie = byte >> BITS_PER_AXLE * first & MASK_OF_BOGIE
+            self._track_brake[first : first + AXLES_OF_BOGIE] = bits_of_bogie != 0
+        self.on_command()
+
+    def _fail_track_brake(self) -> None:
+        """Give the magnetic track brake the value of 6206h:2 and 6207h:2."""
+        values = self.node.objects.values
+        command = key(TRACK_BRAKE_OBJECT, TRACK_BRAKE_SUB)
+        mask = values[key(0x6206, TRACK_BRAKE_SUB)]
+        error_value = values[key(0x6207, TRACK_BRAKE_SUB)]
+        values[command] = values[command] & ~mask | error_value & mask
+        self._switch_track_brake(values[command])
 
     def _demand(self, raw: int) -> None:
         self.commands[BRAKE_DEMAND] = raw * DEMAND.scale

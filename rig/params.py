@@ -25,7 +25,7 @@ from rollerrig.configs.vehicle import (
     check_axles_of,
     weighed_share,
 )
-from rollerrig.rig import dynamic_params
+from rollerrig.rig import dynamic_params, track_brake_params
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.creep_force import MODELS
@@ -234,6 +234,7 @@ class Params(NamedTuple):
     film: RollerFilm
     coach: Packed | None = None
     dynamic: dynamic_params.DynamicBrake | None = None  # None: the vehicle has none
+    track_brake: track_brake_params.MagneticTrackBrake | None = None  # likewise
 
 
 def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Any]]:
@@ -392,6 +393,7 @@ def build(
         film=_film(sections["roller_film"], mode),
         coach=_coach({**sections, "vehicle": vehicle}, roller_radius_m, law, step_s),
         dynamic=dynamic_params.build(sections, step_s, traction),
+        track_brake=track_brake_params.build(sections, tick_s),
     )
 
 
@@ -465,6 +467,7 @@ def build_rollers(
         "sanders": {**sections["sanders"], "axle": 0, "second_axle": 0},
         "flats": {**sections["flats"], "wear_mm3_J": 0.0},
         "roller_film": {**sections["roller_film"], "thinning": 0.0},
+        "magnetic_track_brake": {**sections["magnetic_track_brake"], "bogies": ()},
     }
     no_friction = Friction(
         by_place=np.zeros(0, np.bool_),

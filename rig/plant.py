@@ -9,7 +9,16 @@ import math
 
 import numpy as np
 
-from rollerrig.rig import brake, dynamic_brake, heat, motor, surface, vehicle, wheelset
+from rollerrig.rig import (
+    brake,
+    dynamic_brake,
+    heat,
+    motor,
+    surface,
+    track_brake,
+    vehicle,
+    wheelset,
+)
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.mechanisms import applied, pads, wheel_flat
@@ -64,7 +73,7 @@ def friction(state, params):
     """Set the friction of the contaminant under each axle for this time and place.
 
     In this order: the programme, a command from the bus, mechanisms ([X1] of `mechanisms.table`),
-    sand ([S2] of `surface`) and roller film ([F1]).
+    sand ([S2] of `surface`), roller film ([F1]) and the magnets ahead ([T4] of `track_brake`).
     """
     plan = params.friction
     if params.effects.on_friction or params.effects.on_torque:
@@ -99,6 +108,14 @@ def friction(state, params):
             raise_friction(state, j, params.sanders.gain * share, params)
         if params.film.acts:
             raise_friction(state, j, params.film.gain * film_share(state.film[j]), params)
+        clean_by_magnets(state, j, params, params.track_brake)
+
+
+@kernel_inlined
+def clean_by_magnets(state, axle, params, magnets):
+    """Raise the friction of an axle behind magnets; nothing where `magnets` is None."""
+    if magnets is not None:
+        raise_friction(state, axle, track_brake.cleaning(state, axle, magnets), params)
 
 
 @kernel
@@ -126,6 +143,7 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
     params : `Params`
     """
     target_Pa = prepare(state, delay, magnets, demand_Pa, tick, params)
+    track_brake.advance(state, target_Pa, params, params.track_brake)
     for i in range(params.substeps):
         step(state, target_Pa, params)
         state.time[0] = (tick * params.substeps + i + 1) * params.step_s
@@ -287,6 +305,7 @@ def observe(state, params):
         state.tooth_frequency[j] = state.wheel_speed[j] * teeth_per_rad
         state.pulse_count[j] = np.floor(state.wheel_angle[j] * teeth_per_rad)
         watch_lock(state, j, params)
+    track_brake.observe(state, params.track_brake)
 
 
 @kernel_inlined

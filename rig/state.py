@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES, HAS_DYNAMIC_BRAKE
+from rollerrig.configs.vehicle import AXLES, HAS_DYNAMIC_BRAKE, HAS_MAGNETIC_TRACK_BRAKE
 from rollerrig.rig.compiled import state_type
 from rollerrig.rig.multibody import coach_state
 
@@ -137,6 +137,15 @@ class State(NamedTuple):
         np.ndarray
     )  # -, share of traction that the bus demands, below 0 none; the tick
     traction_demand: np.ndarray  # -, share of the traction force that acts; dynamic_brake
+    # magnetic track brake, half of a bogie's for each axle; empty in a process without one
+    track_brake_command: np.ndarray  # 1: the bus commands the magnets of the bogie; the tick
+    track_brake_failed: np.ndarray  # 1: the magnets do not drop; the tick
+    track_brake_demand: np.ndarray  # 1: the magnets are demanded; track_brake
+    track_brake_lowered: np.ndarray  # -, 0 raised to 1 on the rail; track_brake
+    track_brake_attraction: np.ndarray  # -, share of the whole attraction; track_brake
+    track_brake_force: np.ndarray  # N, on the vehicle; track_brake
+    track_brake_cleaning: np.ndarray  # J/m, work of magnets on the metre that the axle meets
+    track_brake_work: np.ndarray  # J, of all magnets so far; integrate
     # (coach_state.SIZE,) of the multibody model, None for the planar vehicle
     coach: np.ndarray | None = None
 
@@ -176,6 +185,18 @@ OF_DYNAMIC_BRAKE = (
 WIDTHS = dict.fromkeys(PER_VEHICLE, 1) | {"rail_sand": CELLS, "roller_film": AXLES * SECTORS}
 WIDTHS |= dict.fromkeys(OF_DYNAMIC_BRAKE, AXLES if HAS_DYNAMIC_BRAKE else 0)
 WIDTHS |= dict.fromkeys(("traction_command", "traction_demand"), int(HAS_DYNAMIC_BRAKE))
+# the slots of the magnetic track brake
+OF_TRACK_BRAKE = (
+    "track_brake_command",
+    "track_brake_failed",
+    "track_brake_demand",
+    "track_brake_lowered",
+    "track_brake_attraction",
+    "track_brake_force",
+    "track_brake_cleaning",
+)
+WIDTHS |= dict.fromkeys(OF_TRACK_BRAKE, AXLES if HAS_MAGNETIC_TRACK_BRAKE else 0)
+WIDTHS["track_brake_work"] = int(HAS_MAGNETIC_TRACK_BRAKE)
 # where each slot lies in the buffer; the coach's state follows behind
 SLOTS: dict[str, slice] = {}
 _at = 0

@@ -20,7 +20,7 @@ not exist here: the vehicle brakes, or drives forwards.
 
 import math
 
-from rollerrig.rig import dynamic_brake
+from rollerrig.rig import dynamic_brake, track_brake
 from rollerrig.rig import vehicle as body
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion, creep_force
@@ -223,9 +223,11 @@ def integrate(state, params):
     felt = state.felt_acceleration[0]
     resistance_N = body.resistance(v, vehicle)
     resisting_N = 0.5 * resistance_N
+    magnets_N = track_brake.force_N(state, v, params.track_brake)
+    rubbing_N = 0.5 * magnets_N
 
     # first stage: slopes at the beginning of the step
-    total = resistance_N
+    total = resistance_N + magnets_N
     for j in range(AXLES):
         wheel = state.wheel_speed[j]
         roller = state.roller_speed[j]
@@ -256,7 +258,9 @@ def integrate(state, params):
     felt2 = felt + h * f1
     resistance_N = body.resistance(v2, vehicle)
     resisting_N += 0.5 * resistance_N
-    total = resistance_N
+    magnets_N = track_brake.force_N(state, v2, params.track_brake)
+    rubbing_N += 0.5 * magnets_N
+    total = resistance_N + magnets_N
     for j in range(AXLES):
         wheel1 = state.wheel_rate[j]
         roller1 = state.roller_rate[j]
@@ -313,6 +317,7 @@ def integrate(state, params):
     way_m = 0.5 * h * (v + state.vehicle_speed[0])
     state.position[0] += way_m
     state.resistance_work[0] += resisting_N * way_m
+    track_brake.count_work(state, rubbing_N * way_m, params.track_brake)
     if on_track:
         # on a track the surface moves with the vehicle, not with a roller
         for j in range(AXLES):

@@ -67,6 +67,7 @@ SECTIONS = {
     "vehicle": "the vehicle in the plane",
     "brake": "cylinders, levers and discs",
     "dynamic_brake": "[motors that brake and drive](dynamic_brake.md), and blending",
+    "magnetic_track_brake": "[magnets on the rail](vehicles.md#magnetic-track-brake)",
     "pads": "friction of the pads",
     "valve": "dump valves",
     "air": "the supply of air",

@@ -409,8 +409,11 @@ def signal_names(node: int, variable: ODVariable) -> tuple[str, ...]:
             axles = signals.axles_at(signal, node)
             columns = signals.columns(signal)[axles[0] - 1 : axles[-1]]
             offset = variable.subindex - place.sub
-            if place.kind == "U8" and signal.axles > 1 and offset == 0:
-                return columns
+            if place.kind == "U8" and signal.axles > 1:
+                # one byte has two bits for each axle
+                if offset == 0:
+                    return columns
+                continue
             if 0 <= offset < len(columns):
                 return (columns[offset],)
     return (_slug(variable.name),)

@@ -14,6 +14,7 @@ from rollerrig.configs.vehicle import (
     AXLES_OF_GROUP,
     GROUPS,
     HAS_DYNAMIC_BRAKE,
+    HAS_MAGNETIC_TRACK_BRAKE,
     UNIT_AXLES,
 )
 
@@ -26,6 +27,9 @@ BRAKE_NODE = 17
 SANDER_NODE = 18  # only where the vehicle has sanders
 TRACTION_NODE = 19  # only where the vehicle has a dynamic brake
 WSP_NODE = 32
+# the command of the magnetic track brake, a byte of the brake I/O
+TRACK_BRAKE_OBJECT = 0x6200
+TRACK_BRAKE_SUB = 2
 # the nodes of each further group have numbers that are higher by this
 NODES_OF_GROUP = 32
 BENCH_NODE = 127
@@ -474,6 +478,50 @@ OF_DYNAMIC_BRAKE: tuple[Signal, ...] = (
 )
 if HAS_DYNAMIC_BRAKE:
     SIGNALS += OF_DYNAMIC_BRAKE
+
+# the signals of a magnetic track brake, only in a process whose vehicles have one; an axle has half
+# of the magnets of its bogie
+OF_TRACK_BRAKE: tuple[Signal, ...] = (
+    Signal(
+        "track_brake_force",
+        "N",
+        AXLES,
+        "force of the magnets of the axle's bogie on the rail, one half for each of its axles",
+        group="track_brake",
+        places=(Place(BENCH_NODE, 0x2117, 1, "U16", 1.0),),
+    ),
+    Signal(
+        "track_brake_lowered",
+        "",
+        AXLES,
+        "magnets of the axle's bogie: 0 raised, 1 on the rail",
+        group="track_brake_lowered",
+        places=(Place(BENCH_NODE, 0x2118, 1, "U16", 1e-3),),
+    ),
+    Signal(
+        "track_brake_cleaning",
+        "J_m",
+        AXLES,
+        "work of all magnets ahead on the metre of rail that the axle meets",
+        group="track_brake_cleaning",
+    ),
+    Signal(
+        "track_brake_work",
+        "J",
+        1,
+        "energy that all magnets took from the vehicle so far",
+    ),
+    Signal(
+        "track_brake_demand",
+        "",
+        AXLES,
+        "1: the magnets of the axle's bogie are demanded, by an emergency or over the bus",
+        places=(Place(BRAKE_NODE, TRACK_BRAKE_OBJECT, TRACK_BRAKE_SUB, "U8", 1.0),),
+        direction=IN,
+    ),
+)
+if HAS_MAGNETIC_TRACK_BRAKE:
+    SIGNALS += OF_TRACK_BRAKE
 
 
 def axles_at(signal: Signal, node: int) -> range:

@@ -14,7 +14,11 @@ from typing import Any
 from rollerrig.configs import table, toml_text
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, integer, number
-from rollerrig.configs.vehicle import HAS_DYNAMIC_BRAKE
+from rollerrig.configs.vehicle import (
+    AXLES_OF_BOGIE,
+    HAS_DYNAMIC_BRAKE,
+    HAS_MAGNETIC_TRACK_BRAKE,
+)
 from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODE
 
@@ -65,7 +69,7 @@ class Fault:
     @property
     def target(self) -> tuple[str, Any]:
         """Its kind and its aim. Two faults with the same target replace each other."""
-        for aim in ("axle", "node", "can_id"):
+        for aim in ("axle", "bogie", "node", "can_id"):
             if aim in self.values:
                 return self.kind.name, self.values[aim]
         return self.kind.name, 0
@@ -281,6 +285,16 @@ if HAS_DYNAMIC_BRAKE:
             TICK,
             "the traction motor of an axle gives no torque; the friction brake takes over",
             (_AXLE,),
+        ),
+    )
+if HAS_MAGNETIC_TRACK_BRAKE:
+    CATALOGUE += (
+        Kind(
+            30,
+            "track_brake_dead",
+            TICK,
+            "the magnets of a bogie do not drop, or rise if they are down",
+            (integer("bogie", 1, 1, AXLES // AXLES_OF_BOGIE, "bogie, from the leading end"),),
         ),
     )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}

@@ -16,7 +16,7 @@ The air that a leak lets out does not count as used; the air that fills the cyli
 
 import numpy as np
 
-from rollerrig.configs.vehicle import HAS_DYNAMIC_BRAKE
+from rollerrig.configs.vehicle import HAS_DYNAMIC_BRAKE, HAS_MAGNETIC_TRACK_BRAKE
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -39,7 +39,9 @@ SAND_FLAW = 12  # change of the rate as a fraction
 SAND_LATE_s = 13  # additional lag of the hose
 SAND_EMPTY = 14  # 1: the box is empty
 MOTOR_LOST = 15  # 1: the traction motor gives no torque; only with a dynamic brake
-_KINDS = 16 if HAS_DYNAMIC_BRAKE else 15
+# 1: the magnets of the bogie of the axle do not drop; only with a magnetic track brake
+TRACK_BRAKE_DEAD = 15 + HAS_DYNAMIC_BRAKE
+_KINDS = 15 + HAS_DYNAMIC_BRAKE + HAS_MAGNETIC_TRACK_BRAKE
 SIZE = 1 + _KINDS * AXLES
 
 

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.faults import bus, catalogue, confinement, effects
 from rollerrig.firmware_sim.faults.bus import Babble, Gate, Rule
@@ -50,6 +51,10 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "sander_wrong_orifice": lambda v: [(effects.SAND_FLAW, v["axle"], v["factor"] - 1.0)],
     "sander_late": lambda v: [(effects.SAND_LATE_s, v["axle"], v["delay_s"])],
     "dynamic_brake_lost": lambda v: [(effects.MOTOR_LOST, v["axle"], 1.0)],
+    "track_brake_dead": lambda v: [
+        (effects.TRACK_BRAKE_DEAD, AXLES_OF_BOGIE * (v["bogie"] - 1) + place, 1.0)
+        for place in range(1, AXLES_OF_BOGIE + 1)
+    ],
     "torque_ripple": lambda v: [
         (effects.RIPPLE_Nm, v["axle"], v["amplitude_Nm"]),
         (effects.RIPPLE_ORDER, v["axle"], v["order"]),

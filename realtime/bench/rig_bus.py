@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import BusError, PortInUseError
-from rollerrig.configs.vehicle import GROUPS
+from rollerrig.configs.vehicle import GROUPS, HAS_MAGNETIC_TRACK_BRAKE
 from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401, traction401
 from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.cia301.node import Node
@@ -576,14 +576,17 @@ def _build_nodes(
         nodes[number] = encoder406.build(row, parameters, store(number), group)
     for group, number in enumerate(signals.nodes(signals.BRAKE_NODE)):
         commands = command[: io401.COMMANDS]
-        nodes[number] = io401.build(row, commands, parameters, post, store(number), group)
+        track_brake = command[tick.TRACK_BRAKE :] if HAS_MAGNETIC_TRACK_BRAKE else None
+        nodes[number] = io401.build(
+            row, commands, parameters, post, store(number), group, track_brake
+        )
     if scenario.params.sanders.axles:
         for group, number in enumerate(signals.nodes(signals.SANDER_NODE)):
             commands = command[tick.SAND : tick.DRIVES]
             nodes[number] = sander401.build(row, commands, post, store(number), parameters, group)
     if scenario.params.dynamic is not None:
         for group, number in enumerate(signals.nodes(signals.TRACTION_NODE)):
-            commands = command[tick.MOTORS : tick.COMMANDS]
+            commands = command[tick.MOTORS : tick.TRACK_BRAKE]
             nodes[number] = traction401.build(row, commands, post, store(number), parameters, group)
     return nodes
 

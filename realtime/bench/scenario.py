@@ -20,8 +20,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
 from rollerrig.configs.vehicle import (
     COACH_AXLES,
-    DYNAMIC_BRAKE,
     EQUIPMENT,
+    EQUIPMENT_KEYS,
     check_axles,
     check_equipment,
 )
@@ -272,9 +272,10 @@ def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     }
     if traction:
         resolved["traction"] = traction
-    if not merged.sections[DYNAMIC_BRAKE]:
-        # no file mentions a dynamic brake: the resolved scenario is as it always was
-        del resolved[DYNAMIC_BRAKE]
+    for section in EQUIPMENT_KEYS:
+        if not merged.sections[section]:
+            # no file mentions this equipment: the resolved scenario is as it always was
+            del resolved[section]
     params = physics.build(acting, friction, demand, ratios.tick_s, ratios.substeps, traction)
     _check_blending(params, demand, checked)
     rollers = None
@@ -329,14 +330,18 @@ def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
 
 def _equipment(layers: list[Layer]) -> tuple[frozenset[str], str]:
     """Return the equipment of the vehicle, and the layer that gives it last."""
-    found: frozenset[str] = frozenset()
+    found: set[str] = set()
     given_by = "default"
     for where, layer in layers:
-        section = layer.get(DYNAMIC_BRAKE)
-        if isinstance(section, Mapping) and "axles" in section:
-            found = frozenset((DYNAMIC_BRAKE,)) if section["axles"] else frozenset()
+        for name, key in EQUIPMENT_KEYS.items():
+            section = layer.get(name)
+            if not isinstance(section, Mapping) or key not in section:
+                continue
             given_by = where
-    return found, given_by
+            found.discard(name)
+            if section[key]:
+                found.add(name)
+    return frozenset(found), given_by
 
 
 def _check_vehicle(layers: list[Layer]) -> None:
@@ -353,7 +358,7 @@ def _check_vehicle(layers: list[Layer]) -> None:
             given_by = where
     equipment, equipped_by = _equipment(layers)
     check_axles(axles, f"{given_by} [vehicle] axles", equipment)
-    check_equipment(equipment, f"{equipped_by} [{DYNAMIC_BRAKE}]")
+    check_equipment(equipment, equipped_by)
 
 
 def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:

@@ -10,7 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES_OF_GROUP, HAS_DYNAMIC_BRAKE
+from rollerrig.configs.vehicle import (
+    AXLES_OF_GROUP,
+    HAS_DYNAMIC_BRAKE,
+    HAS_MAGNETIC_TRACK_BRAKE,
+)
 from rollerrig.firmware_sim import pole_wheel, rig_control
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
@@ -37,7 +41,9 @@ DRIVES = SAND + AXLES  # commands of each drive, laid out as in drive402.axis
 FAULTS = DRIVES + AXLES * axis.COMMANDS  # faults that act, laid out as in faults.effects
 # with a dynamic brake: the permitted share of each motor, then the demand of traction
 MOTORS = FAULTS + effects.SIZE
-COMMANDS = MOTORS + (AXLES + 1 if HAS_DYNAMIC_BRAKE else 0)
+# with a magnetic track brake: 1: the magnets of the bogie of the axle are on
+TRACK_BRAKE = MOTORS + (AXLES + 1 if HAS_DYNAMIC_BRAKE else 0)
+COMMANDS = TRACK_BRAKE + (AXLES if HAS_MAGNETIC_TRACK_BRAKE else 0)
 
 # slots of the control array, int64
 TICK = 0  # ticks of the run so far
@@ -129,7 +135,7 @@ def first_command() -> np.ndarray:
     row[MAGNETS : MAGNETS + AXLES] = 0.0
     row[FRICTION:] = 0.0
     if HAS_DYNAMIC_BRAKE:
-        row[MOTORS:] = 1.0
+        row[MOTORS : MOTORS + AXLES] = 1.0
         row[MOTORS + AXLES] = NO_COMMAND
     drives = row[DRIVES:FAULTS].reshape(AXLES, axis.COMMANDS)
     drives[:, axis.ENABLED] = 1.0
@@ -270,6 +276,7 @@ def obey(m):
         m.state.sand_command[j] = m.command[SAND + j]
         m.state.sand_rate_fault[j] = effects.value(faults, effects.SAND_FLAW, j)
         m.state.sand_delay_fault[j] = effects.value(faults, effects.SAND_LATE_s, j)
+    command_track_brake(m, faults, m.params.track_brake)
     command_motors(m, faults, m.params.dynamic)
 
 
@@ -281,6 +288,15 @@ def command_motors(m, faults, dynamic):
             m.state.dynamic_permitted[j] = m.command[MOTORS + j]
             m.state.dynamic_failed[j] = effects.value(faults, effects.MOTOR_LOST, j)
         m.state.traction_command[0] = m.command[MOTORS + AXLES]
+
+
+@kernel_inlined
+def command_track_brake(m, faults, magnets):
+    """Pass commands and faults to the magnetic track brake; nothing without one."""
+    if magnets is not None:
+        for j in range(AXLES):
+            m.state.track_brake_command[j] = m.command[TRACK_BRAKE + j]
+            m.state.track_brake_failed[j] = effects.value(faults, effects.TRACK_BRAKE_DEAD, j)
 
 
 @kernel_inlined

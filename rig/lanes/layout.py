@@ -123,6 +123,7 @@ def fits(params: Params) -> bool:
         and params.flats.wear_m3_J == 0.0
         and params.sanders.axles == 0
         and params.dynamic is None
+        and params.track_brake is None
         and not params.film.acts
     )
 
