@@ -19,7 +19,7 @@ import time
 from pathlib import Path
 
 from block_diagram import block_diagram
-from browser import browsing
+from chromium import browsing
 from PIL import Image
 
 ROOT = Path(__file__).parent.parent

@@ -10,7 +10,7 @@ from urllib.parse import unquote, urlsplit
 import pictures
 import pytest
 from block_diagram import block_diagram
-from browser import browsing
+from chromium import browsing
 from PIL import Image
 
 pytest.importorskip("material", reason="the site needs the extra docs")

@@ -12,7 +12,7 @@ import sys
 import numpy as np
 import pytest
 from bench_process import until
-from browser import browsing
+from chromium import browsing
 from desk_process import FREE_PORTS, TABULATOR, Page, served
 
 from rollerrig.configs.errors import BusError, ConfigError

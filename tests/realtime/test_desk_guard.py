@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 from bench_process import until
-from browser import browsing
+from chromium import browsing
 from desk_process import Client, entered, served
 
 pytest.importorskip("nicegui", reason="the desk needs nicegui")

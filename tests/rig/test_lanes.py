@@ -309,7 +309,7 @@ def stages_of(case, n, j):
     p = case.rigs[n].params
     T, g = force_of(case, n, j)
     wheel_k, brake_Nm, locked = wheelset.wheel_acceleration(
-        s.wheel_speed[j], T, s.brake_capacity[j], j, p.wheels
+        s.wheel_speed[j], T, s.brake_capacity[j], 0.0, j, p.wheels
     )
     roller_k = wheelset.roller_acceleration(s.motor_before[j], T, p.mode == 0, p.drive)
     wheel_k, roller_k, added_N = wheelset.implicit_slopes(
