@@ -89,7 +89,7 @@ def test_the_readme_is_one_page():
 def test_the_thresholds_of_explain_are_those_of_the_code():
     rows = re.findall(
         r"^\| `(\w+)` \| ([^|]+) \| `([\w/]+)\.py` \|",
-        text_of("docs/explain.md") + text_of("docs/recorders.md"),
+        text_of("docs/explain_causes.md") + text_of("docs/recorders.md"),
         re.MULTILINE,
     )
     assert {name for name, _, path in rows if path.endswith("recorder/thresholds")} == {

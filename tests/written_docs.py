@@ -180,8 +180,10 @@ TABLES = {
     },
     "robot.md": {"| keyword | arguments | what |": keywords},
     "sequences.md": {"| of the harness | what |": harness},
-    "explain.md": {
+    "explain_causes.md": {
         "| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
+    },
+    "explain_rates.md": {
         "| measure | first | second | third | wanted |": rates,
         thresholds.HEAD: thresholds.rows,
         thresholds.FORM_HEAD: thresholds.form_rows,

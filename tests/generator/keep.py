@@ -3,8 +3,8 @@
     cd tests; python -m generator.keep FOLDER ...
 
 Each folder is one of `rollerrig bench explain --folder FOLDER`. What is judged, also by other
-limits (`thresholds.py`), is kept in `kept/GENERATOR` next to this file. docs/explain.md has its
-table from there (`make docs`). This command prints it:
+limits (`thresholds.py`), is kept in `kept/GENERATOR` next to this file. docs/explain_rates.md has
+its table from there (`make docs`). This command prints it:
 
     rollerrig score tests/generator/kept/third tests/generator/kept/third/explain.json
 """

@@ -1,6 +1,6 @@
 """Which limits of a verdict the answers to one generator would set, and how these judge the others.
 
-    cd tests; python -m generator.thresholds            # the tables of docs/explain.md
+    cd tests; python -m generator.thresholds            # the tables of docs/explain_rates.md
     cd tests; python -m generator.thresholds --judge    # after a limit has changed
 
 `make docs` writes the same tables; --judge keeps the verdicts of changed limits. The kept answers
