@@ -145,7 +145,7 @@ def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
         assert cli.main(words) == 0
     program = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
     subprocess.run([sys.executable, "-c", program], check=True)
-    content = re.search(r"```toml\n(.*?)```", text, re.DOTALL)[1]
+    content = re.search(r"```toml\n(kind = .*?)```", text, re.DOTALL)[1]
     (tmp_path / "stops" / "dataset.toml").write_text(content)
 
     data = dataset.load("stops")

@@ -63,7 +63,7 @@ def test_the_german_files_of_the_page_are_imported_and_explained(
 
 
 def test_the_page_shows_the_dataset_that_its_command_writes(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "howto_import.md").read_text(encoding="utf-8")
     shown = re.search(r"```toml\n(# imported.*?)```", page, re.DOTALL)
     assert shown
     assert import_files(*TRIPS, "--out", tmp_path / "trips", "--yes") == cli.PASS
