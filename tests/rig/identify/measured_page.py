@@ -105,7 +105,7 @@ def judge_locomotive(result: Result) -> str:
 def judge_sand(result: Result) -> str:
     if result["causes"]:
         return f"wrong: {', '.join(others(result))}"
-    return "right" if result["law"]["fits"] is False else "partly: the law is said to fit"
+    return "right" if result["law"]["fits"] is False else "partly: the law is reported to fit"
 
 
 COMMA_WHEELS = ("wheel_fl_m_s", "wheel_fr_m_s", "wheel_rl_m_s", "wheel_rr_m_s")
@@ -176,7 +176,7 @@ def judge_robot_creep(result: Result) -> str:
     if causes(result, "speed_dependent_friction"):
         return (
             "partly: the surfaces differ; but `speed` here is the share of a wheel in the motion, "
-            "and friction is said to depend on it"
+            "and a dependence of friction on it is reported"
         )
     return "right"
 
