@@ -82,7 +82,8 @@ def keys(rows):
     for row in rows:
         if isinstance(row.default, str):
             default = f'`"{row.default}"`' if row.default else ""
-            allowed = ", ".join(row.choices)
+            # a bar would begin the next cell
+            allowed = ", ".join(row.choices).replace("|", r"\|")
         else:
             default = f"{row.default:g}" if row.low <= row.default <= row.high else ""
             allowed = f"{row.low:g} to {row.high:g}"

@@ -54,11 +54,11 @@ SETTERS = "first and second"  # the third judges, and sets nothing
 HEAD = (
     "| set on | ALPHA_CAUSE | "
     + " | ".join(LIMITS)
-    + " | judged on | clean: a finding | one: a finding | "
-    "hidden: named rightly | unknown: given a name |"
+    + " | judged on | none: a finding | one: a finding | "
+    "hidden: identified rightly | unknown: identified |"
 )
 FORM_HEAD = (
-    "| form_fraction | answers to | named first or in a set of two | in the named set "
+    "| form_fraction | answers to | identified first or in a set of two | in the set "
     "| size of the set, mean |"
 )
 # sentences of an answer's notes that decide its verdict
