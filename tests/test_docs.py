@@ -103,6 +103,20 @@ def test_the_thresholds_of_explain_are_those_of_the_code():
         assert getattr(module, name) == pytest.approx(value), f"{path}: {name}"
 
 
+def test_the_rates_that_the_page_of_explain_quotes_are_those_of_its_page_of_rates():
+    quoted = re.findall(r"\| (\d+ of \d+) \|$", text_of("docs/explain.md"), re.MULTILINE)
+    third = {}
+    for row in re.findall(r"^\| (.+) \|$", text_of("docs/explain_rates.md"), re.MULTILINE):
+        cells = row.split(" | ")
+        if len(cells) == 5:
+            third[cells[0]] = cells[3]
+    assert quoted == [
+        third["nothing hidden: consistent"],
+        third["one cause: named first or in a set of two, of detected"],
+        third["cause not in the library: given a name"],
+    ]
+
+
 def test_no_limits_of_remainders_name_more_causes_of_first_and_second_generator_than_a_hundredth():
     kept = generator_thresholds.kept_answers()
     answers = kept["first"] + kept["second"]
