@@ -39,6 +39,7 @@ STANDARDS = (
     "Bad input",
     "Masters",
 )
+FURTHER_THRESHOLDS = "| further threshold | value | where | reason |"
 ALL_ITEMS = pytest.StashKey[list[pytest.Item]]()
 
 
@@ -120,6 +121,48 @@ def searches():
         yield f"| `{cause.name}` | {cause.mechanism.text} | {' | '.join(map(str, cells))} |"
 
 
+def further_thresholds():
+    """Yield the lines of the table of thresholds of a decision that no other table has."""
+    page = (test_architecture.ROOT / "docs" / "explain_causes.md").read_text(encoding="utf-8")
+    before, _, _ = page.partition(f"\n{FURTHER_THRESHOLDS}\n")
+    for path, name, value, reason in commented_numbers(["rig/identify/decide/thresholds.py"]):
+        if f"| `{name}` |" not in before:
+            yield f"| `{name}` | {value} | `{path}` | {reason} |"
+
+
+def thresholds_of_creep_curves():
+    """Yield the lines of the table of thresholds with which creep curves are judged."""
+    modules = ("judgement", "shape", "conditions", "factors", "laws")
+    paths = [f"rig/identify/creep_curves/{module}.py" for module in modules]
+    for path, name, value, reason in commented_numbers(paths):
+        yield f"| `{name}` | {value} | `{path}` | {reason} |"
+
+
+def commented_numbers(paths):
+    """Yield (path, name, value, comment) of the numbers of some modules.
+
+    Numbers without a blank line or a comment between them share the comment above the first.
+    """
+    number = re.compile(r"([A-Z][A-Z_0-9]*) = (-?[0-9][-0-9._e/ ]*?)(?:  # (.*))?$")
+    for path in paths:
+        comment = ""
+        is_comment = False
+        for line in (test_architecture.ROOT / path).read_text(encoding="utf-8").splitlines():
+            was_comment = is_comment
+            is_comment = line.startswith("# ") and not line.startswith("# ---")
+            found = number.match(line)
+            if is_comment:
+                words = line.removeprefix("# ")
+                comment = f"{comment} {words}" if was_comment else words
+            elif found:
+                name, value, words_behind = found.groups()
+                reasons = [words.rstrip(".,") for words in (comment, words_behind) if words]
+                if reasons:
+                    yield path, name, value, "; ".join(reasons)
+            elif not line:
+                comment = ""
+
+
 def rates():
     """Yield the lines of the table of how often `explain` is right, from the kept answers."""
     by_generator = []
@@ -183,6 +226,8 @@ TABLES = {
     "sequences.md": {"| of the harness | what |": harness},
     "explain_causes.md": {
         "| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
+        FURTHER_THRESHOLDS: further_thresholds,
+        "| threshold of creep curves | value | where | reason |": thresholds_of_creep_curves,
     },
     "explain_rates.md": {
         "| measure | first | second | third | wanted |": rates,
