@@ -217,7 +217,7 @@ def scenario_keys():
         "",
         "## [[fault]]",
         "",
-        "`name` is a [fault](faults.md), whose parameters are further keys.",
+        "`kind` is a [fault](faults.md), whose parameters are further keys.",
         "",
         *key_table(catalogue.WHEN),
     ]
