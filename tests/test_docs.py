@@ -14,6 +14,7 @@ import written_docs
 from generator import thresholds as generator_thresholds
 from scipy.stats import binomtest
 
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.rig.identify.data import dataset
@@ -181,6 +182,34 @@ def test_the_identifiers_of_the_page_of_units_are_those_of_the_rig():
         assert f"| {can_id:X}h |" in text
     assert f"I16, {rig_objects.SPEEDS.scales[0]:g} rad/s" in text
     assert f"I16, {rig_objects.REFERENCE_SPEED.scales[0]:g} m/s" in text
+
+
+def files_of(page):
+    """Return the files that a page lets its reader write, by name."""
+    blocks = re.findall(
+        r"^`([\w.]+)`:\n\n((?: {4}.*\n|\n(?= {4}))+)", text_of(f"docs/{page}"), re.MULTILINE
+    )
+    return {name: re.sub(r"^ {4}", "", block, flags=re.MULTILINE) for name, block in blocks}
+
+
+@pytest.mark.parametrize("page", ["howto_run.md", "howto_vehicle.md"])
+def test_the_scenario_of_a_page_and_its_vehicle_load(page, tmp_path):
+    files = files_of(page)
+    for name, content in files.items():
+        (tmp_path / name).write_text(content, encoding="utf-8")
+    command = [Path(sys.executable).with_name("rollerrig"), "devices", "--out", "devices"]
+    command += ["--scenario", "my_stop.toml"]
+    subprocess.run(command, cwd=tmp_path, check=True)
+
+    axles = re.search(r"^axles = (\d+)", files.get("my_vehicle.toml", ""), re.MULTILINE)
+    drives = list((tmp_path / "devices").glob("node_*_roller_drive.eds"))
+    assert len(drives) == (int(axles[1]) if axles else 4)
+
+
+def test_the_settings_of_the_reference_unit_on_the_page_of_vehicles_load(tmp_path):
+    path = tmp_path / "my_wsp.toml"
+    path.write_text(files_of("howto_vehicle.md")[path.name], encoding="utf-8")
+    logic.load(str(path))
 
 
 def test_a_benchmark_replaces_its_own_section_of_the_page(tmp_path):
