@@ -223,7 +223,7 @@ TABLES = {
         "| key of a run | default | allowed | what |": lambda: keys(recording.RUN),
     },
     "robot.md": {"| keyword | arguments | what |": keywords},
-    "sequences.md": {"| of the harness | what |": harness},
+    "harness.md": {"| of the harness | what |": harness},
     "explain_causes.md": {
         "| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
         FURTHER_THRESHOLDS: further_thresholds,

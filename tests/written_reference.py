@@ -253,7 +253,7 @@ def other_keys():
         "",
         "## Campaign",
         "",
-        "At the top of a plan (`configs/campaigns`). [How to write one](sequences.md#campaigns).",
+        "At the top of a plan (`configs/campaigns`). [How to write one](howto_campaign.md).",
         "",
         *key_table(campaign.ROWS),
         "",

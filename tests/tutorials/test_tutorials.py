@@ -21,6 +21,8 @@ PAGES = (
     "tutorial_data.md",
     "tutorial_modbus.md",
     "howto_compare.md",
+    "howto_sequence.md",
+    "howto_campaign.md",
     "howto_robot_ci.md",
 )
 # commands of the README that are not run here, and why
