@@ -25,6 +25,7 @@ def runs(distance_m, **inputs):
         "valid": stopped,
         "invalid_because": pa.array(reasons, pa.string()),
         "error": pa.nulls(len(stopped), pa.string()),
+        "long_step_missed": pa.nulls(len(stopped), pa.float64()),
     }
     return pa.table(columns | inputs)
 
