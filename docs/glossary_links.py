@@ -21,14 +21,19 @@ ROW = re.compile(r"^\| (?!term \|)([^|]+) \| ([^|]+) \|$", re.MULTILINE)
 MARKDOWN_LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 # terms that pages also use as ordinary words
 ORDINARY = {
+    "application",
     "cause",
+    "event",
     "f",
+    "fill",
     "flat",
     "gain",
     "group",
+    "hold",
     "measure",
     "node",
     "patch",
+    "release",
     "unit",
     "valid",
     "vent",

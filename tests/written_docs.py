@@ -70,7 +70,9 @@ def conformance(items):
     lines = [
         "# Conformance",
         "",
-        "Written by `make docs`. The test in the second column checks the behaviour.",
+        "This page is for engineers who want to know which rules of a standard rollerrig follows. After",
+        "reading it you can find the test that checks each rule, in the second column.",
+        "`make docs` writes this page from the marks of the tests.",
     ]
     for standard, behaviours in rows.items():
         if behaviours:
