@@ -34,7 +34,7 @@ WINDOWS = {
 # Smallest correlation and largest difference of causes that agree less well: the plant uses a lag
 # for the way between wheels, and its released brake gives no torque, whatever the offset of the
 # sensor is.
-ROUGHLY = {"rail_cleaning": (0.75, 0.3), "torque_offset": (0.85, 0.25)}
+ROUGHLY = {"rail_cleaning": (0.7, 0.3), "torque_offset": (0.85, 0.25)}
 # sizes of causes: that of the step of the derivative, or else a share of the upper bound
 SIZE = {"adhesion_memory": 2.0}
 SHARE = 1e-3

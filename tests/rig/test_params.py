@@ -58,6 +58,11 @@ def test_every_number_has_a_unit_in_its_name_or_is_dimensionless(section, row):
         "used_share",
         "gain",
         "thinning",
+        "slide_limit",
+        "friction_low",
+        "friction_high",
+        "contamination_power",
+        "cleaning_gain",
     }
     dimensionless_of_polach = ("mu_", "A", "k_")
     units = (
