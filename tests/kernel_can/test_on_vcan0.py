@@ -113,8 +113,19 @@ def _down_up(channel: str, after_s: float) -> None:
     ip("link", "set", channel, "up")
 
 
+def lost_before_any_socket() -> int:
+    """Return how many packets of all interfaces this kernel has dropped from its backlog.
+
+    On a busy machine the kernel delivers later than a program sends, and its backlog overflows.
+    """
+    lines = Path("/proc/net/softnet_stat").read_text().splitlines()
+    return sum(int(line.split()[1], 16) for line in lines)
+
+
 @pytest.mark.parametrize("sent", [3000, 30_000])
 def test_every_frame_of_a_flood_is_seen_or_counted_as_lost(channel, sent):
+    lost_before = lost_before_any_socket()
+
     async def run() -> tuple[int, int]:
         hub = await open_hub(f"socketcan:{channel}", time.monotonic_ns)
         seen = 0
@@ -127,15 +138,16 @@ def test_every_frame_of_a_flood_is_seen_or_counted_as_lost(channel, sent):
         with sender(channel) as other:
             for _ in range(sent):  # while the bench is not reading
                 other.send(raw_frame(0x201, bytes(8)))
+        arrived = sent - (lost_before_any_socket() - lost_before)
         end_s = time.monotonic() + 60.0
-        while seen + hub.dropped < sent and time.monotonic() < end_s:
+        while seen + hub.dropped < arrived and time.monotonic() < end_s:
             await asyncio.sleep(0.01)
         dropped = hub.dropped
         await hub.close()
         return seen, dropped
 
     seen, dropped = asyncio.run(run())
-    assert seen + dropped == sent
+    assert seen + dropped == sent - (lost_before_any_socket() - lost_before)
     assert seen >= 3000  # the default buffer of the kernel holds 278
 
 
