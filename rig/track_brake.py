@@ -22,6 +22,7 @@ speed the magnets are switched off. All quantities are per axle: an axle has hal
 
 import math
 
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.state import AXLES
 
@@ -65,10 +66,10 @@ def clean(state, params, brake):
             length_m = params.axle_position_m[j] - params.axle_position_m[j - 1]
             share = -math.expm1(-speed_m_s * params.tick_s / length_m)
             state.track_brake_cleaning[j] += (work_J_m - state.track_brake_cleaning[j]) * share
-        # the magnets of a bogie lie behind its first axle: its second axle meets their whole work
-        if j % 2 == 0:
-            work_J_m += axle_force_N(state, j, speed_m_s, brake)
-            work_J_m += axle_force_N(state, j + 1, speed_m_s, brake)
+        # the magnets of a bogie lie behind its first axle: its other axle meets their whole work
+        if j % AXLES_OF_BOGIE == 0:
+            for i in range(j, j + AXLES_OF_BOGIE):
+                work_J_m += axle_force_N(state, i, speed_m_s, brake)
 
 
 @kernel
@@ -81,7 +82,7 @@ def axle_force_N(state, axle, speed_m_s, brake):
         -speed_m_s / brake.friction_scale_m_s
     )
     # the rail as the leading axle of the bogie has met it
-    first = axle - axle % 2
+    first = axle - axle % AXLES_OF_BOGIE
     contamination = state.friction_degraded[first] / state.friction_recovered[first]
     if contamination < 1.0:
         friction *= math.pow(contamination, brake.contamination_power)

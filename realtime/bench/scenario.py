@@ -7,7 +7,7 @@ scenario again, which repeats a run.
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -261,7 +261,7 @@ def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     ratios = _ratios(checked, name)
 
     steps, demand = _demand(merged.demand, merged.programme_from)
-    traction = _traction(merged.traction, merged.programme_from)
+    traction = _steps(TRACTION, merged.traction, f"{merged.programme_from} [[traction]]")
     friction, friction_rows = _friction(merged.friction, checked["adhesion"], merged.programme_from)
     resolved = {
         **merged.head,
@@ -504,26 +504,20 @@ def _ratios(checked: dict[str, Any], name: str) -> Ratios:
 
 def _demand(rows: list[dict[str, Any]], where: str) -> tuple[list[dict[str, Any]], physics.Demand]:
     """Return the steps of the brake demand, as plain data and for the plant. Raises ConfigError."""
-    steps = [
-        table.read(DEMAND, row, f"{where} [[demand]] {place}")
-        for place, row in enumerate(rows, start=1)
-    ]
+    steps = _steps(DEMAND, rows, f"{where} [[demand]]")
     starts = [step["from_s"] for step in steps]
-    if starts != sorted(starts):
-        raise ConfigError(f"{where} [[demand]]: from_s must rise from step to step, not {starts}")
     pressures = [step["pressure_Pa"] for step in steps]
     return steps, physics.Demand(np.array(starts), np.array(pressures))
 
 
-def _traction(rows: list[dict[str, Any]], where: str) -> list[dict[str, Any]]:
-    """Return the steps of the demand of traction. Raises ConfigError."""
-    steps = [
-        table.read(TRACTION, row, f"{where} [[traction]] {place}")
-        for place, row in enumerate(rows, start=1)
-    ]
+def _steps(
+    keys: Sequence[table.Row], rows: list[dict[str, Any]], where: str
+) -> list[dict[str, Any]]:
+    """Return the checked steps of a programme, each with `from_s`. Raises ConfigError."""
+    steps = [table.read(keys, row, f"{where} {place}") for place, row in enumerate(rows, start=1)]
     starts = [step["from_s"] for step in steps]
     if starts != sorted(starts):
-        raise ConfigError(f"{where} [[traction]]: from_s must rise from step to step, not {starts}")
+        raise ConfigError(f"{where}: from_s must rise from step to step, not {starts}")
     return steps
 
 

@@ -65,18 +65,9 @@ def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
             text.replace("\\\n", " "),
             flags=re.MULTILINE,
         )
-        told = subprocess.run(
-            ["bash", "-e", "-c", commands],
-            cwd=tmp_path,
-            env=environment(),
-            capture_output=True,
-            text=True,
-            timeout=600,
-            check=False,
-        )
-        assert told.returncode == 0, commands + told.stdout + told.stderr
+        output = output_of(commands, tmp_path)
         if shown := OUTPUT.match(whole, found.end()):
-            is_in_output(shown["lines"], told.stdout + told.stderr)
+            is_in_output(shown["lines"], output)
         done += 1
     assert done >= 1
 
@@ -120,20 +111,27 @@ def test_every_command_of_the_readme_runs_here_or_has_a_reason(docs, tmp_path):
         if not "".join(lines):
             continue
         script = "\n".join(lines)
-        result = subprocess.run(
-            ["bash", "-e", "-c", script],
-            cwd=tmp_path,
-            env=environment(),
-            capture_output=True,
-            text=True,
-            timeout=600,
-            check=False,
-        )
-        assert result.returncode == 0, script + result.stdout + result.stderr
+        output_of(script, tmp_path)
         run += 1
     assert run >= 2
     # no reason is left of a command that the page no longer has
     assert left_out == set(NOT_RUN)
+
+
+def output_of(commands: str, folder: Path) -> str:
+    """Return what commands of a shell print in a folder; the first that fails is an error."""
+    result = subprocess.run(
+        ["bash", "-e", "-c", commands],
+        cwd=folder,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=600,
+        check=False,
+    )
+    output = result.stdout + result.stderr
+    assert result.returncode == 0, commands + output
+    return output
 
 
 def is_in_output(lines: str, output: str):
