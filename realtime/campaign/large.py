@@ -96,7 +96,9 @@ def part(plan: campaign.Plan, table: pa.Table, limits: Limits) -> Part:
         # the weakest brake is the largest value
         values[column] = (known, -decelerations[known])
 
-    sketches, moments, tails = {}, {}, {}
+    sketches: dict[str, draws.Sketch] = {}
+    moments: dict[str, draws.Moments] = {}
+    tails: dict[str, pa.Table] = {}
     for column in figures.BY_NAME:
         found = table[column].to_numpy().astype(float)
         found = found[np.isfinite(found)]
@@ -136,7 +138,19 @@ class Kept:
 
     def __init__(self, tails: Iterable[str]) -> None:
         self.chunks = 0
-        self.whole = Part(0, 0, 0, 0, 0, {}, {}, {}, None, None, {})
+        self.whole = Part(
+            runs=0,
+            counted=0,
+            failed=0,
+            not_valid=0,
+            not_stopped=0,
+            sketches={},
+            moments={},
+            warnings={},
+            first=None,
+            invalid=None,
+            tails={},
+        )
         self._new_tail_rows: dict[str, list[pa.Table]] = {column: [] for column in tails}
         self.limits: Limits = {}
 

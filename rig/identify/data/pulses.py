@@ -20,7 +20,7 @@ import numpy as np
 from rollerrig.rig.identify.data.runs import Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
-# --- thresholds of the recognition; the reasons are in docs/explain.md ---
+# --- thresholds of the recognition; the reasons are in docs/explain_causes.md ---
 
 # a counted channel has at most this share of different values
 MOST_VALUES = 0.1

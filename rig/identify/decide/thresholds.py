@@ -1,7 +1,7 @@
 """Holds every threshold of the decision of `explain`: value, unit, reason, and what it was set on.
 
 "Chosen" means that no theory gives the number: it was set by hand, and the rates of right and wrong
-answers in docs/explain.md show its effect. "First", "second" and "third" are the three generators
+answers in docs/explain_rates.md show its effect. "First", "second" and "third" are the three generators
 of braking stops in tests/generator. The first and the second set thresholds. The third only judges
 them.
 
@@ -250,7 +250,7 @@ CLEAR_REMAINDER = 20.0
 
 # A remainder above this share of the causes' likelihood ratio is more than their shape explains:
 # the verdict is `partly` or `unexplained`. Set by the first and the second generator (table in
-# docs/explain.md).
+# docs/explain_rates.md).
 REMAINDER_SHARE = 0.08
 
 # The same for a remainder along a covariate that the cause itself depends on, since its shape may
