@@ -1,9 +1,9 @@
 """Holds every threshold of the decision of `explain`: value, unit, reason, and what it was set on.
 
 "Chosen" means that no theory gives the number: it was set by hand, and the rates of right and wrong
-answers in docs/explain_rates.md show its effect. "First", "second" and "third" are the three generators
-of braking stops in tests/generator. The first and the second set thresholds. The third only judges
-them.
+answers in docs/explain_rates.md show its effect. "First", "second" and "third" are the three
+generators of braking stops in tests/generator. The first and the second set thresholds. The third
+only judges them.
 
 A likelihood ratio is a drop of -2 ln L in this file. What differs from cause to cause is in the
 rows of `causes/table`: the numerical floor, the price of the shape, and a limit of the p-value
