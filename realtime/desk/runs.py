@@ -41,6 +41,8 @@ _COMPARED_CHANNELS = (
     "adhesion_4",
     "cylinder_pressure_",
 )
+# columns whose words may be broken where the page is narrow
+_LONG = ("name", "faults", "note")
 _KM_H_PER_M_S = 3.6
 # the viewer serves its page after this time
 _VIEWER_STARTS_S = 2.0
@@ -73,7 +75,7 @@ def _columns() -> list[dict[str, Any]]:
             "field": name,
             "sortable": True,
             "align": "left",
-            "classes": "desk-cell",
+            "classes": "desk-cell desk-long" if name in _LONG else "desk-cell",
         }
         for name, label in labels.items()
     ]
@@ -98,7 +100,7 @@ class _RunTable:
             selection="multiple",
             pagination=15,
         )
-        self.table.classes("w-full").props("dense wrap-cells").mark("runs")
+        self.table.classes("w-full desk-runs").props("dense wrap-cells").mark("runs")
         self.table.bind_filter_from(self.filter, "value")
         self.table.add_slot("body-cell-verdict", _VERDICT_CELL)
         self.table.on_select(self.show_note)

@@ -778,6 +778,24 @@ def test_the_emergency_stop_stays_in_view_on_every_screen(tmp_path):
             until(lambda: browser.execute_script(TOO_WIDE) <= 0, (width, "too wide"))
 
 
+# whether the columns of the table of runs fit into its frame
+TABLE_FITS = """
+const frame = document.querySelector(".desk-runs .q-table__middle");
+return frame !== null && frame.clientWidth > 0 && frame.scrollWidth <= frame.clientWidth;
+"""
+
+
+@pytest.mark.parametrize("width", [1180, 1280, 1700])
+def test_every_column_of_the_table_of_runs_is_in_view(runs, width):
+    with served(runs) as one, browsing() as browser:
+        browser.get(one.address)
+        metrics = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": False}
+        browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+        open_tab(browser, "Runs")
+        until(lambda: browser.find_elements("xpath", "//td[.='runs/damaged']"), "runs")
+        until(lambda: browser.execute_script(TABLE_FITS), width)
+
+
 def test_the_plots_have_legends_and_an_idle_rig_has_no_magnified_noise(tmp_path):
     chart_options = """
     return desk.settings.plots.map((plot) => {
