@@ -26,8 +26,8 @@ _COPYLEFT = ("GPL", "GNU", "MPL", "Mozilla", "EPL", "CDDL", "EUPL")
 _LONGEST = 80
 _HEAD = """# Licences of dependencies
 
-This page is for people who install, ship or audit rollerrig. It lists the licence of each package that
-rollerrig uses. `make docs` writes it from what the installed packages declare.
+This page is for people who install, ship or audit rollerrig. After reading it you know the licence of each
+package that rollerrig uses. `make docs` writes it from what the installed packages declare.
 
 rollerrig is under the [Apache License 2.0](../LICENSE). It contains no code of these packages: `pip`
 installs them next to it, and you can replace each of them by another version. An FMU that

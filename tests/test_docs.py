@@ -87,6 +87,16 @@ def test_the_readme_is_one_page():
     assert len(text_of("README.md").splitlines()) <= LONGEST_README
 
 
+def test_every_question_is_answered_with_a_link_to_a_page():
+    questions = text_of("docs/questions.md").split("\n### ")[1:]
+    assert len(questions) >= 20
+    for question in questions:
+        title, _, answer = question.partition("\n")
+        # a statement may come before the question
+        assert title.endswith("?"), title
+        assert re.search(r"\]\([a-z_]+\.md", answer), f"{title}: the answer has no link"
+
+
 def test_the_thresholds_of_explain_are_those_of_the_code():
     rows = re.findall(
         r"^\| `(\w+)` \| ([^|]+) \| `([\w/]+)\.py` \|",

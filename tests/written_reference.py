@@ -104,6 +104,8 @@ ENVIRONMENT = {
     "ROLLERRIG_AXLES": "number of axles that a Python program simulates; the command line sets it",
     "ROLLERRIG_EQUIPMENT": "equipment of the vehicles that a Python program simulates, such as "
     "`dynamic_brake`; the command line sets it",
+    "ROLLERRIG_PYTHON": "Python that the rig as an FMU starts; it must have rollerrig installed "
+    "([which one else](units.md#the-rig-as-an-fmu))",
     "RUST_LOG": "messages of Rerun; by default errors only",
     "TMPDIR": "folder of temporary files",
     "USER": "the user whom `rollerrig check` names in its advice",
@@ -174,8 +176,8 @@ def scenario_keys():
     lines = [
         "# Keys of a scenario",
         "",
-        "For everybody who writes a scenario, a vehicle, a rig or another set: every key with its unit, "
-        f"default and allowed values. {WRITTEN}",
+        "This page is for everybody who writes a scenario, a vehicle, a rig or another set. After reading "
+        f"it you know every key with its unit, default and allowed values. {WRITTEN}",
         "",
         "A scenario is a TOML file. Its sets (`vehicle`, `rig`, `adhesion`, `bus`, `pads`) are names of "
         "files in `configs/`, or paths. A set may contain every table of this page. A later layer wins: "
@@ -247,7 +249,8 @@ def other_keys():
     lines = [
         "# Keys of other files",
         "",
-        "For everybody who writes a campaign, a sequence or settings of the reference unit: the keys of "
+        "This page is for everybody who writes a campaign, a sequence or settings of the reference unit. "
+        "After reading it you know the keys of "
         f"these files. {WRITTEN} Elsewhere: [datasets](datasets.md), [recorders](recorders.md), and the "
         "maps of [units](units.md).",
         "",
@@ -290,7 +293,8 @@ def command_line():
     lines = [
         "# Command line",
         "",
-        "For everybody who runs `rollerrig`: every command with its arguments and options. "
+        "This page is for everybody who runs `rollerrig`. After reading it you know every command with "
+        "its arguments and options. "
         f"{WRITTEN} `rollerrig COMMAND --help` prints the same.",
         "",
         "Every command also has `--json` (print one JSON object, and nothing else, on standard output). "
@@ -354,8 +358,9 @@ def signal_table():
     lines = [
         "# Signals",
         "",
-        "For everybody who reads a record or the bus: every quantity of the rig with its unit, its "
-        f"columns in `channels.parquet`, and its places on the bus. {WRITTEN}",
+        "This page is for everybody who reads a record or the bus. After reading it you know every "
+        "quantity of the rig: its unit, its columns in `channels.parquet`, and its places on the bus. "
+        f"{WRITTEN}",
         "",
         "`1..4` stands for the axles of the default vehicle, counted from the leading end. A place is "
         "node, index and sub-index (of axle 1), the type, and the value of one count. `drive` is the node "
@@ -388,7 +393,8 @@ def run_files():
     lines = [
         "# Files of a run",
         "",
-        "For everybody who reads the folder of a run (`--out`) with other programs: its files. "
+        "This page is for everybody who reads the folder of a run (`--out`) with other programs. After "
+        "reading it you know its files. "
         f"{WRITTEN} The columns of `channels.parquet` are the [signals](signals.md). "
         "[More about runs](runs.md).",
         "",
@@ -405,8 +411,9 @@ def exit_status():
     lines = [
         "# Exit status and environment",
         "",
-        "For everybody who calls `rollerrig` from a script or from CI: what a command returns, and which "
-        f"variables of the environment act on it. {WRITTEN}",
+        "This page is for everybody who calls `rollerrig` from a script or from CI. After reading it you "
+        "know what each exit status means, and which variables of the environment act on a command. "
+        f"{WRITTEN}",
         "",
         "## Exit status",
         "",

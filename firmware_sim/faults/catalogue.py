@@ -364,8 +364,14 @@ def markdown() -> str:
     lines = [
         "# Faults",
         "",
-        "A `[[fault]]` table of a scenario, or `--fault 'NAME parameter=value at=5 for=3'`, "
-        "injects a fault. It is lifted after `for_s`.",
+        "This page is for engineers who test how a unit behaves when something fails. After reading it "
+        "you know every fault, what it does, and its parameters. `make docs` writes this page. "
+        "[Inject a fault](howto_fault.md) is the guide.",
+        "",
+        "A `[[fault]]` table of a scenario injects a fault, and so does the option "
+        "`--fault 'NAME parameter=value at=5 for=3'`. The fault begins at the time `at` and is lifted "
+        "after `for` seconds (in a table: `at_s` and `for_s`). The column \"acts in\" has the place: the "
+        "tick of the loop, a simulated device, or the bus.",
         "",
         "| fault | acts in | effect | parameters: default (allowed) |",
         "|---|---|---|---|",
