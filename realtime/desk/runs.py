@@ -42,7 +42,7 @@ _COMPARED_CHANNELS = (
     "cylinder_pressure_",
 )
 # columns whose words may be broken where the page is narrow
-_LONG = ("name", "faults", "note")
+_LONG = ("name", "faults", "verdict", "note")
 _KM_H_PER_M_S = 3.6
 # the viewer serves its page after this time
 _VIEWER_STARTS_S = 2.0
