@@ -370,7 +370,7 @@ def markdown() -> str:
         "",
         "A `[[fault]]` table of a scenario injects a fault, and so does the option "
         "`--fault 'NAME parameter=value at=5 for=3'`. The fault begins at the time `at` and is lifted "
-        "after `for` seconds (in a table: `at_s` and `for_s`). The column \"acts in\" has the place: the "
+        'after `for` seconds (in a table: `at_s` and `for_s`). The column "acts in" has the place: the '
         "tick of the loop, a simulated device, or the bus.",
         "",
         "| fault | acts in | effect | parameters: default (allowed) |",
