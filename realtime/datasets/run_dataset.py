@@ -16,7 +16,7 @@ import tomli_w
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
-from rollerrig.configs.vehicle import equipment_of
+from rollerrig.configs.vehicle import EQUIPMENT_KEYS, equipment_of
 from rollerrig.realtime.datasets import run_sensors
 from rollerrig.realtime.record import records
 from rollerrig.rig import params
@@ -226,10 +226,13 @@ def _check_same_base(run: records.Run, first: records.Run) -> None:
                 f"{run.folder}: sand was used, which the base model does not include; "
                 "brake without sanders"
             )
-    if equipment_of(run.scenario):
+    equipment = equipment_of(run.scenario)
+    if equipment:
+        names = " and a ".join(name.replace("_", " ") for name in sorted(equipment))
+        isolated = " and ".join(f"{name}.{EQUIPMENT_KEYS[name]}=[]" for name in sorted(equipment))
         raise ConfigError(
-            f"{run.folder}: the vehicle has a dynamic brake, which the base model does not include; "
-            "brake with dynamic_brake.axles=[]"
+            f"{run.folder}: the vehicle has a {names}, which the base model does not include; "
+            f"brake with {isolated}"
         )
     for table, may_differ in _SHARED_TABLES.items():
         values = _without(run.scenario.get(table, {}), may_differ)

@@ -105,6 +105,16 @@ def test_magnets_contacts_and_resistance_take_the_momentum_and_energy_of_the_tra
     )
 
 
+def test_explain_refuses_a_run_with_magnets_and_names_the_key_that_isolates_them(tmp_path):
+    recorded = tmp_path / "stop"
+    run(recorded)
+    status, _, messages = rollerrig("explain", recorded, "--out", tmp_path / "report")
+    assert status == 2
+    assert "a magnetic track brake" in messages
+    assert "magnetic_track_brake.bogies=[]" in messages
+    assert not (tmp_path / "report" / "report.json").exists()
+
+
 def test_the_force_begins_when_the_magnets_are_on_the_rail(stop):
     table, plan, _ = stop
     brake = plan["magnetic_track_brake"]
