@@ -1,8 +1,9 @@
 """Parses TOML of users, within limits that the standard library does not have.
 
-Deeply nested values exhaust the stack of the parser or of what reads them later, a key with
-thousands of dots takes the parser minutes, and a whole number of thousands of digits is no number
-for the rest of the program. Source: TOML 1.0 (whole numbers have 64 bits).
+The limits have three reasons. Deeply nested values exhaust the stack of the parser, or of the code
+that reads the values later. A key with thousands of dots takes the parser minutes. A whole number
+of thousands of digits does not fit into the numbers of the program. Source: TOML 1.0 (whole numbers
+have 64 bits).
 """
 
 import copy

@@ -121,7 +121,7 @@ class Rack:
             handler(frame)
 
     def in_real_time(self) -> None:
-        """From now on time goes on while this process stands still."""
+        """Count real time from now on: it continues while this process is stopped."""
         self._in_real_time = True
 
     def advance_clock(self, now_ns: int) -> None:

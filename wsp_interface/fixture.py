@@ -64,7 +64,7 @@ def rollerrig_bench(tmp_path: Any, request: Any) -> Iterator[Any]:
 def rollerrig_module_bench(tmp_path_factory: Any, request: Any) -> Iterator[Any]:
     """Start benches that all tests of a module share; they end with its last test.
 
-    It is called as `rollerrig_bench`. A module starts its bench in a fixture of its own:
+    It is called as `rollerrig_bench`. A module starts its bench in a separate fixture:
 
         @pytest.fixture(scope="module")
         def rig(rollerrig_module_bench):

@@ -247,7 +247,7 @@ def library() -> Any:
 
 
 def description_of(path: Path) -> Any:
-    """Return the description of an FMU, as FMPy has it. Raises ConfigError if it is unreadable."""
+    """Return FMPy's description of an FMU. Raises ConfigError if the file is unreadable."""
     description, _ = _read(path)
     return description
 

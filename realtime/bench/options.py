@@ -1,7 +1,7 @@
-"""How a run is run, and its recorder and reference unit, which start before the bench is ready.
+"""The options of a run, and its recorder and reference unit, which start before the bench is ready.
 
-This file imports next to nothing: the two processes load their libraries while the bench loads its
-own, and wait for their arguments on standard input.
+This file imports almost nothing, so the two processes start early. They load their libraries while
+the bench loads its libraries, and then wait for their arguments on standard input.
 """
 
 import contextlib

@@ -320,7 +320,7 @@ class Parts:
         self.stop(Code.RUN_BUS_LOST)
 
     def _fail(self, reason: str) -> None:
-        """End the run as a failure of something beside it, such as a gateway to the unit."""
+        """End the run with an error from outside the loop, such as a gateway to the unit."""
         self.failure = self.failure or RollerrigError(reason)
         self._halt()
 

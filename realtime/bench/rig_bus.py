@@ -293,7 +293,7 @@ class RigBus:
             self.rack.deferred = self._port.send
 
     def _from_bus(self, frame: Frame) -> None:
-        """A frame of another member of the bus: the rig does not receive its own frames here."""
+        """Handle a frame of another member of the bus; frames of the rig do not come here."""
         self._stray = self._produces_sync and _is_sync(frame)
         if self._stray:
             self.stray_syncs += 1

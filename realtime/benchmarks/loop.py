@@ -6,7 +6,7 @@ WSP unit, as in any run; cyclictest has the machine to itself. Where the machine
 timerlat runs as well, as a second reference.
 
 Latency of cyclictest is the time of waking minus the absolute deadline. Our lateness is the time at
-which the tick begins minus its deadline: on its own core the loop wakes early and waits.
+which the tick begins minus its deadline: on a separate core the loop wakes early and waits.
 """
 
 import argparse

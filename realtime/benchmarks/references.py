@@ -1,4 +1,4 @@
-"""What the loop is compared with: `cyclictest`, and `rtla timerlat` where the machine has it.
+"""Programs with which the loop is compared: `cyclictest`, and `rtla timerlat` if it is installed.
 
 Sources: cyclictest of rt-tests; rtla-timerlat-hist(1) of the Linux kernel.
 """

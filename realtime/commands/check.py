@@ -376,7 +376,7 @@ def cores() -> Finding:
 
 
 def core_of_loop() -> Finding:
-    """Check whether the loop can have a core of its own, and what remains on that core."""
+    """Check whether the loop can have a core for itself, and what else runs on that core."""
     from rollerrig.realtime.loop import cores as loop_cores
     from rollerrig.realtime.loop import loop
 

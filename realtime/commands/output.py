@@ -72,7 +72,7 @@ def console(error: bool = False) -> Any:
     from rich.console import Console
 
     class PrintableConsole(Console):
-        """A console that makes hidden characters visible; its own sequences are controls."""
+        """A console that makes hidden characters visible. Its escape sequences are controls."""
 
         def render(self, *arguments: Any, **options: Any) -> Any:
             """Yield the segments of what is drawn."""

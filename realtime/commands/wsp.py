@@ -102,7 +102,7 @@ def map_argument(parser: argparse.ArgumentParser) -> None:
 
 
 def parse_unit(text: str) -> str:
-    """Return the value of --wsp if it is allowed; "" stands for the default of the verb.
+    """Return the value of --wsp if it is allowed; "" is the default of the command.
 
     Raises ArgumentTypeError for any other text.
     """

@@ -1,9 +1,9 @@
 """The core of the real-time loop: claimed for one bench, and left by all else that the bench runs.
 
-On its own core the loop's thread is delayed neither by the bench's other threads nor by what they
-leave in the caches. Two benches claim different cores, and leave at least one that nobody claims.
-A claim is an abstract Unix socket with the name of the core, which the system frees when its
-process ends, however it ends.
+On a separate core, the loop's thread is not delayed by the bench's other threads, nor by the data
+that they leave in the caches. Two benches claim different cores, and leave at least one that nobody
+claims. A claim is an abstract Unix socket with the name of the core, which the system frees when
+its process ends, however it ends.
 
 Interrupts of devices are kept off the core as far as the user may (root). Those of the loopback are
 served where its packets are sent, so they leave the core together with the threads that send.

@@ -125,8 +125,8 @@ class Hub:
     Attributes that the bench sets:
 
     services_bypass_wire: NMT, SDO, heartbeats and LSS do not wait for the wire. The bench sets it
-        while simulated time stands still. A client that uses a service before it answers would
-        otherwise wait for ever.
+        while simulated time waits. Otherwise a client that uses a service before it answers would
+        wait forever.
     order: called with every frame that a member sends, before the gate. It decides whether the
         frame goes on now, and may let it go on later.
     gate: decides whether a frame goes on now, and may let it go on later.

@@ -1,9 +1,9 @@
 """Programs that send at the same instant of simulated time take turns, so that their order repeats.
 
-In lockstep time stands still until the WSP unit and the harness have answered. Both compute
-meanwhile, so the order in which their frames arrive depends on the load of the machine. A `Partner`
-therefore holds back the frames of its connections until it has the turn: first the unit, then the
-harness. Frames that come after the answer wait for the next turn.
+In lockstep the simulated time waits until the WSP unit and the harness have answered. Both compute
+at the same time, so the order in which their frames arrive depends on the load of the machine. A
+`Partner` therefore holds back the frames of its connections until it has the turn: first the unit,
+then the harness. Frames that come after the answer wait for the next turn.
 
 The process data that a unit sends up to an answer go on together, in the order of arbitration; of
 the same identifier the first goes first. A harness asks and waits for the reply, so its frames go

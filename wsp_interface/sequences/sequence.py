@@ -165,8 +165,8 @@ class _Source:
     def line(self, table: str = "", number: int = 0, key: str = "") -> int:
         """Return the line of a key, from 1: at the top, or in the number-th `[[table]]` (from 0).
 
-        A key may also be a table of its own, such as [start.tables] or a wrong [[steps]]. Without a
-        key, or if there is no such key, it is the first line of the table.
+        A key may also be a separate table, such as [start.tables] or a wrong [[steps]]. Without a
+        key, or if there is no such key, this is the first line of the table.
         """
         begin, end = self._section(table, number)
         if not key:

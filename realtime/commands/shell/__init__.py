@@ -1,1 +1,1 @@
-"""What a shell can be given beside the program: completion of command lines, and a manual page."""
+"""Files for a shell: completion of command lines, and a manual page."""

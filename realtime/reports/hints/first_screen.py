@@ -96,8 +96,9 @@ def _hardest_to_see(diagnosis: Diagnosis) -> str:
 def nearest(diagnosis: Diagnosis) -> str:
     """Return the causes of the library that come nearest to an unexplained error, and how near.
 
-    A cause is as near as its evidence is large beside that of the smooth function that shows the
-    error best. The score tests are of the base, so each cause is alone there.
+    The nearness of a cause is the ratio of two evidences: that of the cause, and that of the smooth
+    function that shows the error best. The score tests are of the base model, so each cause is
+    tested without the others.
     """
     tests = [
         test
