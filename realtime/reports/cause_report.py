@@ -22,6 +22,7 @@ from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.estimates import Estimate
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
+from rollerrig.rig.identify.decide.notes import Note
 from rollerrig.rig.mechanisms.table import BY_NAME, TABLE
 
 NOISE_FLOOR_SEED = 1
@@ -63,6 +64,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "before": [_score_test(test) for test in diagnosis.score_tests],
             "behind": [_score_test(test) for test in diagnosis.remainder],
         },
+        "immaterial": [_immaterial(note) for note in sentences.immaterial_notes(diagnosis)],
         "notes": sentences.notes(diagnosis),
         "elapsed_s": round(diagnosis.elapsed_s, 1),
     }
@@ -87,6 +89,21 @@ def _stopping_distance(diagnosis: Diagnosis) -> dict[str, float] | None:
     if distance is None:
         return None
     return distance._asdict() | {"longer_m": distance.longer_m}
+
+
+def _immaterial(note: Note) -> dict[str, Any]:
+    """Return the entry of what is significant and inside the declared calibration."""
+    along = None
+    if note.remainder is not None:
+        along = sentences.covariate_of(note.remainder)
+    return {
+        "code": note.code.value,
+        "causes": list(note.causes),
+        "along": along,
+        "share": note.share,
+        "calibration_fraction": note.tolerance,
+        "allowed_share": note.allowed,
+    }
 
 
 def _set_aside(identified: IdentifiedCause) -> dict[str, Any]:

@@ -110,6 +110,11 @@ def notes(diagnosis: Diagnosis) -> list[str]:
     return [*diagnosis.data.warnings, *(note_sentence(note) for note in diagnosis.notes)]
 
 
+def immaterial_notes(diagnosis: Diagnosis) -> list[Note]:
+    """Return the notes on what is significant and inside the declared calibration."""
+    return [note for note in diagnosis.notes if note.allowed > 0.0]
+
+
 def note_sentence(note: Note) -> str:
     """Return the sentence of a note, without a full stop."""
     causes = " and ".join(note.causes)
@@ -154,8 +159,23 @@ def note_sentence(note: Note) -> str:
                 f"a remainder along {remainder} is significant but immaterial: it is "
                 f"{number(100.0 * note.share, 2)} % of the braking force, {_tolerance(note)}"
             )
+        case NoteCode.INSIDE_CALIBRATION:
+            return _inside_calibration_sentence(note)
         case NoteCode.SMALL_REMAINDER:
             return f"a small remainder is left along {remainder}"
+
+
+def _inside_calibration_sentence(note: Note) -> str:
+    """Return the sentence on forces that brakes inside their calibration explain as well."""
+    found = list(note.causes)
+    if note.remainder is not None:
+        found.append(f"a remainder along {covariate_of(note.remainder)}")
+    are = "is" if len(found) == 1 else "are together"
+    return (
+        f"{' and '.join(found)} {are} significant but immaterial: brakes that all vary in the same "
+        f"way by {number(100.0 * note.share, 2)} % of the torque explain these runs at least as "
+        f"well, {_tolerance(note)}"
+    )
 
 
 def _contradicted_sentence(contradicted: Contradicted) -> str:
@@ -266,7 +286,15 @@ def not_judged_because(name: str) -> str:
 def story(diagnosis: Diagnosis) -> list[str]:
     """Return what is wrong, by how much, where, and what the extended model gains, in sentences."""
     lines = []
-    if diagnosis.verdict == Verdict.CONSISTENT:
+    inside = immaterial_notes(diagnosis)
+    if diagnosis.verdict == Verdict.CONSISTENT and inside:
+        most = max(inside, key=lambda note: note.share)
+        lines.append(
+            "The base model is consistent with this data within the declared calibration: what is "
+            f"statistically significant is {number(100.0 * most.share, 2)} % of the braking force, "
+            f"{_tolerance(most)}."
+        )
+    elif diagnosis.verdict == Verdict.CONSISTENT:
         lines.append(
             "Nothing is statistically significant: the base model is consistent with this data "
             f"(p = {diagnosis.p_value:.2g})."

@@ -21,6 +21,12 @@ def smallest_in_words(test: ScoreTest) -> str:
 def how_sure(diagnosis: Diagnosis) -> str:
     """Return how sure the verdict is."""
     p_value = f"{max(diagnosis.p_value, 1e-12):.1g}"
+    if diagnosis.verdict == Verdict.CONSISTENT and any(note.allowed for note in diagnosis.notes):
+        return (
+            f"How sure: something differs from the base model (p = {p_value}), but a brake within its "
+            "declared calibration may differ as much. A smaller calibration_fraction, if you can "
+            "declare one, makes it a cause."
+        )
     if diagnosis.verdict == Verdict.CONSISTENT:
         return (
             f"How sure: chance alone makes a cause look this significant with p = {p_value}; about "

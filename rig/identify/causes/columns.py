@@ -348,11 +348,12 @@ def _add_discrepancy(writer: _Writer) -> None:
     """Add the columns of the model discrepancy, which are base parameters too."""
     design = writer.design
     of_vehicle = np.repeat(np.arange(design.mass_kg.size), np.diff(design.vehicle_start))
-    parts = []
-    for number in range(discrepancy.MODES):
+    parts = {}
+    modes = discrepancy.modes(design)
+    for number in sorted({mode.number for mode in modes}):
         part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, number))
-        parts.append((writer.add_course(part.wheel), part.felt))
-    for mode in discrepancy.modes(design):
+        parts[number] = (writer.add_course(part.wheel), part.felt)
+    for mode in modes:
         course, felt = parts[mode.number]
         vehicle = writer.vehicle_acceleration(felt, mode.axle)
         assert vehicle is not None

@@ -93,6 +93,8 @@ class Design(NamedTuple):
     released_sd_Nm: np.ndarray  # (segments,) standard error of this mean
     places_m: tuple[float, float]  # where the bins of place begin and end
     ends_s: tuple[float, ...]  # where the bins of time of each run end
+    # the brakes of a run may vary in common (`causes.discrepancy`, [Y4]); not in the base model
+    brake_is_common: bool = False
 
     @property
     def segments(self) -> int:

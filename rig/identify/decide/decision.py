@@ -15,7 +15,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.base import check as base_checks
-from rollerrig.rig.identify.causes import candidates, table
+from rollerrig.rig.identify.causes import candidates, discrepancy, table
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
@@ -106,12 +106,13 @@ def explain_braking_runs(
         _check_accuracy(design, base)
         shares = null_simulations.rail_shares(workspace, base, seed)
         search = _search_causes(workspace._replace(shares=shares), base_fit, seed)
+        search, inside = _without_common_brake(design, base, search)
         search, immaterial = _without_immaterial(design, search)
 
         held_out = None
         if data.group("validate"):
             held_out = prepare(data, data.group("validate"))
-        notes = immaterial + _notes_on_gain(held_out, search.causes)
+        notes = inside + immaterial + _notes_on_gain(held_out, search.causes)
         measured_gain = None
         can_judge_gain = not any(note.code is NoteCode.GAIN_NOT_JUDGED for note in notes)
         if held_out is not None and search.causes and can_judge_gain:
@@ -255,6 +256,59 @@ def _choose_coherent(
     return base, [], rejected
 
 
+def _without_common_brake(
+    design: Design, base: Explanation, search: _Search
+) -> tuple[_Search, list[Note]]:
+    """Return the search without forces that brakes inside their calibration explain, and a note.
+
+    All causes that act on the brake or on the vehicle are judged together, with the force on the
+    vehicle that they leave. Their rival is a brake whose torque varies in all wheelsets alike
+    ([Y4] of `causes.discrepancy`). They are dropped if this rival is at least as likely, and if it
+    stays within the declared calibration.
+    """
+    forces = [found for found in search.causes if _is_force(found.cause.name)]
+    on_vehicle = []
+    for test in search.remainder or []:
+        is_clear = evidence.is_significant(test, thresholds.CLEAR_REMAINDER)
+        if is_clear and test.name in (stopping.TIME, stopping.SPEED):
+            on_vehicle.append(test)
+    if not forces and not on_vehicle:
+        return search, []
+
+    fitted = tuple(found.cause for found in search.causes)
+    by_causes = fitting.deviance(design, search.explanation._replace(causes=fitted))
+    # the remainder could win as much as its largest test
+    by_causes -= max((test.statistic for test in on_vehicle), default=0.0)
+
+    others = tuple(found.cause for found in search.causes if not _is_force(found.cause.name))
+    with_brake = design._replace(brake_is_common=True)
+    start = search.explanation._replace(base=base.base, causes=others)
+    by_brake = fitting.fit(with_brake, start, thresholds.STEPS_OF_COMMON_BRAKE)
+    share = discrepancy.common_share(with_brake, by_brake.explanation.base)
+    most = thresholds.IMMATERIAL_DEVIATIONS * design.calibration
+    # negated, so that a value that is not a number drops nothing
+    if not (by_brake.deviance <= by_causes and share <= most):
+        return search, []
+
+    note = Note(
+        NoteCode.INSIDE_CALIBRATION,
+        causes=tuple(found.cause.name for found in forces),
+        remainder=on_vehicle[0] if on_vehicle else None,
+        share=share,
+        tolerance=design.calibration,
+        allowed=most,
+    )
+    kept = [found for found in search.causes if not _is_force(found.cause.name)]
+    left = search.remainder
+    if left is not None:
+        left = [test for test in left if test not in on_vehicle]
+    elif not kept:
+        # the stops that did not brake like the recording had only these causes
+        left = []
+    explanation = search.explanation._replace(causes=tuple(found.unbiased for found in kept))
+    return search._replace(explanation=explanation, causes=kept, remainder=left), [note]
+
+
 def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[Note]]:
     """Return the search without what lies inside the declared calibration, and the notes on that.
 
@@ -280,6 +334,7 @@ def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[
                     causes=(found.cause.name,),
                     share=share,
                     tolerance=design.calibration,
+                    allowed=most,
                 )
             )
         else:
@@ -290,10 +345,11 @@ def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[
         share = np.inf
         if test.name in (stopping.TIME, stopping.SPEED):
             share = stopping.remaining_force_share(design, test.name, test.estimate)
-        is_immaterial = share <= thresholds.IMMATERIAL_DEVIATIONS * design.calibration
+        most = thresholds.IMMATERIAL_DEVIATIONS * design.calibration
+        is_immaterial = share <= most
         if is_immaterial and evidence.is_significant(test, thresholds.CLEAR_REMAINDER):
             note = Note(NoteCode.IMMATERIAL_REMAINDER, remainder=test, share=float(share))
-            notes.append(note._replace(tolerance=design.calibration))
+            notes.append(note._replace(tolerance=design.calibration, allowed=most))
         else:
             left.append(test)
     if not notes:

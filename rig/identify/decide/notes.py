@@ -33,6 +33,9 @@ class NoteCode(Enum):
     IMMATERIAL = "cause.immaterial"
     # a remaining force on the vehicle is smaller than that calibration of the brake
     IMMATERIAL_REMAINDER = "remainder.immaterial"
+    # brakes that all vary in the same way, inside their calibration, explain the runs at least as
+    # well as these causes and their remainder: they are not reported
+    INSIDE_CALIBRATION = "causes.inside_calibration"
     # the reported causes leave a small remainder
     SMALL_REMAINDER = "remainder.small"
 
@@ -46,3 +49,4 @@ class Note(NamedTuple):
     contradicted: Contradicted | None = None
     share: float = 0.0  # of what is immaterial: how much it changes the torque or the force
     tolerance: float = 0.0  # the declared calibration, as a share
+    allowed: float = 0.0  # up to which share it is immaterial; 0: the note is on something else

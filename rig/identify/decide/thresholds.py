@@ -243,6 +243,9 @@ RATIO_OF_SCALE_MOVE = 1.0
 # applied, and such a cause does. Chosen: two deviations are what a declared accuracy means.
 IMMATERIAL_DEVIATIONS = 2.0
 
+# Steps of the fit of brakes that vary in common: the change is small, so few are enough. Chosen.
+STEPS_OF_COMMON_BRAKE = 5
+
 # --- remainder, and the verdict ---
 
 # Statistic, less the number of coefficients, above which a remainder counts; as LEAST_RATIO.

@@ -9,9 +9,11 @@ from generator.conditions import Conditions
 
 from rollerrig.realtime.reports import cause_sentences
 from rollerrig.rig.identify.causes import candidates, discrepancy
+from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation, pulses
 from rollerrig.rig.identify.data.pulses import Sensor
 from rollerrig.rig.identify.decide import decision, evidence, fitting, simulate, stopping
+from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
 from rollerrig.rig.identify.replay import rail, sensitivity
 from rollerrig.rig.identify.replay.rail import RailShares
@@ -154,6 +156,93 @@ def test_a_remaining_force_inside_the_calibration_of_the_brake_is_a_note(stops) 
     note = Note(NoteCode.IMMATERIAL_REMAINDER, remainder=test, share=0.005, tolerance=0.003)
     sentence = cause_sentences.note_sentence(note)
     assert "0.5 % of the braking force, within twice your 0.3 %" in sentence
+
+
+# --- brakes that vary in common, inside their calibration ---
+
+
+def with_varying_brakes(design: preparation.Design, share: float) -> preparation.Design:
+    """The design of brakes that act by up to this share more or less than recorded."""
+    common = design._replace(brake_is_common=True)
+    modes = {mode.label: share for mode in discrepancy.common_modes(common) if mode.number == 2}
+    acting = discrepancy.brake_share(common, modes)
+    assert acting is not None
+    factor = 1.0 / (1.0 + acting)
+    return design._replace(torque_Nm=design.torque_Nm * factor, brake_Nm=design.brake_Nm * factor)
+
+
+def search_of(
+    design: preparation.Design, base: candidates.Explanation, cause: Cause
+) -> decision._Search:
+    """What a search has found that ends with this cause, fitted."""
+    fit = fitting.fit(design, base._replace(causes=(cause,)), 5)
+    found = IdentifiedCause(
+        score_test=evidence.ScoreTest(
+            name=cause.name,
+            axle=0,
+            shape={},
+            estimate=cause.values,
+            bias=(0.0,),
+            deviation=(0.01,),
+            statistic=99.0,
+            p_value=1e-9,
+            expected=1.0,
+            spread=1.0,
+        ),
+        cause=fit.explanation.causes[0],
+        likelihood_ratio=99.0,
+        ratio_by_filter=(99.0,) * 5,
+        deviation=(0.01,),
+        confusable=(),
+        rivals=(),
+    )
+    return decision._Search(fit.explanation, [found], [], [], base)
+
+
+@pytest.mark.parametrize(("share", "is_inside"), [(0.005, True), (0.02, False)])
+def test_brakes_that_vary_in_common_are_a_note_only_inside_their_calibration(
+    stops, share: float, is_inside: bool
+) -> None:
+    _, design, _ = stops
+    varying = with_varying_brakes(design, share)
+    base = fitting.fit(varying, candidates.untuned(varying), 6).explanation
+    search = search_of(varying, base, Cause("pad_fade", 0, {}, (0.001,)))
+    left, notes = decision._without_common_brake(varying, base, search)
+    assert bool(notes) == is_inside
+    assert bool(left.causes) != is_inside
+    verdict, _ = decision.decide_verdict(left.causes, left.remainder, None)
+    assert (verdict == "consistent") == is_inside
+    for note in notes:
+        assert note.causes == ("pad_fade",)
+        assert note.share == pytest.approx(share, rel=0.5)
+        assert note.allowed == pytest.approx(2.0 * design.calibration)
+        sentence = cause_sentences.note_sentence(note)
+        assert "brakes that all vary in the same way by" in sentence
+        assert "your 0.3 %" in sentence
+
+
+@pytest.mark.parametrize("change", [1.04, 0.96])
+def test_a_wrong_gain_of_all_brakes_is_no_variation_inside_their_calibration(
+    stops, change: float
+) -> None:
+    _, design, _ = stops
+    wrong = design._replace(torque_Nm=design.torque_Nm / change, brake_Nm=design.brake_Nm / change)
+    base = fitting.fit(wrong, candidates.untuned(wrong), 6).explanation
+    search = search_of(wrong, base, Cause("brake_gain", 0, {}, (change - 1.0,)))
+    left, notes = decision._without_common_brake(wrong, base, search)
+    assert notes == []
+    assert left is search
+
+
+def test_a_base_model_has_no_modes_that_all_brakes_share(stops) -> None:
+    _, design, base = stops
+    assert discrepancy.common_modes(design) == []
+    labels = {
+        mode.label for mode in discrepancy.common_modes(design._replace(brake_is_common=True))
+    }
+    assert labels
+    assert not labels & set(base.base)
+    assert not labels & set(discrepancy.priors(design))
 
 
 # --- whole explanations of stops with nothing hidden ---
