@@ -260,6 +260,34 @@ def test_an_immaterial_cause_is_reported_with_its_size() -> None:
     )
 
 
+def test_a_consistent_answer_reports_what_is_significant_inside_the_calibration() -> None:
+    note = Note(
+        NoteCode.INSIDE_CALIBRATION,
+        causes=("pad_fade", "track_gradient"),
+        remainder=score_test(stopping.TIME),
+        share=0.0041,
+        tolerance=0.003,
+        allowed=0.006,
+    )
+    found = diagnosis(verdict=Verdict.CONSISTENT)._replace(notes=[note])
+    story = " ".join(cause_sentences.story(found))
+    assert "Nothing is statistically significant" not in story
+    assert "is 0.41 % of the braking force, within twice your 0.3 %" in story
+    assert "pad_fade and track_gradient and a remainder along vehicle time" in story
+
+    entry = cause_report.as_json(found)["immaterial"]
+    assert entry == [
+        {
+            "code": "causes.inside_calibration",
+            "causes": ["pad_fade", "track_gradient"],
+            "along": "vehicle time",
+            "share": 0.0041,
+            "calibration_fraction": 0.003,
+            "allowed_share": 0.006,
+        }
+    ]
+
+
 def test_the_metric_of_a_gain_shows_what_its_causes_act_on() -> None:
     brake = Cause("brake_gain", 0, {}, (-0.05,))
     inertia = Cause("wheel_inertia", 0, {}, (1e-6,))

@@ -94,7 +94,7 @@ class Design(NamedTuple):
     places_m: tuple[float, float]  # where the bins of place begin and end
     ends_s: tuple[float, ...]  # where the bins of time of each run end
     # the brakes of a run may vary in common (`causes.discrepancy`, [Y4]); not in the base model
-    brake_is_common: bool = False
+    brake_is_common: bool
 
     @property
     def segments(self) -> int:
@@ -276,6 +276,7 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
         wheel_sensor=wheel_sensor,
         torque_noise_Nm=torque_noise.copy(),
         calibration=data.accuracy["calibration_fraction"],
+        brake_is_common=False,
         form=data.accuracy["form_fraction"],
         base=base_parameters(data),
         resistance=resistance,
