@@ -301,7 +301,9 @@ def _without_common_brake(
     kept = [found for found in search.causes if not _is_force(found.cause.name)]
     left = search.remainder
     if left is not None:
-        left = [test for test in left if test not in on_vehicle]
+        # what the size of a dropped cause leaves goes with that cause
+        sizes = tuple(f"in the size of {found.cause.name}" for found in forces)
+        left = [test for test in left if test not in on_vehicle and not test.name.endswith(sizes)]
     elif not kept:
         # the stops that did not brake like the recording had only these causes
         left = []
