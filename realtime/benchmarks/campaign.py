@@ -236,6 +236,7 @@ def table(result: Result) -> Table:
         steps += [
             (f"{name}: times as many stops as at 0.1 ms", step["factor"], ""),
             (f"{name}: median deviation of the distance", 100 * step["median"], "%"),
+            (f"{name}: stops within {100 * DEVIATION:g} %", 100 * step["share_within"], "%"),
             (f"{name}: deviation of 99 % of {step['stops']} stops", 100 * step["p99"], "%"),
             (f"{name}: worst deviation", 100 * step["worst"], "%"),
         ]

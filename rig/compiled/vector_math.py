@@ -126,19 +126,38 @@ def log(x):
 def atan(x):
     """Return the arc tangent within two units of the last digit."""
     size = abs(x)
-    # three ranges of the argument, each moved to 0 .. 0.66 in size
-    far = size > _TAN_3_8_PI
-    middle = size > 0.66
-    above = -1.0 if far else (size - 1.0 if middle else size)
-    below = size if far else (size + 1.0 if middle else 1.0)
-    base = 0.5 * math.pi if far else (0.25 * math.pi if middle else 0.0)
-    rest = 2.0 * _PI_4_REST if far else (_PI_4_REST if middle else 0.0)
+    base, rest, above, below = atan_parts(size, 1.0)
     t = above / below
     z = t * t
-    z *= ((((_P0 * z + _P1) * z + _P2) * z + _P3) * z + _P4) / (
-        ((((z + _Q0) * z + _Q1) * z + _Q2) * z + _Q3) * z + _Q4
-    )
+    z *= atan_numerator(z) / atan_denominator(z)
     return math.copysign(base + ((t * z + t) + rest), x)
+
+
+@kernel_inlined
+def atan_parts(y, x):
+    """Return (base, rest, above, below) with atan(y / x) = base + rest + atan(above / below).
+
+    y >= 0 and x >= 0, and not both 0. The quotient `above / below` is at most 0.66 in size.
+    """
+    far = y > _TAN_3_8_PI * x
+    middle = y > 0.66 * x
+    above = -x if far else (y - x if middle else y)
+    below = y if far else (y + x if middle else x)
+    base = 0.5 * math.pi if far else (0.25 * math.pi if middle else 0.0)
+    rest = 2.0 * _PI_4_REST if far else (_PI_4_REST if middle else 0.0)
+    return base, rest, above, below
+
+
+@kernel_inlined
+def atan_numerator(z):
+    """Return p of atan(t) = t + t z p / q for z = t^2 up to 0.66^2; q is `atan_denominator`."""
+    return (((_P0 * z + _P1) * z + _P2) * z + _P3) * z + _P4
+
+
+@kernel_inlined
+def atan_denominator(z):
+    """Return q of `atan_numerator`; it is at least 194."""
+    return ((((z + _Q0) * z + _Q1) * z + _Q2) * z + _Q3) * z + _Q4
 
 
 @kernel_inlined
@@ -178,7 +197,12 @@ def cos(x):
 @kernel_inlined
 def inverse_cube_root(u):
     """Return u^(-1/3) to 1e-14 for u = 0.25 .. 4."""
-    z = (2.0 + u) / (1.0 + 2.0 * u)
+    return inverse_cube_root_near(u, (2.0 + u) / (1.0 + 2.0 * u))
+
+
+@kernel_inlined
+def inverse_cube_root_near(u, z):
+    """Return u^(-1/3) to 1e-14 for u = 0.25 .. 4, from z = (2 + u) / (1 + 2 u)."""
     z = _closer_inverse_cube_root(z, 1.0 - u * z * z * z)
     return _closer_inverse_cube_root(z, 1.0 - u * z * z * z)
 

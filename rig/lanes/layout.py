@@ -62,6 +62,10 @@ LANES = RIGS * AXLES
     LOAD,
     SLOPE,  # secant slope of the contact force, T / s
     INSIDE,  # 1 where `vector_law` is valid, else 0
+    CLEANING,  # k of [A5]: tau W_sp for f = 1
+    SOLVED,  # the last solution y = tau W_sp of [A5]
+    CHANGE,  # change of SOLVED in the last solution
+    CHANGE_BEFORE,  # change of SOLVED in the solution before; the next one begins with it
     WHEEL_K,
     ROLLER_K,
     PULL,  # contact force
@@ -78,9 +82,9 @@ LANES = RIGS * AXLES
     STEP,  # s
     ON_TRACK,  # 1 on a track, 0 on rollers
     WHEEL_M,  # radius
-    WHEEL_KGM2,
+    PER_WHEEL_KGM2,  # 1 / inertia
     ROLLER_M,
-    ROLLER_KGM2,
+    PER_ROLLER_KGM2,
     STATIC_N,
     TRANSFER_KG,  # change of the load with the deceleration
     TORQUE_PER_PA,
@@ -95,8 +99,10 @@ LANES = RIGS * AXLES
     MOTOR_FASTEST,  # speed above which the motor does not drive
     MOTOR_SHARE,  # share of the way to its demand in a step
     EPS1,  # of `patch.Patch`
+    DECAY_D,  # 1 / A - 1 of the degraded and of the recovered friction
+    DECAY_R,
     _LAW,
-) = range(0, 63 * LANES, LANES)
+) = range(0, 69 * LANES, LANES)
 # the adhesion law: one row for each field of `Law`, in its order
 _LAW_ROWS = {name: _LAW + LANES * i for i, name in enumerate(Law._fields)}
 # friction of the contaminant: the state has it, not the constants
@@ -140,9 +146,9 @@ def load_constants(w, rig, params):
         w[STEP + at] = params.step_s
         w[ON_TRACK + at] = 1.0 if params.mode == TRACK else 0.0
         w[WHEEL_M + at] = params.wheels.table[RADIUS_M + j]
-        w[WHEEL_KGM2 + at] = params.wheels.table[INERTIA_KGM2 + j]
+        w[PER_WHEEL_KGM2 + at] = 1.0 / params.wheels.table[INERTIA_KGM2 + j]
         w[ROLLER_M + at] = drive.roller_radius_m
-        w[ROLLER_KGM2 + at] = drive.roller_inertia_kgm2
+        w[PER_ROLLER_KGM2 + at] = 1.0 / drive.roller_inertia_kgm2
 
         # load transfer: from the rear to the front bogie, from the rear to the front axle of each
         w[STATIC_N + at] = vehicle.static_load_N
@@ -162,7 +168,14 @@ def load_constants(w, rig, params):
         w[MOTOR_SHARE + at] = drive.torque_share
 
         w[EPS1 + at] = params.patch.eps1
+        w[DECAY_D + at] = 1.0 / params.law.A_d - 1.0
+        w[DECAY_R + at] = 1.0 / params.law.A_r - 1.0
         _write_law(w, at, params.law)
+
+        # a result must not depend on the stop that had this place before
+        w[SOLVED + at] = 0.0
+        w[CHANGE + at] = 0.0
+        w[CHANGE_BEFORE + at] = 0.0
 
 
 @kernel_inlined

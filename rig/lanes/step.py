@@ -15,7 +15,7 @@ from rollerrig.rig import vehicle as planar_vehicle
 from rollerrig.rig import wheelset
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.contact import vector_law as law
+from rollerrig.rig.contact import vector_secant as law
 from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.lanes import layout as row
 from rollerrig.rig.lanes.layout import LANES, RIGS
@@ -95,18 +95,27 @@ def contacts(w):
         # adhesion of one wheel [A1] to [A6], by the law of this lane
         size = max(abs(sliding), wheelset.SMALL_M_S)
         wheel_N = 0.5 * load
-        here = row.law_of_lane(w, j)
-        eps_mu = law.eps_mu(size, surface, wheel_N, w[row.EPS1 + j])
-        f_d = law.curve(size, eps_mu, here.mu_cd, here.A_d, here.gamma_d_s_m, here.k_ad, here.k_sd)
-        f_r = law.curve(size, eps_mu, here.mu_cr, here.A_r, here.gamma_r_s_m, here.k_ar, here.k_sr)
-        share, _ = adhesion.cleaning_share(size, surface, here)
-        creepage = size / max(abs(surface), law.SPEED_FLOOR_M_S)
-        f, _, inside = law.recovered(f_d, f_r, here.tau_m_J * wheel_N * creepage * share)
-        w[row.SLOPE + j] = f * load / size
+        solved = w[row.SOLVED + j]
+        change = w[row.CHANGE_BEFORE + j]
+        slope_1_m_s, cleaning, y, inside = law.secant_adhesion(
+            size,
+            surface,
+            wheel_N,
+            w[row.EPS1 + j],
+            w[row.DECAY_D + j],
+            w[row.DECAY_R + j],
+            row.law_of_lane(w, j),
+            solved + change,
+        )
+        w[row.SLOPE + j] = slope_1_m_s * load
+        w[row.CLEANING + j] = cleaning
+        w[row.INSIDE + j] = inside
 
-        # the domain of `vector_law`
-        u = wheel_N * (1.0 / law.LOAD_N)
-        w[row.INSIDE + j] = inside if (u > law.LIGHTER) & (u < law.HEAVIER) else 0.0
+        # The two stages of a step alternate. The change from one to the other differs little from
+        # that in the step before, so the solution after the next one begins with this change.
+        w[row.CHANGE_BEFORE + j] = w[row.CHANGE + j]
+        w[row.CHANGE + j] = y - solved if inside != 0.0 else 0.0
+        w[row.SOLVED + j] = y if inside != 0.0 else solved
 
 
 @kernel
@@ -114,7 +123,13 @@ def contacts_outside_domain(w):
     """Compute the few contacts outside the domain of `vector_law` by the law itself."""
     for j in range(LANES):
         if w[row.INSIDE + j] == 0.0 and w[row.MOVING + j] > 0.0:
-            w[row.SLOPE + j] = exact_slope(w, j)
+            slope = exact_slope(w, j)
+            w[row.SLOPE + j] = slope
+            # the next solution begins with this one
+            size = max(abs(w[row.SLIDING + j]), wheelset.SMALL_M_S)
+            loaded = w[row.LOAD + j] > 0.0
+            f = slope * size / w[row.LOAD + j] if loaded else 0.0
+            w[row.SOLVED + j] = w[row.CLEANING + j] * f
 
 
 @kernel
@@ -156,15 +171,15 @@ def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
     drive_Nm = r * T
     locked = (wheel <= 0.0) & (drive_Nm <= brake_Nm)
     acts_Nm = max(drive_Nm, 0.0) if locked else brake_Nm
-    wheel_k = 0.0 if locked else (drive_Nm - brake_Nm) / w[row.WHEEL_KGM2 + j]
-    roller_k = 0.0 if track else (motor_Nm - R * T) / w[row.ROLLER_KGM2 + j]
+    wheel_k = 0.0 if locked else (drive_Nm - brake_Nm) * w[row.PER_WHEEL_KGM2 + j]
+    roller_k = 0.0 if track else (motor_Nm - R * T) * w[row.PER_ROLLER_KGM2 + j]
     wheel_k -= wheel_before
     roller_k -= roller_before
 
     # implicit part: the force that the change of sliding adds; p: effect of 1 N on wheel and roller
     g = max(slope, 0.0)
-    p_wheel = 0.0 if locked else r / w[row.WHEEL_KGM2 + j]
-    p_roller = 0.0 if track else -R / w[row.ROLLER_KGM2 + j]
+    p_wheel = 0.0 if locked else r * w[row.PER_WHEEL_KGM2 + j]
+    p_roller = 0.0 if track else -R * w[row.PER_ROLLER_KGM2 + j]
     reach = _GAMMA * w[row.STEP + j]
     added_N = (
         reach

@@ -289,6 +289,11 @@ def force_of(case, n, j):
 def of_the_contacts(name):
     def check(case):
         case.run_up_to(name)
+        if name == "contacts":
+            # the kernel begins with a solution of a moment before, which the first step has not
+            step.contacts_outside_domain(case.w)
+            case.row("SOLVED")[:] += case.rng.uniform(-2e-4, 2e-4, (RIGS, AXLES))
+            step.contacts(case.w)
         inside = 0
         for n in case.moving():
             for j in range(AXLES):
