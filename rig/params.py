@@ -365,6 +365,8 @@ def build(
     )
     patch = patch._replace(**effects.extended({"eps1": patch.eps1}, extra))
 
+    # checks the driven axles, which the inertias of the wheelsets need
+    dynamic = dynamic_params.build(sections, step_s, traction)
     return Params(
         mode=mode,
         tick_s=tick_s,
@@ -392,7 +394,7 @@ def build(
         sanders=_sanders(sections["sanders"]),
         film=_film(sections["roller_film"], mode),
         coach=_coach({**sections, "vehicle": vehicle}, roller_radius_m, law, step_s),
-        dynamic=dynamic_params.build(sections, step_s, traction),
+        dynamic=dynamic,
         track_brake=track_brake_params.build(sections, tick_s),
     )
 

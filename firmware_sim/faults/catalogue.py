@@ -16,8 +16,10 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, integer, number
 from rollerrig.configs.vehicle import (
     AXLES_OF_BOGIE,
-    HAS_DYNAMIC_BRAKE,
-    HAS_MAGNETIC_TRACK_BRAKE,
+    DYNAMIC_BRAKE,
+    EQUIPMENT,
+    EQUIPMENT_KEYS,
+    MAGNETIC_TRACK_BRAKE,
 )
 from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
 from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODE
@@ -277,26 +279,24 @@ CATALOGUE: tuple[Kind, ...] = (
         (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "additional lag of the hose")),
     ),
 )
-if HAS_DYNAMIC_BRAKE:
-    CATALOGUE += (
-        Kind(
-            29,
-            "dynamic_brake_lost",
-            TICK,
-            "the traction motor of an axle gives no torque; the friction brake takes over",
-            (_AXLE,),
-        ),
-    )
-if HAS_MAGNETIC_TRACK_BRAKE:
-    CATALOGUE += (
-        Kind(
-            30,
-            "track_brake_dead",
-            TICK,
-            "the magnets of a bogie do not drop, or rise if they are down",
-            (integer("bogie", 1, 1, AXLES // AXLES_OF_BOGIE, "bogie, from the leading end"),),
-        ),
-    )
+# the fault of each equipment; only vehicles with the equipment have it
+_OF_EQUIPMENT = {
+    DYNAMIC_BRAKE: Kind(
+        29,
+        "dynamic_brake_lost",
+        TICK,
+        "the traction motor of an axle gives no torque; the friction brake takes over",
+        (_AXLE,),
+    ),
+    MAGNETIC_TRACK_BRAKE: Kind(
+        30,
+        "track_brake_dead",
+        TICK,
+        "the magnets of a bogie do not drop, or rise if they are down",
+        (integer("bogie", 1, 1, AXLES // AXLES_OF_BOGIE, "bogie, from the leading end"),),
+    ),
+}
+CATALOGUE += tuple(kind for name, kind in _OF_EQUIPMENT.items() if name in EQUIPMENT)
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
 BY_NUMBER = {kind.number: kind for kind in CATALOGUE}
 # the option of the command line that gives a fault
@@ -327,6 +327,13 @@ def kind_of(name: Any, where: str) -> Kind:
     """
     if name in BY_NAME:
         return BY_NAME[name]
+    for equipment, kind in _OF_EQUIPMENT.items():
+        if kind.name == name:
+            raise ConfigError(
+                f"{where}: {name} is a fault of vehicles with [{equipment}] "
+                f"{EQUIPMENT_KEYS[equipment]}, and this vehicle has none; remove the fault, or "
+                "give the vehicle this equipment"
+            )
     wrong = f"kind = {name!r} is not a fault" if name else "kind, the name of the fault, is missing"
     raise ConfigError(f"{where}: {wrong}{table.nearest(str(name or ''), BY_NAME)}")
 
@@ -357,6 +364,25 @@ def plain(fault: Fault) -> dict[str, Any]:
 def all_of(given: list[Any], where: str) -> tuple[Fault, ...]:
     """The faults of the [[fault]] tables of a scenario. Raises ConfigError."""
     return tuple(make(fault, f"{where} [[fault]] {at}") for at, fault in enumerate(given, start=1))
+
+
+def check_equipped(fault: Fault, sections: Mapping[str, Any], where: str) -> None:
+    """Check that the axle or bogie of a fault has the equipment that fails.
+
+    `sections` are those of the resolved scenario. Raises ConfigError, whose message begins with
+    `where`.
+    """
+    for equipment, kind in _OF_EQUIPMENT.items():
+        if fault.kind is not kind:
+            continue
+        key = EQUIPMENT_KEYS[equipment]
+        fitted = [int(place) for place in sections[equipment][key]]
+        (aim,) = fault.values
+        if fault.values[aim] not in fitted:
+            raise ConfigError(
+                f"{where}: fault {fault.title}: {aim} {fault.values[aim]} has no such brake; "
+                f"allowed are {', '.join(map(str, fitted))} ([{equipment}] {key})"
+            )
 
 
 def markdown() -> str:

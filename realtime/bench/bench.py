@@ -20,7 +20,7 @@ from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import write_text, writing
 from rollerrig.configs.processes import interruption
 from rollerrig.configs.vehicle import AXLES, AXLES_OF_GROUP, GROUPS
-from rollerrig.firmware_sim.faults import panel
+from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, lockstep, options, scenario, tick_data, wall, wire_delay
@@ -75,6 +75,8 @@ class Bench:
                 "allowed are --wsp reference, external and none"
             )
         panel.check_pacing(plan.faults, given.pacing)
+        for fault in plan.faults:
+            catalogue.check_equipped(fault, plan.resolved, plan.name)
         wire_delay.check(plan, given.pacing)
         if given.unit == "reference":
             logic.load(plan["wsp_config"])

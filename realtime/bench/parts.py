@@ -9,13 +9,21 @@ import asyncio
 import json
 import shlex
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
-from rollerrig.configs.vehicle import GROUPS
+from rollerrig.configs.vehicle import (
+    AXLES,
+    AXLES_OF_GROUP,
+    AXLES_VARIABLE,
+    EQUIPMENT,
+    EQUIPMENT_VARIABLE,
+    GROUPS,
+    axles_of_group,
+)
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import Counters
@@ -402,8 +410,11 @@ class Parts:
         await self._await(
             bus,
             is_there,
-            f"no WSP unit on {self.place}: no heartbeat on {_heartbeat_ids()}",
-            self._remedy_without_unit,
+            lambda: (
+                f"no WSP unit on {self.place}: no heartbeat on "
+                f"{_heartbeat_ids(_groups_without_unit(bus), described=GROUPS > 1)}"
+            ),
+            lambda: self._remedy_without_unit(_groups_without_unit(bus)),
         )
         if not self.stopping:
             self.event(Code.UNIT_READY)
@@ -413,18 +424,25 @@ class Parts:
         await self._await(
             bus,
             lambda: bus.harness.joined,
-            f"no harness on {self.place}",
+            lambda: f"no harness on {self.place}",
             lambda: (
                 f"start one ('rollerrig sequence ... --bus {shlex.quote(self.place)}') or run "
                 "without --harness"
             ),
         )
 
-    def _remedy_without_unit(self) -> str:
-        """Return what helps if no unit has appeared, as the end of a message."""
+    def _remedy_without_unit(self, groups: list[int]) -> str:
+        """Return what helps if no unit of some groups has appeared, as the end of a message."""
         if not self.options.command:
-            start = f"start one ('rollerrig wsp --bus {shlex.quote(self.place)}')"
-            return f"{start} or wait longer with --wait"
+            command = f"rollerrig wsp --bus {shlex.quote(self.place)}"
+            if GROUPS == 1:
+                return f"start one ('{command}') or wait longer with --wait"
+            # a unit outside the command line of a scenario needs the vehicle of this process
+            variables = f"{AXLES_VARIABLE}={AXLES}"
+            if EQUIPMENT:
+                variables += f" {EQUIPMENT_VARIABLE}={','.join(sorted(EQUIPMENT))}"
+            starts = [f"'{variables} {command} --group {group + 1}'" for group in groups]
+            return f"start a unit for each ({', '.join(starts)}) or wait longer with --wait"
         return (
             f"correct the unit '{self.options.command}', or wait longer with --wait"
             f"{self.processes.unit_words()}"
@@ -439,7 +457,7 @@ class Parts:
         self,
         bus: rig_bus.RigBus,
         is_there: Callable[[], bool],
-        missing: str,
+        missing: Callable[[], str],
         remedy: Callable[[], str],
     ) -> None:
         """Poll the bus until `is_there()`. Raises UnitError when the time for it is over."""
@@ -451,12 +469,28 @@ class Parts:
             if is_there():
                 return
             if time.monotonic() > deadline_s:
-                raise UnitError(f"{missing} within {self.options.unit_wait_s:g} s; {remedy()}")
+                raise UnitError(f"{missing()} within {self.options.unit_wait_s:g} s; {remedy()}")
             self.processes.watch(starting=True)
             await asyncio.sleep(_POLL_S)
 
 
-def _heartbeat_ids() -> str:
-    """Return the identifiers of the heartbeats of all units, as in "720h and 740h"."""
-    ids = [f"{unit_frames(group).heartbeat_id:X}h" for group in range(GROUPS)]
-    return " and ".join(ids)
+def _groups_without_unit(bus: rig_bus.RigBus) -> list[int]:
+    """Return the groups (from 0) whose unit has sent no heartbeat; all groups if each has."""
+    silent = [group for group, unit in enumerate(bus.master.units) if unit.state is None]
+    return silent or list(range(GROUPS))
+
+
+def _heartbeat_ids(groups: Iterable[int] = range(GROUPS), described: bool = False) -> str:
+    """Return the identifiers of the heartbeats of the units of groups, as in "720h and 740h".
+
+    `described`: with the group and its axles, as in "740h (group 2, axles 5 to 6)".
+    """
+    words = []
+    for group in groups:
+        word = f"{unit_frames(group).heartbeat_id:X}h"
+        if described:
+            first = AXLES_OF_GROUP * group + 1
+            last = first + axles_of_group(group) - 1
+            word += f" (group {group + 1}, axles {first} to {last})"
+        words.append(word)
+    return " and ".join(words)

@@ -192,6 +192,8 @@ def load(names: list[str]) -> "list[Sequence]":
             check_fault = partial(catalogue.parse, source="the fault")
             sequences.append(sequence_file.load(path, check_fault))
         except ConfigError as error:
+            # a sequence of another vehicle may have axles or faults that are unknown here
+            _check_vehicle(path)
             errors.append(str(error))
 
     # each sequence needs a different name, because the folder of its run has this name
@@ -202,7 +204,11 @@ def load(names: list[str]) -> "list[Sequence]":
 
     for sequence in sequences:
         try:
-            scenario_of(sequence)
+            of_bench = scenario_of(sequence)
+            for step in sequence.steps:
+                for text in step.faults:
+                    fault = catalogue.parse(text, source="the fault")
+                    catalogue.check_equipped(fault, of_bench.resolved, f"line {step.line} [[step]]")
         except OtherVehicleError:
             # the command line starts itself again for this vehicle
             raise
@@ -212,6 +218,30 @@ def load(names: list[str]) -> "list[Sequence]":
     if errors:
         raise ConfigError("no sequence was played:\n  " + "\n  ".join(errors))
     return sequences
+
+
+def _check_vehicle(path: Path) -> None:
+    """Raise OtherVehicleError if this process does not simulate the vehicle of a sequence.
+
+    Any other mistake in the file is not reported here.
+    """
+    from rollerrig.configs import store
+    from rollerrig.realtime.bench import scenario
+    from rollerrig.wsp_interface import own_bench
+
+    try:
+        content = store.parse(path)
+        start = content.get("start", {})
+        tables = start.get("tables", {}) if isinstance(start, dict) else {}
+        data = own_bench.scenario_of(
+            name=str(content.get("scenario", "")),
+            tables=tables if isinstance(tables, dict) else {},
+        )
+        scenario.read(data, Path(path.name))
+    except OtherVehicleError:
+        raise
+    except ConfigError:
+        return
 
 
 def _find(names: list[str]) -> list[Path]:

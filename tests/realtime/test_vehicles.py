@@ -259,6 +259,99 @@ def test_an_fmu_is_refused_where_it_would_protect_one_group_of_several(tmp_path)
     assert not (tmp_path / "run").exists()
 
 
+ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
+
+
+def test_a_group_without_a_unit_is_reported_with_its_axles_and_the_command_that_starts_one(
+    tmp_path,
+):
+    # the command starts the unit of the leading group only
+    unit = f"{sys.executable} -m rollerrig.realtime.cli wsp --bus {{address}} --lockstep 0.01"
+    status, _, messages = rollerrig(
+        *("run", "tram_low", "--pacing", "lockstep", "--unit", unit, "--wait", "20"),
+        *(*ON_HUB, "--out", tmp_path / "command"),
+    )
+    assert status == 2
+    assert "no heartbeat on 740h (group 2, axles 5 to 6)" in messages
+    assert "720h (" not in messages
+
+    status, _, messages = rollerrig(
+        *("run", "tram_low", "--pacing", "lockstep", "--wsp", "external", "--wait", "1"),
+        *(*ON_HUB, "--out", tmp_path / "none"),
+    )
+    assert status == 2
+    assert "720h (group 1, axles 1 to 4) and 740h (group 2, axles 5 to 6)" in messages
+    assert "ROLLERRIG_AXLES=6 rollerrig wsp --bus" in messages
+    assert "--group 2" in messages
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            ("tram_low_dynamic", "--set", "dynamic_brake.axles=[1, 9]"),
+            "axles = [1, 9]: the vehicle has 6 axles; list each driven axle once",
+        ),
+        (("tram_low_dynamic", "--set", "dynamic_brake.force_N=0"), "without a curve"),
+        (("tram_low_dynamic", "--set", "dynamic_brake.demand_N_Pa=0.9"), "which have 125.0 kN"),
+        (
+            ("tram_emergency_magnetic", "--set", "magnetic_track_brake.bogies=[1, 5]"),
+            "bogies = [1, 5]: the vehicle has 3 bogies",
+        ),
+        (
+            ("tram_low_dynamic", "--fault", "dynamic_brake_lost axle=3"),
+            "axle 3 has no such brake; allowed are 1, 2, 5, 6 ([dynamic_brake] axles)",
+        ),
+        (
+            ("tram_low", "--fault", "track_brake_dead bogie=1"),
+            "track_brake_dead is a fault of vehicles with [magnetic_track_brake] bogies",
+        ),
+    ],
+)
+def test_a_motor_magnet_or_fault_that_the_vehicle_cannot_have_is_refused_before_the_run(
+    words, message, tmp_path
+):
+    status, _, messages = rollerrig("run", *words, "--pacing", "free", "--out", tmp_path / "run")
+    assert status == 2
+    assert message in messages
+    assert "Traceback" not in messages
+    assert not (tmp_path / "run").exists()
+
+
+SEQUENCE_OF_A_TRAM = """
+title = "A tram loses the dynamic brake of one axle and stops"
+criteria = "none"
+scenario = "tram_low_dynamic"
+
+[start]
+speed = "60 km/h"
+
+[[step]]
+title = "the motor fails"
+fault = "dynamic_brake_lost axle={axle}"
+set = {{ brake_demand = "3.8 bar" }}
+until = "vehicle_speed < 0.01 m/s"
+timeout = "60 s"
+"""
+
+
+@pytest.mark.parametrize(
+    ("axle", "expected_status", "message"),
+    [
+        (5, 0, ""),
+        (3, 2, "axle 3 has no such brake; allowed are 1, 2, 5, 6 ([dynamic_brake] axles)"),
+    ],
+)
+def test_the_faults_of_a_sequence_are_checked_for_the_vehicle_of_the_sequence(
+    axle, expected_status, message, tmp_path
+):
+    path = tmp_path / "tram.toml"
+    path.write_text(SEQUENCE_OF_A_TRAM.format(axle=axle))
+    status, _, messages = rollerrig("sequence", path, "--check")
+    assert status == expected_status, messages
+    assert message in messages
+
+
 def test_a_unit_for_a_group_that_is_not_there_is_refused():
     status, _, messages = rollerrig("wsp", "--group", "2")
     assert status == 2
