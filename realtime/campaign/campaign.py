@@ -12,12 +12,13 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rollerrig.configs import store, table, unpacking, user_files
@@ -41,8 +42,8 @@ ROWS = (
     table.number("step_s", 0.0, 0.0, 1e-2, "physics of most stops; 0: the step of the scenario"),
     integer("rows_up_to", 200_000, 0, 10_000_000, "runs of a random design that keep their rows"),
 )
-# Of a chunk, the share of the stops with the longest distances that run again at the step of the
-# scenario, if the others have a longer one.
+# The share of the stops with the longest distances that run again at the step of the scenario, if
+# the others have a longer one: of all stops, or of each chunk of a large campaign.
 AGAIN = 0.01
 # columns of the step of a row, and of the share by which the longer step has missed the distance
 STEP = "step_s"
@@ -61,6 +62,9 @@ _UNIT_IS = (
 ALLOW_CODE = "--allow-code"
 
 _DISTANCE = "braking_distance_m"
+# files of a result: of a chunk, and of stops that have run again
+_PART = "part"
+_AGAIN = "again"
 
 Row = dict[str, Any]  # one run of the result, by the names of its columns
 
@@ -274,8 +278,9 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
     """Run one chunk; return one row per run.
 
     A run that fails has an error and no figures. A run that is not valid has its reasons and no
-    figures. Where the step of the plan is longer than that of the scenario, the longest stops (the
-    share AGAIN, at least one) run again with the step of the scenario.
+    figures. The longest stops of a chunk of a large campaign run again with the step of the
+    scenario, if that of the plan is longer. Those of other campaigns do so after the last chunk,
+    see `run_again`.
     """
     of_chunk = piece(plan, chunk)
     unit_command = unit_choice.command_of(plan.head["unit"])
@@ -296,8 +301,9 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
         return list(rows.values())
 
     rows = once(of_chunk)
-    if _long_step_s(of_chunk) is not None:
-        _run_again(of_chunk, rows)
+    if plan.is_large and _long_step_s(of_chunk) is not None:
+        for row in run_again([_alone(of_chunk, rows[number]) for number in longest(rows.values())]):
+            rows[row["run"]] = row
     return list(rows.values())
 
 
@@ -305,7 +311,8 @@ def once(plan: Plan) -> dict[int, Row]:
     """Run all runs of a plan in this process, none of them again; return their rows by number."""
     rows = _empty_rows(plan)
     has_long_step = _long_step_s(plan) is not None
-    _compute(plan, rows, _with_long_step if has_long_step else resolve)
+    resolved = _with_long_step if has_long_step else resolve
+    _compute(plan, rows, lambda number: resolved(plan, number))
     return rows
 
 
@@ -316,14 +323,14 @@ def _empty_rows(plan: Plan) -> dict[int, Row]:
 
 
 def _compute(
-    plan: Plan, rows: dict[int, Row], resolved: Callable[[Plan, int], scenario.Scenario]
+    plan: Plan, rows: dict[int, Row], resolved: Callable[[int], scenario.Scenario]
 ) -> None:
     """Write the results of runs into their rows, by number; `resolved` gives their scenarios."""
 
     def jobs() -> Iterator[tuple[int, scenario.Scenario]]:
         for number, row in rows.items():
             try:
-                yield number, resolved(plan, number)
+                yield number, resolved(number)
             except RollerrigError as error:
                 row["error"] = str(error)
 
@@ -336,29 +343,51 @@ def _compute(
             row |= speed_steps.decelerations(finished.channels, plan.steps)
 
 
-def _run_again(plan: Plan, rows: dict[int, Row]) -> None:
-    """Run the longest stops of a chunk again with the step of the scenario, and replace their rows.
+class Again(NamedTuple):
+    """A stop that runs again: a plan of this run only, and its distance with the longer step.
 
-    A vehicle that did not stop within its time is longer than any other.
+    before_m: None if the vehicle did not stop within its time.
     """
 
-    def distance_m(number: int) -> float:
-        row = rows[number]
-        return math.inf if row["stopped"] is False else row[_DISTANCE]
+    plan: Plan
+    before_m: float | None
 
-    counted = [number for number, row in rows.items() if row["stopped"] is False or row[_DISTANCE]]
-    counted.sort(key=distance_m, reverse=True)
-    first = plan.first
-    again = {
-        number: empty_row(plan, number, plan.points[number - first])
-        for number in counted[: math.ceil(AGAIN * len(rows))]
-    }
-    _compute(plan, again, resolve)
-    for number, row in again.items():
-        before_m = rows[number][_DISTANCE]
-        if before_m and row[_DISTANCE]:
-            row[MISSED] = before_m / row[_DISTANCE] - 1.0
-        rows[number] = row
+
+def _alone(plan: Plan, row: Row) -> Again:
+    number = row["run"]
+    begin = number - plan.first
+    of_run = plan._replace(points=plan.points[begin : begin + 1], first=number)
+    return Again(of_run, row[_DISTANCE])
+
+
+def longest(rows: Iterable[Row]) -> list[int]:
+    """Return the numbers of the longest stops, rising: the share AGAIN of the rows, at least one.
+
+    A vehicle that did not stop within its time is longer than any other. Of equal distances the
+    first runs are taken, so the result does not depend on who computed them.
+    """
+    count = 0
+    distances_m = []
+    for row in rows:
+        count += 1
+        if row["stopped"] is False:
+            distances_m.append((-math.inf, row["run"]))
+        elif row[_DISTANCE]:
+            distances_m.append((-row[_DISTANCE], row["run"]))
+    distances_m.sort()
+    return sorted(number for _, number in distances_m[: math.ceil(AGAIN * count)])
+
+
+def run_again(stops: Sequence[Again]) -> list[Row]:
+    """Run stops with the step of the scenario; return their rows, with MISSED."""
+    plans = {stop.plan.first: stop.plan for stop in stops}
+    rows = {number: empty_row(plan, number, plan.points[0]) for number, plan in plans.items()}
+    _compute(stops[0].plan, rows, lambda number: resolve(plans[number], number))
+    for stop in stops:
+        row = rows[stop.plan.first]
+        if stop.before_m and row[_DISTANCE]:
+            row[MISSED] = stop.before_m / row[_DISTANCE] - 1.0
+    return list(rows.values())
 
 
 def _fill(row: Row, found: Row) -> None:
@@ -473,14 +502,35 @@ def _fingerprint(mark: Path, out: Path) -> Any:
     return content["fingerprint"]
 
 
-def part(out: Path, chunk: int) -> Path:
-    """Return the path of the file of one chunk."""
-    return out / "results" / f"part-{chunk:06d}.parquet"
+def open_again(plan: Plan, out: Path) -> dict[int, list[Again]]:
+    """Return the stops that must still run again, by the number of their file.
+
+    All chunks must be done. The longest stops are those of the whole campaign. They are found in
+    the files of the chunks, which no later run changes: a campaign that is killed in between finds
+    the same ones.
+    """
+    if plan.is_large or _long_step_s(plan) is None:
+        return {}
+    columns = ["run", "stopped", _DISTANCE]
+    found = {row["run"]: row for row in _parts(out, _PART).select(columns).to_pylist()}
+    numbers = longest(found.values())
+    size = plan.head["chunk"]
+    missing = {}
+    for first in range(0, len(numbers), size):
+        chunk = first // size
+        if not part(out, chunk, _AGAIN).is_file():
+            missing[chunk] = [_alone(plan, found[n]) for n in numbers[first : first + size]]
+    return missing
 
 
-def write_chunk(out: Path, chunk: int, rows: list[Row]) -> None:
+def part(out: Path, chunk: int, kind: str = _PART) -> Path:
+    """Return the path of the file of one chunk, or of some stops that have run again."""
+    return out / "results" / f"{kind}-{chunk:06d}.parquet"
+
+
+def write_chunk(out: Path, chunk: int, rows: list[Row], kind: str = _PART) -> None:
     """Write the rows of a chunk to its file, in one step. Raises RollerrigError if it cannot."""
-    path = part(out, chunk)
+    path = part(out, chunk, kind)
     try:
         with replaced(path) as new:
             pq.write_table(as_table(rows), new)
@@ -518,8 +568,21 @@ def _schema(row: Row) -> pa.Schema:
 
 
 def result(out: Path) -> pa.Table:
-    """Return all rows of a result folder, sorted by run. Raises ConfigError if there are none."""
-    paths = sorted((out / "results").glob("part-*.parquet"))
+    """Return all rows of a result folder, sorted by run. Raises ConfigError if there are none.
+
+    The row of a stop that has run again is that of the step of the scenario.
+    """
+    rows = _parts(out, _PART)
+    again = _parts(out, _AGAIN) if part(out, 0, _AGAIN).is_file() else None
+    if again is not None:
+        has_run_again = pc.is_in(rows["run"], value_set=again["run"].combine_chunks())
+        rows = pa.concat_tables([rows.filter(pc.invert(has_run_again)), again])
+    return rows.sort_by("run")
+
+
+def _parts(out: Path, kind: str) -> pa.Table:
+    """Return the rows of all files of a kind. Raises ConfigError if there are none."""
+    paths = sorted((out / "results").glob(f"{kind}-*.parquet"))
     if not paths:
         raise ConfigError(
             f"{out}: no results; run 'rollerrig campaign PLAN' with this folder as --out"
@@ -534,7 +597,7 @@ def result(out: Path) -> pa.Table:
             raise ConfigError(
                 f"{path}: cannot be read: {error}; remove it, and repeat the command to run it again"
             ) from None
-    return pa.concat_tables(tables).sort_by("run")
+    return pa.concat_tables(tables)
 
 
 def work(plan: Plan) -> spreading.Work:
@@ -544,3 +607,17 @@ def work(plan: Plan) -> spreading.Work:
         return run_chunk, piece(plan, chunk), chunk
 
     return call
+
+
+def work_again(stops: dict[int, list[Again]]) -> spreading.Work:
+    """Return what runs some stops again and returns their rows, for `spreading`."""
+
+    def call(chunk: int) -> tuple[Any, ...]:
+        return run_again, stops[chunk]
+
+    return call
+
+
+def write_again(out: Path, chunk: int, rows: list[Row]) -> None:
+    """Write the rows of stops that have run again. Raises RollerrigError if it cannot."""
+    write_chunk(out, chunk, rows, _AGAIN)

@@ -186,12 +186,17 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
         chunks_done = len(plan.chunks) - len(chunks_to_do)
         bar.advance(task, min(run_count, chunks_done * plan.head["chunk"]))
 
-        if not chunks_to_do:
-            return
         if merger is None:
-            for chunk, rows in _finished(options, campaign.work(plan), chunks_to_do):
-                campaign.write_chunk(out, chunk, rows)
-                bar.advance(task, len(rows))
+            if chunks_to_do:
+                for chunk, rows in _finished(options, campaign.work(plan), chunks_to_do):
+                    campaign.write_chunk(out, chunk, rows)
+                    bar.advance(task, len(rows))
+            again = campaign.open_again(plan, out)
+            if again:
+                for chunk, rows in _finished(options, campaign.work_again(again), list(again)):
+                    campaign.write_again(out, chunk, rows)
+            return
+        if not chunks_to_do:
             return
         with merger.writing():
             for chunk, found in _finished(options, large.work(plan, merger.kept), chunks_to_do):

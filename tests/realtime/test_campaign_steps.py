@@ -54,9 +54,20 @@ def test_without_a_step_all_stops_have_the_step_of_the_scenario_and_none_runs_ag
         assert row[campaign.MISSED] is None
 
 
-def test_the_longest_stop_of_a_chunk_runs_again_with_the_step_of_the_scenario(plan):
+def run_all(loaded, out):
+    """Run a campaign as its command does; return its rows."""
+    for chunk in campaign.open_result(loaded, out):
+        campaign.write_chunk(out, chunk, campaign.run_chunk(loaded, chunk))
+    for chunk, stops in campaign.open_again(loaded, out).items():
+        campaign.write_again(out, chunk, campaign.run_again(stops))
+    return campaign.result(out).to_pylist()
+
+
+def test_the_longest_stop_of_all_chunks_runs_again_with_the_step_of_the_scenario(plan, tmp_path):
     exact = campaign.run_chunk(plan(EXACT), 0)
-    rows = campaign.run_chunk(plan(LONG), 0)
+    two_chunks = plan(LONG)
+    two_chunks.head["chunk"] = 2
+    rows = run_all(two_chunks, tmp_path / "out")
     steps_s = [row[campaign.STEP] for row in rows]
     assert steps_s == [1e-3, 1e-3, STEP_OF_THE_SCENARIO_S, 1e-3]
     missed = rows[LONGEST].pop(campaign.MISSED)
@@ -66,8 +77,21 @@ def test_the_longest_stop_of_a_chunk_runs_again_with_the_step_of_the_scenario(pl
     assert rows[LONGEST] == exact[LONGEST]
 
 
-def test_a_stop_beyond_its_time_is_longer_than_any_other(plan):
-    rows = campaign.run_chunk(plan(f"{LONG}", vary="duration_max_s = [1.5, 60.0, 50.0, 40.0]"), 0)
+def test_a_campaign_that_is_killed_before_its_longest_stops_finds_the_same_ones(plan, tmp_path):
+    loaded = plan(LONG)
+    out = tmp_path / "out"
+    rows = run_all(loaded, out)
+    file = campaign.part(out, 0, "again")
+    before = file.read_bytes()
+    assert campaign.open_again(loaded, out) == {}
+    file.unlink()
+    assert run_all(loaded, out) == rows
+    assert file.read_bytes() == before
+
+
+def test_a_stop_beyond_its_time_is_longer_than_any_other(plan, tmp_path):
+    loaded = plan(LONG, vary="duration_max_s = [1.5, 60.0, 50.0, 40.0]")
+    rows = run_all(loaded, tmp_path / "out")
     assert rows[0]["stopped"] is False
     assert rows[0][campaign.STEP] == STEP_OF_THE_SCENARIO_S
     assert [row[campaign.STEP] for row in rows[1:]] == [1e-3] * 3
@@ -107,8 +131,7 @@ def test_a_step_that_does_not_divide_the_tick_is_refused(plan):
 def test_the_result_and_its_page_report_the_largest_deviation(plan, tmp_path):
     loaded = plan(LONG)
     out = tmp_path / "out"
-    for chunk in campaign.open_result(loaded, out):
-        campaign.write_chunk(out, chunk, campaign.run_chunk(loaded, chunk))
+    run_all(loaded, out)
     found = outcome.read(loaded, out)
     again, missed = found.again
     assert again == math.ceil(campaign.AGAIN * len(loaded.points))
