@@ -7,7 +7,7 @@ brakes that all vary in the same way, inside their calibration, are at least as 
 answers do not contain the stops. So this command makes each set again whose one hidden cause is
 such a force, if the kept answer names forces. It fits the causes of the answer and applies the
 rule. It prints each set, and for each cause and size how many sets the rule takes from it and the
-largest share of the braking force among them. It takes ten minutes on two cores.
+largest share of the braking force among them.
 """
 
 import tempfile
