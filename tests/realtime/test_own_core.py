@@ -91,13 +91,20 @@ def test_a_named_core_is_taken_but_two_benches_do_not_both_own_it(claims):
 @needs_two_cores
 def test_all_threads_leave_a_core_and_return_to_it():
     core = max(CORES)
+    # a library that an earlier test of this process used may have threads on this core only
+    staying = {
+        thread
+        for thread in threads_allowed_on(core, os.getpid())
+        if os.sched_getaffinity(thread) == {core}
+    }
     event = threading.Event()
     thread = threading.Thread(target=event.wait)
     thread.start()
     before = {}
     try:
         before = cores.leave({core}, os.getpid())
-        assert threads_allowed_on(core, os.getpid()) == []
+        assert thread.native_id in before
+        assert set(threads_allowed_on(core, os.getpid())) <= staying
     finally:
         cores.restore(before)
         event.set()
