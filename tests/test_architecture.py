@@ -58,7 +58,7 @@ FLOORS = {
     ),
     "firmware_sim": (
         "cia301 rig_control",
-        "nmt_master process_image rack wsp",
+        "identifiers nmt_master process_image rack wsp",
         "bench_node drive402 encoder406 faults fmu io401 sander401 traction401",
         "modbus pole_wheel",
     ),

@@ -23,7 +23,16 @@ from rollerrig.configs.vehicle import AXLES, AXLES_OF_GROUP, GROUPS
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import free, lockstep, options, scenario, tick_data, wall, wire_delay
+from rollerrig.realtime.bench import (
+    free,
+    lockstep,
+    options,
+    rig_bus,
+    scenario,
+    tick_data,
+    wall,
+    wire_delay,
+)
 from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.scenario import Scenario
@@ -78,6 +87,8 @@ class Bench:
         for fault in plan.faults:
             catalogue.check_equipped(fault, plan.resolved, plan.name)
         wire_delay.check(plan, given.pacing)
+        if given.pacing != "free":
+            rig_bus.check_stored(plan)
         if given.unit == "reference":
             logic.load(plan["wsp_config"])
         if given.fmus:

@@ -14,7 +14,14 @@ import numpy as np
 
 from rollerrig.configs.errors import BusError, PortInUseError
 from rollerrig.configs.vehicle import GROUPS, HAS_MAGNETIC_TRACK_BRAKE
-from rollerrig.firmware_sim import bench_node, encoder406, io401, sander401, traction401
+from rollerrig.firmware_sim import (
+    bench_node,
+    encoder406,
+    identifiers,
+    io401,
+    sander401,
+    traction401,
+)
 from rollerrig.firmware_sim.cia301.host import NEVER
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.drive402 import drive
@@ -589,6 +596,16 @@ def _build_nodes(
             commands = command[tick.MOTORS : tick.TRACK_BRAKE]
             nodes[number] = traction401.build(row, commands, post, store(number), parameters, group)
     return nodes
+
+
+def check_stored(scenario: Scenario) -> None:
+    """Refuse stored parameters by which two nodes, or node and unit, send one identifier.
+
+    Raises ConfigError.
+    """
+    if scenario["bus"]["store"]:
+        row = np.zeros(len(signals.COLUMNS))
+        identifiers.check(_build_nodes(scenario, row, tick.first_command(), lambda: None))
 
 
 def _is_sync(frame: Frame) -> bool:

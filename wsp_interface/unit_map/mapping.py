@@ -34,6 +34,7 @@ from cantools.database.can import Message as DbcMessage
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import (
     LSS_ANSWER,
@@ -43,11 +44,17 @@ from rollerrig.wsp_interface.bus.connection_set import (
     SYNC,
     TIME,
 )
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, WSP_NODE
+from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE
 from rollerrig.wsp_interface.unit_map import fields
 from rollerrig.wsp_interface.unit_map.fields import CHECKSUMS, Checksum, Filled
 
-_NODES = (*signals.RIG_NODES, WSP_NODE, BENCH_NODE)
+# the nodes of all groups of axles; a further group has a TPDO of the harness with the identifiers
+# of a node below that of the bench
+_NODES = (
+    *signals.RIG_NODES,
+    *signals.WSP_NODES,
+    *range(BENCH_NODE - GROUPS + 1, BENCH_NODE + 1),
+)
 # the service codes of nodes in the predefined connection set: EMCY to SDO, and heartbeat
 _SERVICES = (*range(1, 13), 14)
 _SERVICE_BITS = 7  # the service code is above the bits of the node's number
@@ -365,7 +372,7 @@ def _message(table: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
     if _is_used_by_rig(message):
         raise ConfigError(
             f"{where}: {name} has the identifier {message.frame_id:X}h, which the rig "
-            "uses; give the unit another, or 29-bit identifiers"
+            f"uses{_group_of(message)}; give the unit another, or 29-bit identifiers"
         )
     return message
 
@@ -378,6 +385,15 @@ def _is_used_by_rig(message: DbcMessage) -> bool:
     if can_id in (NMT, SYNC, TIME, LSS_ANSWER, LSS_REQUEST):
         return True
     return can_id & NODE_MASK in _NODES and can_id >> _SERVICE_BITS in _SERVICES
+
+
+def _group_of(message: DbcMessage) -> str:
+    """Return which group of axles uses the identifier of a message, where there are several."""
+    node = message.frame_id & NODE_MASK
+    if GROUPS == 1 or node not in (*signals.RIG_NODES, *signals.WSP_NODES):
+        return ""
+    axles = signals.axles_of(signals.group_of(node))
+    return f" for group {signals.group_of(node) + 1} (axles {axles[0]} to {axles[-1]})"
 
 
 def _check_signals(names: tuple[str, ...], message: DbcMessage, where: str) -> None:

@@ -1,0 +1,134 @@
+"""Vehicles with several groups of axles: what belongs to one group, and what two groups share.
+
+A process simulates one number of axles, so each of these runs is a process.
+"""
+
+import json
+import subprocess
+import sys
+from binascii import crc32
+
+import pytest
+
+# these processes compile kernels for their number of axles
+LONGEST_S = 900
+ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
+
+
+def rollerrig(*words):
+    """Run the program; return its exit status, what it prints, and its messages."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=False,
+    )
+    return done.returncode, done.stdout, done.stderr
+
+
+# --- identifiers ---
+
+
+def store(folder, node, values=None, settings=None):
+    """Write the file of a node as the node does when a master stores values or LSS settings."""
+    parts = (values or {}, settings or {})
+    content = {
+        "checksum": crc32(json.dumps(parts, sort_keys=True).encode()),
+        "values": parts[0],
+        "lss": parts[1],
+    }
+    folder.mkdir(exist_ok=True)
+    (folder / f"node_{node:03d}.json").write_text(json.dumps(content))
+
+
+@pytest.mark.parametrize(
+    ("node", "values", "settings", "message"),
+    [
+        # TPDO1 of the second brake I/O has the identifier of the first one
+        (
+            49,
+            {"180001": 0x191},
+            {},
+            "node 17 of group 1 in object 1800h:1 and node 49 of group 2 in object 1800h:1 have the "
+            "identifier 191h",
+        ),
+        # a drive of the first group sends what the unit of the second one sends
+        (
+            1,
+            {"180001": 0x231},
+            {},
+            "the WSP unit of group 2 and node 1 of group 1 in object 1800h:1 have the identifier 231h",
+        ),
+        (
+            16,
+            {},
+            {"node_id": 48, "bit_timing": 2},
+            "node 16 of group 1 and node 48 of group 2 have the node number 48 (LSS)",
+        ),
+        (
+            48,
+            {},
+            {"node_id": 32, "bit_timing": 2},
+            "the WSP unit of group 1 and node 48 of group 2 have the node number 32 (LSS)",
+        ),
+    ],
+)
+def test_a_stored_identifier_of_another_group_is_refused_before_the_run(
+    node, values, settings, message, tmp_path
+):
+    memory = tmp_path / "memory"
+    store(memory, node, values, settings)
+    status, _, messages = rollerrig(
+        *("run", "tram_low", "--pacing", "lockstep", "--set", f"bus.store={memory}", *ON_HUB),
+        *("--out", tmp_path / "run"),
+    )
+    assert status == 2
+    assert message in " ".join(messages.split())
+    assert f"node_{node:03d}.json" in messages
+    assert "delete the file" in " ".join(messages.split())
+    assert not (tmp_path / "run").exists()
+
+
+GENTLE_TRAM = """
+title = "A tram brakes gently on low adhesion"
+scenario = "tram_low"
+
+[start]
+speed = "40 km/h"
+
+[[step]]
+title = "the driver brakes"
+set = { brake_demand = "2 bar" }
+until = "vehicle_speed < 0.01 m/s"
+timeout = "60 s"
+"""
+DBC = """VERSION ""
+NS_ :
+BS_:
+BU_: UNIT RIG
+BO_ 561 TAKEN: 1 UNIT
+ SG_ V1 : 0|8@1+ (1,0) [0|255] "rad/s" UNIT
+"""
+MAP = """dbc = "unit.dbc"
+[[to_unit]]
+message = "TAKEN"
+signals = { V1 = "measured_speed_1" }
+[from_unit]
+message = "TAKEN"
+hold = []
+vent = []
+"""
+
+
+def test_a_message_of_a_unit_with_an_identifier_of_a_further_group_is_refused(tmp_path):
+    (tmp_path / "gentle.toml").write_text(GENTLE_TRAM)
+    (tmp_path / "unit.dbc").write_text(DBC)
+    (tmp_path / "map.toml").write_text(MAP)
+    status, _, messages = rollerrig(
+        *("sequence", tmp_path / "gentle.toml", "--wsp", "external", "--unit", "true"),
+        *("--unit-map", tmp_path / "map.toml", "--out", tmp_path / "report"),
+    )
+    assert status == 2
+    expected = "TAKEN has the identifier 231h, which the rig uses for group 2 (axles 5 to 6)"
+    assert expected in " ".join(messages.split())
