@@ -33,8 +33,10 @@ TEMPERATURE_STEP_K = 10.0
 MOST_LEVELS = 8
 WIDEST_LEVEL = 0.1
 
-# share of the variance of a column that other columns explain, above which they go together
-TOGETHER = 0.98
+# share of the variance of a column that other columns explain, above which they go together: a
+# variance inflation of 10 (Kutner and others, Applied Linear Statistical Models (2005), section
+# 10.5). Then a wrong form of the curve looks like an effect of the condition.
+TOGETHER = 0.9
 
 
 class Condition(NamedTuple):
@@ -213,6 +215,8 @@ def going_together(prepared: Prepared) -> dict[str, list[str]]:
             partners = [other.name for other in kept]
         if not partners and _explained(condition, [of_creepage]):
             partners = [CREEPAGE]
+        if not partners and _explained(condition, [of_creepage, *(o.columns for o in kept)]):
+            partners = [CREEPAGE, *(other.name for other in kept)]
         if partners:
             found[condition.name] = partners
         else:

@@ -173,10 +173,13 @@ def judge_robot_creep(result: Result) -> str:
         return "wrong: the surfaces are not distinguished"
     if causes(result, "falling_friction"):
         return "wrong: a fall"
+    load = causes(result, "load_dependent_friction")
+    if not load or load[0]["parameters"]["change"]["value"] > 0.0:
+        return "wrong: adhesion is not reported to fall with load"
     if causes(result, "speed_dependent_friction"):
         return (
-            "partly: the surfaces differ; but `speed` here is the share of a wheel in the motion, "
-            "and a dependence of friction on it is reported"
+            "partly: the surfaces differ; but the speed falls with sliding, and a dependence of "
+            "friction on it is reported"
         )
     return "right"
 
@@ -197,6 +200,24 @@ def _sand_known(folder: str) -> str:
     return (
         f"on sand; means at slips of {', '.join(f'{slip:g}' for slip in np.unique(slips))}: "
         f"{', '.join(texts)}, each larger than the one before"
+    )
+
+
+def _surfaces_known(folder: str) -> str:
+    data = columns(folder, "curve.csv")
+    is_light = data["wheel_load_N"] < data["wheel_load_N"].mean()
+    light = []
+    falls = []
+    for surface in np.unique(data["series"]):
+        here = data["series"] == surface
+        light.append(float(data["adhesion"][here & is_light].mean()))
+        heavy = float(data["adhesion"][here & ~is_light].mean())
+        falls.append(100.0 * (1.0 - heavy / light[-1]))
+    means = ", ".join(f"{mean:.2f}" for mean in light)
+    return (
+        f"four surfaces, each a series: mean adhesion of {means} at 30 N, and at 50 N "
+        f"{', '.join(f'{fall:.0f}' for fall in falls)} % less, since the force is from motor "
+        "current with the gear's friction; the rims turn at nearly one speed"
     )
 
 
@@ -271,7 +292,7 @@ SETS = (
     Set("robot_green_apache", _robot_known("robot_green_apache", ("1.csv", "2.csv")), judge_robot),
     Set(
         "robot_slip_apache",
-        lambda: "four surfaces, each a series; force from motor current with the gear's friction",
+        lambda: _surfaces_known("robot_slip_apache"),
         judge_robot_creep,
     ),
 )

@@ -204,6 +204,22 @@ def test_a_load_that_grows_with_creepage_is_not_judged_and_makes_no_fall(points)
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_a_speed_that_sliding_lowers_is_not_judged_as_a_dependence_of_friction(seed):
+    """A robot turns its wheels at nearly one speed: the faster they slide, the slower it drives."""
+    rng = np.random.default_rng(seed)
+    surface = rng.integers(0, 4, 400)
+    creepage = np.array((0.1, 0.2, 0.35, 0.6))[surface] * rng.uniform(0.7, 1.3, 400)
+    friction = np.array((0.2, 0.4, 0.8, 0.7))[surface]
+    adhesion = friction * np.tanh(10.0 * creepage) + 0.01 * rng.standard_normal(400)
+    speed_m_s = 0.08 * rng.uniform(0.85, 1.15, 400) * (1.0 - creepage)
+    curve = generators.Points(creepage, adhesion, speed_m_s, np.full(400, 30.0), surface + 1.0)
+    answer = judgement.without_law(with_points(curve))
+    speed = next(e for e in answer.factors.effects if e.name == conditions.SPEED)
+    assert "together with creepage" in speed.why_not
+    assert [e.name for e in answer.reported] == [conditions.SERIES]
+
+
+@pytest.mark.parametrize("seed", range(5))
 def test_a_series_of_one_point_is_not_reported_to_differ(seed):
     rng = np.random.default_rng(seed)
     creepage = rng.uniform(0.001, 0.4, 200)
