@@ -56,6 +56,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def call(given: argparse.Namespace) -> int:
+    with study.no_folder_if_refused(given.dataset, given.out, "explain"):
+        return _explain(given)
+
+
+def _explain(given: argparse.Namespace) -> int:
     if _is_recorder(given.dataset):
         return _explain_recorder(given)
     data, out = _open_dataset(given)

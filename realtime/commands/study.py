@@ -3,12 +3,14 @@ write a report.
 """
 
 import argparse
+import contextlib
 import json
-from collections.abc import Callable
+import shutil
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, write_text, writing
 from rollerrig.realtime.commands import output
 
@@ -20,6 +22,8 @@ if TYPE_CHECKING:
 SLOWEST_M_S = 4.0
 # of the run folders, one in so many is never fitted unless --validate names others
 RUNS_FOR_ONE_HELD_OUT = 3
+# subfolder of a report for the dataset that is made of run folders
+DATASET_OF_RUNS = "dataset"
 
 
 def open_dataset(
@@ -43,7 +47,7 @@ def open_dataset(
     if all(are_runs):
         runs = [Path(name) for name in names]
         with writing(folder):
-            dataset_folder = make_folder(folder, "dataset")
+            dataset_folder = make_folder(folder, DATASET_OF_RUNS)
         if dataset_of_runs is not None:
             return dataset_of_runs(runs, dataset_folder), folder
         return dataset.load(run_dataset.from_folders(runs, dataset_folder)), folder
@@ -73,10 +77,35 @@ def dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "Da
 
 def report_folder(names: list[str], out: Path | None, verb: str) -> Path:
     """Return the folder of a report: `out`, else reports/VERB_NAME. The folder is created."""
-    folder = out or Path("reports") / f"{verb}_{Path(names[0]).resolve().name}"
+    folder = _folder_of(names, out, verb)
     with writing(folder):
         make_folder(folder)
     return folder
+
+
+def _folder_of(names: list[str], out: Path | None, verb: str) -> Path:
+    return out or Path("reports") / f"{verb}_{Path(names[0]).resolve().name}"
+
+
+@contextlib.contextmanager
+def no_folder_if_refused(names: list[str], out: Path | None, verb: str) -> Iterator[None]:
+    """Remove the folders that this command has made if the block raises RollerrigError.
+
+    These are the folder of the report, the dataset of runs in it, and folders above it that are
+    empty. A folder that was there before stays, with what a user has in it.
+    """
+    folder = _folder_of(names, out, verb)
+    made = [path for path in (folder / DATASET_OF_RUNS, folder) if not path.exists()]
+    made_above = [path for path in folder.parents if not path.exists()]
+    try:
+        yield
+    except RollerrigError:
+        for path in made:
+            shutil.rmtree(path, ignore_errors=True)
+        for path in made_above:
+            with contextlib.suppress(OSError):
+                path.rmdir()
+        raise
 
 
 def publish(

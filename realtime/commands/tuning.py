@@ -69,10 +69,11 @@ def tune(given: argparse.Namespace) -> int:
     if given.dataset == [VELIM]:
         return clone.load("paper.commands", "rollerrig tune velim").tune_velim(given)
 
-    data, out = study.open_dataset(given.dataset, given.out, "tune")
-    if data.kind == "creep_curve":
-        return _tune_creep_curve(given, data, out)
-    return _tune_recovery(given, data, out)
+    with study.no_folder_if_refused(given.dataset, given.out, "tune"):
+        data, out = study.open_dataset(given.dataset, given.out, "tune")
+        if data.kind == "creep_curve":
+            return _tune_creep_curve(given, data, out)
+        return _tune_recovery(given, data, out)
 
 
 def _tune_creep_curve(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
@@ -106,13 +107,14 @@ def validate(given: argparse.Namespace) -> int:
         raise ConfigError(
             f"--tau {given.tau:g} m/J is out of range; allowed are 0 to 1, and the paper has 1.9e-4"
         )
-    data, out = study.open_dataset(given.dataset, given.out, "validate")
-    if data.kind != "braking_runs":
-        raise ConfigError(
-            f"{given.dataset[0]}: a {data.kind} has no runs and cannot be validated; "
-            "use rollerrig tune"
-        )
-    return _validate_runs(given, data, out)
+    with study.no_folder_if_refused(given.dataset, given.out, "validate"):
+        data, out = study.open_dataset(given.dataset, given.out, "validate")
+        if data.kind != "braking_runs":
+            raise ConfigError(
+                f"{given.dataset[0]}: a {data.kind} has no runs and cannot be validated; "
+                "use rollerrig tune"
+            )
+        return _validate_runs(given, data, out)
 
 
 def _validate_runs(given: argparse.Namespace, data: "Dataset", out: Path) -> int:

@@ -206,6 +206,21 @@ def test_a_coarse_recording_is_refused(stop: Path, tmp_path: Path) -> None:
         run_sensors.of_run(run, 1.0)
 
 
+@pytest.mark.parametrize("verb", ["explain", "tune", "validate"])
+def test_a_study_that_is_refused_leaves_no_folder(stop: Path, tmp_path: Path, capsys, verb) -> None:
+    coarse = str(copied(stop, tmp_path / "run", 100))
+    out = tmp_path / "reports" / "new"
+    assert cli.main([verb, coarse, "--out", str(out)]) == 2
+    assert "record_hz" in capsys.readouterr().err
+    assert not out.parent.exists()
+
+    # what a user has in a folder stays
+    (out / "dataset").mkdir(parents=True)
+    (out / "dataset" / "notes.txt").write_text("mine")
+    assert cli.main([verb, coarse, "--out", str(out)]) == 2
+    assert [path.name for path in out.rglob("*")] == ["dataset", "notes.txt"]
+
+
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
