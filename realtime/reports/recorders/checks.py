@@ -24,7 +24,7 @@ _REASONS = {
     judged.SHORT: "the recording is too short",
     judged.ON_CHANGE: "the recorder logs only changes, so missing samples and held values are normal",
     judged.FEW_CHANGES: "the speed changes too little, or the wheel slips; record starts and stops",
-    judged.FEW_BLOCKS: "{0:.0f} blocks of {1:.0f} s above {2:.1f} m/s without hard braking are "
+    judged.FEW_BLOCKS: "{0:.0f} blocks of {1:.0f} s above {2:.2g} m/s without hard braking are "
     "needed, the recording has {3:.0f} s; record steady driving",
     judged.UNSTEADY: "the ratio to the vehicle varies by {0:.1f} % between blocks: the wheel slips "
     "or the vehicle turns; add yaw_rate_rad_s, or record straight rolling",
@@ -35,10 +35,13 @@ _REASONS = {
     "yaw_rate_rad_s or reference_speed_m_s",
     judged.NO_HARDEST: "a single speed falls faster than 3 m/s²: it slides or the vehicle brakes hard; "
     "add hardest_m_s2",
-    judged.NOT_DRIVEN: "the vehicle drives for {0:.1f} s only",
+    judged.NOT_DRIVEN: "the vehicle drives faster than {1:.2g} m/s for {0:.1f} s only",
     judged.NO_POSITION: "there is no position; add position_m",
     judged.FEW_RUNS: "{0:.0f} runs with a position are needed, there are {1:.0f}",
     judged.NO_SPEED: "no speed has enough samples",
+    judged.SLOW: "speeds of {0:.2g} m/s and more are needed, and the recording reaches {1:.2g} m/s",
+    judged.SLOW_FOR_UNIT: "more than {0:.2g} m/s in a quarter of the time is needed, the recording has "
+    "{1:.2g} m/s",
 }
 
 # what a size means, where its unit does not show it

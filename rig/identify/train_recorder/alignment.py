@@ -103,7 +103,7 @@ def align(run: Run, delay_s: dict[str, float], scale: dict[str, Scale], block_s:
     lowest_m_s = []
     for channel in run.of("speed", "reference"):
         resolution_m_s = max(channel.quantum, channel.deadband_m_s)
-        lowest_m_s.append(limit.slowest_m_s(channel.noise, resolution_m_s))
+        lowest_m_s.append(limit.slowest_m_s(channel.noise, resolution_m_s, run.fastest_m_s))
     reference_noise_m_s = [channel.error for channel in run.of("reference")]
     nothing = np.full(time_s.size, np.nan)
     others = {

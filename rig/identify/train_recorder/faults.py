@@ -48,7 +48,7 @@ _HARDEST_WINDOW_S = 1.0
 _HARDEST_PERCENTILE = 99.8
 
 # m/s. A channel whose upper quartile is below it shows no unit.
-_MOVING_M_S = 0.5
+MOVING_M_S = 0.5
 
 # samples in motion with a position. Fewer do not show a unit.
 _POSITION_SAMPLES = 20
@@ -277,8 +277,8 @@ def _units(run: Run) -> tuple[Run, list[Finding]]:
     speeds = run.of(*_SPEEDS)
     moving = {}
     for channel in speeds:
-        upper_quartile = float(np.nanpercentile(channel.values, 75))
-        if upper_quartile > _MOVING_M_S:
+        upper_quartile = usual_speed_m_s(channel)
+        if upper_quartile > MOVING_M_S:
             moving[channel.name] = upper_quartile
     if not moving:
         return run, []
@@ -320,6 +320,11 @@ def _units(run: Run) -> tuple[Run, list[Finding]]:
     return run, found
 
 
+def usual_speed_m_s(channel: Channel) -> float:
+    """Return the upper quartile of a speed, which shows its unit."""
+    return float(np.nanpercentile(channel.values, 75))
+
+
 def _matching_ratio(measured_ratio: float) -> UnitRatio | None:
     """Return the two units whose ratio is the measured one; None if there are none."""
     for candidate in _RATIOS:
@@ -344,7 +349,7 @@ def _scale_by_majority(run: Run, moving: dict[str, float]) -> dict[str, float]:
     for name in moving:
         channel = run.channels[name]
         base_values = at(base, channel.time_s)
-        is_moving = (base_values > _MOVING_M_S) & np.isfinite(channel.values)
+        is_moving = (base_values > MOVING_M_S) & np.isfinite(channel.values)
         if not is_moving.any():
             continue
         ratios = channel.values[is_moving] / base_values[is_moving]
@@ -373,7 +378,7 @@ def _scale_by_position(run: Run, speeds: list[Channel]) -> dict[str, float] | No
         good = (
             np.isfinite(moved_m)
             & np.isfinite(mean_speed)
-            & (mean_speed > _MOVING_M_S)
+            & (mean_speed > MOVING_M_S)
             & (passed_s > 0.0)
             & (moved_m > 0.5)
         )
@@ -718,6 +723,7 @@ def _held(run: Run, channel: Channel) -> Iterator[Hit]:
     # both the held value and the others are rounded
     other_quanta_m_s = [c.quantum for c in run.of(*_SPEEDS) if c.name != channel.name]
     step_m_s = max(channel.quantum, _step_after_hold(v, held)) + max(other_quanta_m_s, default=0.0)
+    least_move_m_s = least_move_of_others(run, channel)
     for stretch in held:
         first = stretch.first
         last = stretch.last + 1  # equal to the sample before it
@@ -731,9 +737,15 @@ def _held(run: Run, channel: Channel) -> Iterator[Hit]:
         possible_m_s = limit.jump_m_s(run.hardest_m_s2, t[min(last + 1, t.size - 1)] - t[last])
 
         all_freeze = others_move_m_s == 0.0 and jump_m_s > possible_m_s
-        moved_m_s = max(limit.MOVED_M_S, _HELD_FACTOR * step_m_s)
+        moved_m_s = max(least_move_m_s, _HELD_FACTOR * step_m_s)
         if all_freeze or others_move_m_s > moved_m_s:
             yield Hit("sensor_stuck", first, last, StuckValue(float(v[first])))
+
+
+def least_move_of_others(run: Run, channel: Channel) -> float:
+    """Return by how much other speeds must move while a channel holds a value, m/s."""
+    errors_m_s = [other.error for other in run.of(*_SPEEDS) if other.name != channel.name]
+    return limit.moved_m_s(max(errors_m_s, default=0.0), run.fastest_m_s)
 
 
 def _step_after_hold(values: np.ndarray, held: list[Stretch]) -> float:

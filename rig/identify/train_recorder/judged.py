@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import clock_rate, driving, scales, slides
+from rollerrig.rig.identify.train_recorder import clock_rate, driving, faults, scales, slides
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
 from rollerrig.rig.identify.train_recorder.recording import Run
@@ -58,6 +58,8 @@ NOT_DRIVEN = "not_driven"
 NO_POSITION = "no_position"
 FEW_RUNS = "few_runs"
 NO_SPEED = "no_speed"
+SLOW = "slow"
+SLOW_FOR_UNIT = "slow_for_unit"
 
 
 class Check(NamedTuple):
@@ -84,7 +86,8 @@ def _not_judged(
 
 def checks(runs: list[Run], fit: Rolling) -> list[Check]:
     """Return the checks of a recording: runs without faults, and the fit of their channels."""
-    return [
+    fastest_m_s = max(run.fastest_m_s for run in runs)
+    found = [
         *_file_checks(runs),
         _delay_check(fit),
         *_scale_checks(fit),
@@ -92,6 +95,14 @@ def checks(runs: list[Run], fit: Rolling) -> list[Check]:
         _driving_check(fit.aligned),
         _place_check(runs),
     ]
+    return [_unless_too_slow(check, fastest_m_s) for check in found]
+
+
+def _unless_too_slow(check: Check, fastest_m_s: float) -> Check:
+    """Return a check, as not judged if its smallest size is above all speeds of the recording."""
+    if check.unit == "m/s" and check.smallest > fastest_m_s:
+        return _not_judged(check.name, SLOW, (check.smallest, fastest_m_s))
+    return check
 
 
 # --- the file ---
@@ -107,8 +118,12 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     has_position = all(run.of("position") for run in runs)
 
     unit = _not_judged("wrong_unit", ONE_SPEED_NO_POSITION)
+    fastest_m_s = max(run.fastest_m_s for run in runs)
     if several or has_position:
         unit = Check("wrong_unit", True, _NEAREST_UNITS, "times")
+        usual_m_s = max(faults.usual_speed_m_s(channel) for channel in speeds)
+        if usual_m_s <= faults.MOVING_M_S:
+            unit = _not_judged("wrong_unit", SLOW_FOR_UNIT, (faults.MOVING_M_S, usual_m_s))
 
     bits = [sum(c.bits for c in run.of("speed", "reference")) for run in runs]
     copied_samples = max(limit.COPY_SAMPLES, limit.COPY_BITS / max(min(bits), 1e-3))
@@ -132,13 +147,27 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     for name, smallest_s in by_name.items():
         if on_change:
             found.append(_not_judged(name, ON_CHANGE))
-        elif name == "sensor_stuck" and not several:
-            found.append(_not_judged(name, ONE_SPEED))
+        elif name == "sensor_stuck":
+            found.append(_stuck_check(runs, several, fastest_m_s))
         else:
             found.append(Check(name, True, smallest_s, "s"))
     if on_change:
         found[1] = _not_judged("clock_step", ON_CHANGE)
     return found
+
+
+def _stuck_check(runs: list[Run], several: bool, fastest_m_s: float) -> Check:
+    """Return the check of held values; `several`: each run has several speeds."""
+    if not several:
+        return _not_judged("sensor_stuck", ONE_SPEED)
+    moves_m_s = [
+        faults.least_move_of_others(run, channel)
+        for run in runs
+        for channel in run.of("speed", "reference")
+    ]
+    if max(moves_m_s) > fastest_m_s:
+        return _not_judged("sensor_stuck", SLOW, (max(moves_m_s), fastest_m_s))
+    return Check("sensor_stuck", True, limit.STUCK_S, "s")
 
 
 def _rate_check(runs: list[Run]) -> Check:
@@ -303,7 +332,8 @@ def _driving_check(aligned: list[Aligned]) -> Check:
             sizes.append(np.max(driving.smallest(a, v)[is_driven], axis=1))
         shortest_s = max(shortest_s, limit.slide_s(a.step_s))
     if driven_s < _LEAST_S:
-        return _not_judged("driving_slip", NOT_DRIVEN, (driven_s,))
+        lowest_m_s = max(a.slowest_m_s for a in visible)
+        return _not_judged("driving_slip", NOT_DRIVEN, (driven_s, lowest_m_s))
     smallest = float(np.nanmedian(np.concatenate(sizes)))
     return Check("driving_slip", True, smallest, "m/s", "", (shortest_s, driven_s))
 

@@ -112,6 +112,9 @@ _SAMPLES_PER_LEVEL = 1.5
 _OFF_STEP = 0.1
 
 
+# faster samples are outliers
+_FASTEST_PERCENTILE = 99
+
 # bits of a sample that is not rounded. Chosen.
 _BITS_WITHOUT_ROUNDING = 4.0
 
@@ -177,6 +180,16 @@ class Run(NamedTuple):
     hardest_m_s2: float = 0.0  # hardest braking; 0: not known
     hardest_is_given: bool = False  # by dataset.toml
     logs_on_change: bool = False
+
+    @property
+    def fastest_m_s(self) -> float:
+        """The largest speed of any channel, but for one sample in a hundred; 0 without speeds."""
+        highest_m_s = [
+            float(np.nanpercentile(np.abs(channel.values), _FASTEST_PERCENTILE))
+            for channel in self.of("speed", "reference")
+            if np.isfinite(channel.values).any()
+        ]
+        return max(highest_m_s, default=0.0)
 
     def of(self, *quantities: str) -> list[Channel]:
         """The channels of some quantities."""

@@ -181,7 +181,8 @@ def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
     columns = []
     for deviation in noise:
         by_noise = max(
-            limit.slide_m_s(float(deviation), quantum), limit.SLIDE_DEVIATIONS * deviation
+            limit.slide_m_s(float(deviation), quantum, a.run.fastest_m_s),
+            limit.SLIDE_DEVIATIONS * deviation,
         )
         columns.append(np.maximum(by_noise, by_speed) + by_timing)
     return np.column_stack(columns)

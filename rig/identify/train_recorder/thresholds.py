@@ -65,6 +65,7 @@ ZERO_JUMP_M_S = 2.0
 STUCK_S = 1.0
 
 # m/s. The other channels must move by this much while a value is held. That is many rounding steps.
+# For slow vehicles it is less; see `moved_m_s`.
 MOVED_M_S = 1.0
 
 # s. Shorter straight stretches occur by chance.
@@ -110,6 +111,10 @@ QUIET_M_S2 = 0.5
 # `slowest_m_s`.
 SLOWEST_M_S = 4.0
 SLOWEST_LEAST_M_S = 0.3
+
+# share of the fastest speed of a slow vehicle, such as a small robot. Limits in m/s that do not
+# come from noise are at most this share. Chosen.
+SLOW_SHARE = 0.25
 
 # multiples of noise and rounding. Below this speed they weigh too much.
 SLOWEST_FACTOR = 50.0
@@ -252,10 +257,19 @@ def error_m_s(noise_m_s: float, quantum_m_s: float) -> float:
     return math.hypot(noise_m_s, quantum_m_s / math.sqrt(12.0))
 
 
-def slowest_m_s(noise_m_s: float, quantum_m_s: float) -> float:
-    """Return the lowest speed at which wheels are compared."""
+def slowest_m_s(noise_m_s: float, quantum_m_s: float, fastest_m_s: float) -> float:
+    """Return the lowest speed at which wheels are compared, from the fastest speed of the run."""
     slowest = SLOWEST_FACTOR * error_m_s(noise_m_s, quantum_m_s)
-    return min(max(slowest, SLOWEST_LEAST_M_S), SLOWEST_M_S)
+    least = min(SLOWEST_LEAST_M_S, SLOW_SHARE * fastest_m_s)
+    return min(max(slowest, least), SLOWEST_M_S)
+
+
+def moved_m_s(error_m_s: float, fastest_m_s: float) -> float:
+    """Return by how much other channels must move while a value is held.
+
+    `error_m_s` is the largest error of a sample of the other channels.
+    """
+    return min(max(SLOWEST_FACTOR * error_m_s, SLOW_SHARE * fastest_m_s), MOVED_M_S)
 
 
 def block_s(duration_s: float, step_s: float) -> float:
@@ -269,10 +283,11 @@ def slide_s(step_s: float) -> float:
     return max(SLIDE_S, SLIDE_SAMPLES * step_s)
 
 
-def slide_m_s(noise_m_s: float, quantum_m_s: float) -> float:
-    """Return the smallest slide at low speed."""
+def slide_m_s(noise_m_s: float, quantum_m_s: float, fastest_m_s: float) -> float:
+    """Return the smallest slide at low speed, from the fastest speed of the run."""
     slide = SLIDE_NOISE * error_m_s(noise_m_s, quantum_m_s)
-    return min(max(slide, SLIDE_LEAST_M_S), SLIDE_M_S)
+    least = min(SLIDE_LEAST_M_S, SLOW_SHARE * fastest_m_s)
+    return min(max(slide, least), SLIDE_M_S)
 
 
 def curve_share(v: np.ndarray) -> np.ndarray:
