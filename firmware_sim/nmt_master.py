@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.wsp_interface import events
@@ -18,9 +19,10 @@ from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.rig_objects import (
-    REFERENCE_SPEED,
     UNIT_LOST_AFTER_MS,
+    Layout,
     emergency_event,
+    unit_frames,
 )
 from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODES
 
@@ -63,7 +65,8 @@ class NmtMaster:
         # the WSP units, the one of the leading group first
         self.units = tuple(self.health[node] for node in WSP_NODES)
         self.unit = self.units[0]
-        self.reference_speed_m_s = math.nan
+        # the reference speeds that the units send, NaN: none
+        self.reference_speeds_m_s = [math.nan] * GROUPS
         self.now_ns = 0
         self.counter = 0
         self.on_event: OnEvent = events.ignore
@@ -92,7 +95,9 @@ class NmtMaster:
         self.now_ns = now_ns
         self.handlers = {HEARTBEAT + node: self._on_heartbeat for node in self.health}
         self.handlers |= {EMERGENCY + node: self._on_emergency for node in self.health}
-        self.handlers[REFERENCE_SPEED.can_id] = self._on_reference_speed
+        for group in range(GROUPS):
+            layout = unit_frames(group).reference_speed
+            self.handlers[layout.can_id] = partial(self._on_reference_speed, group, layout)
         self.on_rewired()
         self._beat(State.INITIALISING)
 
@@ -164,8 +169,8 @@ class NmtMaster:
         self.health[node].started = False
         lost = Code.UNIT_LOST if node in WSP_NODES else Code.NODE_LOST
         self.on_event(lost, node=node, silent_s=self.patience_ms[node] / 1e3)
-        if node == WSP_NODES[0]:
-            self.reference_speed_m_s = math.nan
+        if node in WSP_NODES:
+            self.reference_speeds_m_s[WSP_NODES.index(node)] = math.nan
 
     def _on_emergency(self, frame: Frame) -> None:
         # SYNC has the identifier of an EMCY of node 0, which does not exist
@@ -182,10 +187,10 @@ class NmtMaster:
             error_register=frame.data[2],
         )
 
-    def _on_reference_speed(self, frame: Frame) -> None:
+    def _on_reference_speed(self, group: int, layout: Layout, frame: Frame) -> None:
         # a unit may append other data
-        for value in REFERENCE_SPEED.read(frame.data[:2]).values():
-            self.reference_speed_m_s = value
+        for value in layout.read(frame.data[:2]).values():
+            self.reference_speeds_m_s[group] = value
 
 
 _STATES = {int(state): state for state in State}

@@ -257,9 +257,9 @@ def dbc(dictionaries: Iterable[ObjectDictionary], sync_period_s: float) -> str:
     messages = [_message("SYNC", connection_set.SYNC, bench_name, [], sync_ms)]
     for dictionary in dictionaries:
         messages += _pdo_messages(dictionary, sync_ms)
-    # only the reference speed of the leading group's unit is recorded
-    if signals.WSP_NODE not in described:
-        messages.append(_unit_message())
+    for group, unit in enumerate(signals.WSP_NODES):
+        if unit not in described:
+            messages.append(_unit_message(group))
     for node in nodes:
         messages.append(_heartbeat_message(node, heartbeats_ms.get(node, 0)))
 
@@ -427,33 +427,26 @@ def _drive_signal_name(axle: int, variable: ODVariable) -> str:
     return f"{_slug(variable.name)}_{axle}"
 
 
-def _unit_message() -> Message:
-    """Return TPDO1 of the WSP unit: the signals that the unit may send the bench."""
-    carried: list[Signal] = []
-    start = 0
-    for signal in signals.SIGNALS:
-        for place in signal.places:
-            if place.node != signals.WSP_NODE:
-                continue
-            bits = signals.bits(place)
-            carried.append(
-                _signal(
-                    signals.columns(signal)[0],
-                    start,
-                    bits,
-                    _node_name(signals.BENCH_NODE),
-                    signed=place.kind[0] == "I",
-                    factor=place.scale,
-                    unit=signal.unit.replace("_", "/"),
-                    text=signal.text,
-                )
-            )
-            start += bits
+def _unit_message(group: int) -> Message:
+    """Return TPDO1 of the WSP unit of a group: the reference speed that it may send the bench."""
+    node = signals.WSP_NODES[group]
+    signal = signals.BY_NAME[signals.reference_speed_name(group)]
+    place = signals.place(signals.reference_speed_name(0), signals.WSP_NODE)
+    reference_speed = _signal(
+        signals.columns(signal)[0],
+        0,
+        signals.bits(place),
+        _node_name(signals.BENCH_NODE),
+        signed=place.kind[0] == "I",
+        factor=place.scale,
+        unit=signal.unit.replace("_", "/"),
+        text=signal.text,
+    )
     return _message(
-        f"node_{signals.WSP_NODE}_TPDO1",
-        connection_set.TPDO[0] + signals.WSP_NODE,
-        _node_name(signals.WSP_NODE),
-        carried,
+        f"node_{node}_TPDO1",
+        connection_set.TPDO[0] + node,
+        _node_name(node),
+        [reference_speed],
     )
 
 

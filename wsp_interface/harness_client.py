@@ -99,7 +99,11 @@ MAPPED = tuple(
     layout(tpdo.can_id, *tpdo.names, node=BENCH_NODE, group=tpdo.group) for tpdo in _TPDOS
 )
 _UNITS = tuple(rig_objects.unit_frames(group) for group in range(GROUPS))
-HEARD = (*MAPPED, *(unit.speeds for unit in _UNITS), rig_objects.REFERENCE_SPEED)
+HEARD = (
+    *MAPPED,
+    *(unit.speeds for unit in _UNITS),
+    *(unit.reference_speed for unit in _UNITS),
+)
 CYCLE_ENDS = MAPPED[-1].can_id
 _MAGNETS = tuple(f"magnets_{axle}" for axle in _AXLES)
 # the columns of the magnets by the identifier of their frame

@@ -7,8 +7,9 @@ next to it, so a search for 211h or 2010h finds this file. Objects that carry si
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import (
     EMERGENCY,
@@ -134,11 +135,16 @@ class UnitFrames:
 def unit_frames(group: int) -> UnitFrames:
     """Return the frames of the unit of a group: identifiers are higher by 20h for each group."""
     offset = signals.NODES_OF_GROUP * group
+    reference_speed = signals.BY_NAME[signals.reference_speed_name(group)]
     return UnitFrames(
         group=group,
         speeds=layout(TPDO[0] + SPEED_NODE + offset, "measured_speed"),
         pressures=layout(TPDO[0] + BRAKE_NODE + offset, "cylinder_pressure"),
-        reference_speed=layout(TPDO[0] + WSP_NODE + offset, "wsp_reference_speed"),
+        reference_speed=replace(
+            REFERENCE_SPEED,
+            can_id=REFERENCE_SPEED.can_id + offset,
+            names=signals.columns(reference_speed),
+        ),
         magnets_id=MAGNETS_ID + offset,
         sand_id=SAND_ID + offset,
         shares_id=SHARES_ID + offset,
@@ -147,16 +153,23 @@ def unit_frames(group: int) -> UnitFrames:
     )
 
 
-# every frame that the unit of the leading group receives or sends
-UNIT_FRAMES = (
-    NMT,
-    SYNC,
-    SPEEDS.can_id,
-    REFERENCE_SPEED.can_id,
-    MAGNETS_ID,
-    UNIT_HEARTBEAT_ID,
-    UNIT_EMERGENCY_ID,
-)
+def _frames_of_units() -> frozenset[int]:
+    """Return the identifiers that a unit of any group needs."""
+    found = {NMT, SYNC}
+    for group in range(GROUPS):
+        frames = unit_frames(group)
+        found |= {
+            frames.speeds.can_id,
+            frames.reference_speed.can_id,
+            frames.magnets_id,
+            frames.heartbeat_id,
+            frames.emergency_id,
+        }
+    return frozenset(found)
+
+
+# every frame that the unit of a group receives or sends
+UNIT_FRAMES = _frames_of_units()
 
 
 def emergency_event(node: int, error_code: int) -> Code:

@@ -52,6 +52,11 @@ def axles_of(group: int) -> range:
     return range(first, min(first + AXLES_OF_GROUP, AXLES + 1))
 
 
+def group_of_axle(axle: int) -> int:
+    """Return the group of an axle (from 1), 0 the leading one."""
+    return (axle - 1) // AXLES_OF_GROUP
+
+
 def group_of(node: int) -> int:
     """Return the group of a node, 0 the leading one; the bench belongs to all, and to the first."""
     return 0 if node == BENCH_NODE else (node - 1) // NODES_OF_GROUP
@@ -432,6 +437,27 @@ SIGNALS: tuple[Signal, ...] = (
     Signal("tick_lateness", "us", 1, "latest start of a tick since the last sample", group="loop"),
     Signal("tick_duration", "us", 1, "longest tick since the last sample", group="loop"),
     Signal("ticks_missed", "", 1, "ticks so far that began after the next one was due"),
+)
+
+
+def reference_speed_name(group: int) -> str:
+    """Return the name of the signal with the reference speed of the unit of a group (from 0)."""
+    return "wsp_reference_speed" if group == 0 else f"wsp_reference_speed_{group + 1}"
+
+
+# the reference speeds of all units, that of the leading group first
+REFERENCE_SPEEDS = tuple(reference_speed_name(group) for group in range(GROUPS))
+# a further unit sends its reference speed in the same object as that of the leading group
+SIGNALS += tuple(
+    Signal(
+        reference_speed_name(group),
+        "m_s",
+        1,
+        f"reference speed that the WSP unit of group {group + 1} sends (NaN: it sends none)",
+        group="speeds",
+        direction=IN,
+    )
+    for group in range(1, GROUPS)
 )
 
 # the signals of a dynamic brake, only in a process whose vehicles have one

@@ -11,11 +11,13 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.cia301.host import NEVER
+from rollerrig.firmware_sim.faults.catalogue import ALL_GROUPS
 from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
-from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED, UNIT_HEARTBEAT_ID
+from rollerrig.wsp_interface.rig_objects import unit_frames
 
 Carry = Callable[[], None]  # passes a frame on to the other nodes
 # effects of a rule
@@ -138,11 +140,20 @@ class Gate:
         return False
 
 
+def frozen_groups(values: dict[str, Any]) -> frozenset[int]:
+    """Return the groups (from 0) whose units a fault `wsp_frozen` with these values stops."""
+    group = values.get("group", ALL_GROUPS)
+    return frozenset(range(GROUPS)) if group == ALL_GROUPS else frozenset((group - 1,))
+
+
 def rules_of(name: str, values: dict[str, Any]) -> list[Rule]:
     """The rules of a fault of the catalogue; empty if it needs none."""
     if name == "wsp_frozen":
-        of_unit = (UNIT_HEARTBEAT_ID, MAGNETS_ID, REFERENCE_SPEED.can_id)
-        return [Rule(HELD, can_id, delay_ns=NEVER) for can_id in of_unit]
+        of_units: list[int] = []
+        for group in frozen_groups(values):
+            frames = unit_frames(group)
+            of_units += (frames.heartbeat_id, frames.magnets_id, frames.reference_speed.can_id)
+        return [Rule(HELD, can_id, delay_ns=NEVER) for can_id in of_units]
     if name not in _EFFECTS:
         return []
     can_id = values["can_id"] if "can_id" in values else HEARTBEAT + values["node"]

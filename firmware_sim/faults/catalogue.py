@@ -19,10 +19,11 @@ from rollerrig.configs.vehicle import (
     DYNAMIC_BRAKE,
     EQUIPMENT,
     EQUIPMENT_KEYS,
+    GROUPS,
     MAGNETIC_TRACK_BRAKE,
 )
 from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
-from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODE
+from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODES
 
 # where a fault acts
 TICK = "tick"
@@ -34,6 +35,10 @@ _AXLE = integer("axle", 1, 1, AXLES, "axle, counted from the leading end")
 _NODE = integer("node", BRAKE_NODE, 1, 127, "a node of the rig")
 _CAN_ID = integer("can_id", SPEEDS.can_id, 0, 0x7FF, "11-bit identifier")
 _EVERY = integer("every", 1, 1, 100_000, "1 is each frame, 2 every second one")
+# a vehicle with one group of axles has one unit, and nothing to choose
+ALL_GROUPS = 0
+_GROUP = integer("group", ALL_GROUPS, 0, GROUPS, "group of axles of the unit; 0: all units")
+_OF_GROUP = (_GROUP,) if GROUPS > 1 else ()
 _LOSES_UNIT = ("wsp_frozen", "node_babbling", "error_frame", "receive_error")
 WHEN = (
     number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
@@ -71,7 +76,7 @@ class Fault:
     @property
     def target(self) -> tuple[str, Any]:
         """Its kind and its aim. Two faults with the same target replace each other."""
-        for aim in ("axle", "bogie", "node", "can_id"):
+        for aim in ("axle", "bogie", "group", "node", "can_id"):
             if aim in self.values:
                 return self.kind.name, self.values[aim]
         return self.kind.name, 0
@@ -84,7 +89,7 @@ class Fault:
         """
         if self.kind.name in _LOSES_UNIT:
             return True
-        return self.values.get("node") == WSP_NODE or self.values.get("can_id") in UNIT_FRAMES
+        return self.values.get("node") in WSP_NODES or self.values.get("can_id") in UNIT_FRAMES
 
     @property
     def title(self) -> str:
@@ -233,6 +238,7 @@ CATALOGUE: tuple[Kind, ...] = (
         DEVICE,
         "the WSP unit freezes: the process of the reference unit is stopped, the frames of an "
         "external unit are held back",
+        _OF_GROUP,
     ),
     Kind(
         23,
@@ -417,7 +423,7 @@ def _check_target(fault: Fault, where: str) -> None:
     at = f"{where} {fault.kind.name}"
     if values.get("other") == values.get("axle", 0):
         raise ConfigError(f"{at}: axle and other are both {values['axle']}; give two axles")
-    allowed = (*RIG_NODES, WSP_NODE) if fault.kind.name == "heartbeat_late" else RIG_NODES
+    allowed = (*RIG_NODES, *WSP_NODES) if fault.kind.name == "heartbeat_late" else RIG_NODES
     if "node" in values and values["node"] not in allowed:
         raise ConfigError(
             f"{at}: node = {values['node']}; allowed are {', '.join(map(str, allowed))}"

@@ -70,7 +70,8 @@ class Site:
 
     `array`, shape (effects.SIZE,), is part of the commands; `post()` passes it to the tick. A rig
     without a bus has nothing else. `disturb()` is called when the gate may have changed.
-    `freeze(on)` stops the process of a unit, and returns whether there is one.
+    `freeze(on, groups)` stops the processes of the units of some groups, or lets them continue, and
+    returns whether there is one.
     """
 
     array: np.ndarray
@@ -81,7 +82,7 @@ class Site:
     clock_ns: Callable[[], int] = lambda: 0
     bitrate: int = 500_000
     disturb: Callable[[], None] = lambda: None
-    freeze: Callable[[bool], bool] = lambda on: False
+    freeze: Callable[[bool, frozenset[int]], bool] = lambda on, groups: False
 
 
 @dataclass
@@ -208,7 +209,7 @@ class Panel:
         site = self.site
         name = active.fault.kind.name
         values = active.fault.values
-        frozen = name == "wsp_frozen" and site.freeze(on)
+        frozen = name == "wsp_frozen" and site.freeze(on, self._groups_of(active))
         if on:
             # the frames of a unit whose process cannot be stopped are held back
             active.rules = [] if frozen else bus.rules_of(name, values)
@@ -230,6 +231,14 @@ class Panel:
             for node, volt in self._links_V.items():
                 site.nodes[node].device.axis.dc_link_V = volt
                 site.nodes[node].device.recover()
+
+    def _groups_of(self, active: Active) -> frozenset[int]:
+        """Return the groups whose units a fault stops and no other fault keeps stopped."""
+        groups = bus.frozen_groups(active.fault.values)
+        for other in self.active.values():
+            if other is not active and other.fault.kind.name == active.fault.kind.name:
+                groups -= bus.frozen_groups(other.fault.values)
+        return groups
 
     def _settle(self) -> None:
         """Set the array of the tick, power, controllers and gate for all active faults together."""

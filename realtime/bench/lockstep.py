@@ -57,11 +57,12 @@ async def run(parts: Parts) -> None:
     ticks = tick.Ticks(parts.data)
     while not parts.stopping:
         mailbox.fetch(parts.data.published, bus.row)
-        was_frozen = bus.frozen
+        frozen = [seat for seat in bus.seats if seat.frozen]
         bus.set_time()
         parts.poll_faults()
-        if was_frozen and not bus.frozen:
-            await _catch_up(parts, bus)
+        for seat in frozen:
+            if not seat.frozen:
+                await _catch_up(parts, bus, seat)
         if bus.late:
             await _await_answers(parts, bus)
         bus.sync()
@@ -99,9 +100,10 @@ async def _await_answers(parts: Parts, bus: RigBus) -> None:
     Simulated time stands still meanwhile. Each sends in its turn, so the frames of the harness
     (faults, demands, friction) take effect after the answer of the unit, whichever came first.
     """
-    if parts.options.unit != "none" and not bus.frozen:
+    awaited = [seat for seat in bus.seats if not seat.frozen]
+    if parts.options.unit != "none" and awaited:
         patience = _PATIENCE if bus.own_unit else 1
-        for seat in bus.seats:
+        for seat in awaited:
             node = signals.WSP_NODES[seat.frames.group]
             name = "WSP unit" if len(bus.seats) == 1 else f"WSP unit (node {node})"
             await _await_answer(parts, bus, seat.partner, name, patience, _unit_rule(seat))
@@ -193,15 +195,14 @@ async def _await_answers_in_standstill(parts: Parts, bus: RigBus, hub: Hub) -> N
         hub.services_bypass_wire = False
 
 
-async def _catch_up(parts: Parts, bus: RigBus) -> None:
+async def _catch_up(parts: Parts, bus: RigBus, seat: UnitSeat) -> None:
     """Let a unit that was frozen answer the SYNCs that it has missed; no time passes meanwhile."""
-    for seat in bus.seats:
-        owed = -1
-        unit = seat.partner
-        with unit.turn():
-            while seat.owed != owed and not unit.answered.is_set():
-                owed = seat.owed
-                await _wait(parts, bus, unit, parts.options.answer_wait_s)
-        if not unit.answered.is_set():  # its connection had no room for more frames
-            parts.event(Code.UNIT_UNANSWERED, syncs=owed)
-            seat.forgive()
+    owed = -1
+    unit = seat.partner
+    with unit.turn():
+        while seat.owed != owed and not unit.answered.is_set():
+            owed = seat.owed
+            await _wait(parts, bus, unit, parts.options.answer_wait_s)
+    if not unit.answered.is_set():  # its connection had no room for more frames
+        parts.event(Code.UNIT_UNANSWERED, syncs=owed)
+        seat.forgive()

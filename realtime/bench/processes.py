@@ -37,6 +37,7 @@ _LINES_OF_COMMAND = 5
 # how long a unit may take to exit after its bus is gone
 _UNIT_S = 2.0
 _KILL_S = 5.0
+_ALL_GROUPS = frozenset(range(GROUPS))
 # up to this status a recorder exits as any program; above it is the number of an OS error
 _LAST_COMMON_STATUS = 2
 
@@ -239,14 +240,16 @@ class Processes:
         self._exited.add(process.pid)
         return process
 
-    def freeze(self, on: bool) -> bool:
+    def freeze(self, on: bool, groups: frozenset[int] = _ALL_GROUPS) -> bool:
         """Stop the processes of the bench's units, or let them continue; False: there are none.
 
-        A program of the user is not stopped: it may consist of several processes.
+        `groups` (from 0) are those of the units. A program of the user is not stopped: it may
+        consist of several processes.
         """
         if self.options.command:
             return False
-        running = [unit for unit in self.units if _runs(unit)]
+        of_groups = [unit for group, unit in enumerate(self.units) if group in groups]
+        running = [unit for unit in of_groups if _runs(unit)]
         for unit in running:
             unit.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
         return bool(running)

@@ -33,7 +33,6 @@ from rollerrig.firmware_sim.rack import Rack
 from rollerrig.realtime.bench.scenario import AUTOMATIC_PORT, Scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
-from rollerrig.realtime.loop.tick import REFERENCE
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses, kernel, plugin
 from rollerrig.wsp_interface.bus.client import Client
@@ -191,6 +190,8 @@ class UnitSeat:
         self.awaited = frames.speeds
         self.owed = 0
         self.may_wait = 0
+        # a fault has stopped its process
+        self.frozen = False
 
     def look(self) -> None:
         """Note whether the unit has answered."""
@@ -252,7 +253,6 @@ class RigBus:
             self._seats_by_id[seat.frames.heartbeat_id] = seat
         self.harness_partner = Partner(arbitrates=False)
         self._turns_taken_by: tuple[Partner, ...] = ()
-        self.frozen = False
         # the units of the bench answer every SYNC, also foreign ones; if the frame that starts the
         # cycle of a unit is missing, it answers at the next SYNC
         self.own_unit = False
@@ -287,7 +287,7 @@ class RigBus:
 
     def post(self) -> None:
         """Pass on what the bus requires of the rig."""
-        self.command[REFERENCE] = self.master.reference_speed_m_s
+        self.command[tick.REFERENCE : tick.FRICTION] = self.master.reference_speeds_m_s
         self._on_command(self.command)
 
     def start_wire(self, timed: bool) -> None:
@@ -402,9 +402,9 @@ class RigBus:
     @property
     def late(self) -> bool:
         """Whether a unit of the bench still has to answer: a fault or a wire may delay speeds."""
-        if not self.own_unit or self.frozen:
+        if not self.own_unit:
             return False
-        return not all(seat.partner.answered.is_set() for seat in self.seats)
+        return not all(seat.frozen or seat.partner.answered.is_set() for seat in self.seats)
 
     def forgive(self) -> None:
         """No longer wait for the answers that are owed."""
@@ -413,20 +413,22 @@ class RigBus:
 
     # -- faults
 
-    def site(self, freeze: Callable[[bool], bool]) -> Site:
+    def site(self, freeze: Callable[[bool, frozenset[int]], bool]) -> Site:
         """Return what faults act on.
 
-        `freeze(on)` stops the process of the WSP unit, if there is one.
+        `freeze(on, groups)` stops the processes of the WSP units of some groups, if there are any.
         """
 
-        def freeze_unit(on: bool) -> bool:
-            self.frozen = freeze(on) and on
-            if self.frozen:
-                for seat in self.seats:
-                    seat.partner.answered.set()  # nothing waits for a frozen unit
-            elif not on:
-                self._look_at_answers()
-            return self.frozen
+        def freeze_units(on: bool, groups: frozenset[int]) -> bool:
+            frozen = freeze(on, groups) and on
+            for seat in self.seats:
+                if seat.frames.group in groups:
+                    seat.frozen = frozen
+                    if frozen:
+                        seat.partner.answered.set()  # nothing waits for a frozen unit
+                    elif not on:
+                        seat.look()
+            return frozen
 
         return Site(
             self.command[tick.FAULTS : tick.MOTORS],
@@ -437,7 +439,7 @@ class RigBus:
             self.clock_ns,
             self.hub.load.bitrate,
             self.disturb,
-            freeze_unit,
+            freeze_units,
         )
 
     def disturb(self) -> None:

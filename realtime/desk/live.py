@@ -67,6 +67,11 @@ def _columns(name: str) -> tuple[str, ...]:
 
 _DOTS = (1.0, 2.0)
 _DASHES = (6.0, 3.0)
+# the reference speeds of the units of all groups
+_OF_UNITS = tuple(
+    _Line(_columns(name), "WSP reference", colours.REFERENCE, _DASHES)
+    for name in signals.REFERENCE_SPEEDS
+)
 _PLOTS = (
     _Plot(
         "Speeds",
@@ -77,7 +82,7 @@ _PLOTS = (
             _Line(_columns("vehicle_speed"), "vehicle", colours.VEHICLE, (), 2.5),
             _Line(_columns("wheel_circumferential_speed"), ""),
             _Line(reader.MEASURED, "measured by the sensors", dashes=_DOTS, width=1.0),
-            _Line(_columns("wsp_reference_speed"), "WSP reference", colours.REFERENCE, _DASHES),
+            *_OF_UNITS,
         ),
     ),
     _Plot("Sliding", "m/s", 1.0, 1.0, (_Line(_columns("sliding"), ""),)),

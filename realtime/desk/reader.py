@@ -29,7 +29,7 @@ SHOWN = (
     "time",
     "vehicle_speed",
     "position",
-    "wsp_reference_speed",
+    *signals.REFERENCE_SPEEDS,
     "brake_demand",
     "tick_lateness",
     "ticks_missed",

@@ -12,6 +12,7 @@ import numpy as np
 
 from rollerrig.configs.vehicle import (
     AXLES_OF_GROUP,
+    GROUPS,
     HAS_DYNAMIC_BRAKE,
     HAS_MAGNETIC_TRACK_BRAKE,
 )
@@ -34,8 +35,8 @@ from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, PAIR_MASK
 # places in the command row, float64; io401 writes the first two
 MAGNETS = 0  # pairs of magnets of the axles, as in wsp_interface.magnets
 DEMAND = MAGNETS + AXLES  # brake demand in Pa; NaN: the programme of the scenario
-REFERENCE = DEMAND + 1  # reference speed of the WSP unit in m/s; NaN: it sends none
-FRICTION = REFERENCE + 1  # kinematic friction under the axles; 0: as in the scenario
+REFERENCE = DEMAND + 1  # reference speed of each WSP unit in m/s; NaN: it sends none
+FRICTION = REFERENCE + GROUPS  # kinematic friction under the axles; 0: as in the scenario
 SAND = FRICTION + AXLES  # 1: the sander of the axle is on
 DRIVES = SAND + AXLES  # commands of each drive, laid out as in drive402.axis
 FAULTS = DRIVES + AXLES * axis.COMMANDS  # faults that act, laid out as in faults.effects
@@ -109,6 +110,8 @@ _MISSED = signals.column("ticks_missed")
 _SPEED = signals.column("measured_speed")
 _PRESSURE = signals.column("cylinder_pressure")
 _REFERENCE = signals.column("wsp_reference_speed")
+# the first of the columns of further groups, which follow one another; unused with one group
+_SECOND_REFERENCE = signals.column(signals.REFERENCE_SPEEDS[min(1, GROUPS - 1)])
 _SPEED_SCALE = signals.BY_NAME["measured_speed"].places[0].scale
 _PRESSURE_SCALE = signals.BY_NAME["cylinder_pressure"].places[0].scale
 _REFERENCE_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
@@ -174,6 +177,8 @@ def publish(m):
             m.row[_MOTOR_K : _MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K, heat.motor_rise_K
         )
     m.row[_REFERENCE] = m.command[REFERENCE]
+    for group in range(1, GROUPS):
+        m.row[_SECOND_REFERENCE + group - 1] = m.command[REFERENCE + group]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
     m.row[_MISSED] = m.control[MISSED]
@@ -390,18 +395,14 @@ def write_unit_inputs(m, inputs):
 
 @kernel_inlined
 def run_unit_cycle(m, unit, group, inputs):
-    """Run a cycle of the reference WSP unit of a group on its inputs; write its answer as commands.
-
-    The reference speed that is recorded is that of the leading group's unit.
-    """
+    """Run a cycle of the reference WSP unit of a group on its inputs; command its answer."""
     first = AXLES_OF_GROUP * group
     magnets_byte, reference = logic.cycle(unit, inputs[first:])
     command = m.commands.values
     for j in range(unit.state.speed_m_s.size):
         command[MAGNETS + first + j] = (magnets_byte >> (BITS_PER_AXLE * j)) & PAIR_MASK
     permit_shares(unit, command, first, m.params.dynamic)
-    if group == 0:
-        command[REFERENCE] = reference * _REFERENCE_SCALE
+    command[REFERENCE + group] = reference * _REFERENCE_SCALE
 
 
 @kernel_inlined

@@ -126,16 +126,17 @@ def _demanded_deceleration_curves(scenario: Mapping[str, Any]) -> list[Curve]:
 # --- values of the curves, shape (n, series) ---
 
 
-def _reference_speed_m_s(rows: np.ndarray) -> np.ndarray:
-    """Return the speed to which slip refers, shape (n,); NaN where it is too low."""
-    of_unit = rows[:, signals.column("wsp_reference_speed")]
+def _reference_speed_m_s(rows: np.ndarray, axle: int = 1) -> np.ndarray:
+    """Return the speed to which the slip of an axle refers, shape (n,); NaN where it is too low."""
+    name = signals.reference_speed_name(signals.group_of_axle(axle))
+    of_unit = rows[:, signals.column(name)]
     of_vehicle = rows[:, signals.column("vehicle_speed")]
     speed = np.where(np.isfinite(of_unit), of_unit, of_vehicle)
     return np.where(speed >= _SLOWEST_M_S, speed, np.nan)
 
 
 def _slip_percent(rows: np.ndarray, axle: int) -> np.ndarray:
-    reference = _reference_speed_m_s(rows)
+    reference = _reference_speed_m_s(rows, axle)
     wheel = rows[:, signals.column("wheel_circumferential_speed", axle)]
     slip = 100.0 * (reference - wheel) / reference
     return slip[:, np.newaxis]

@@ -67,14 +67,14 @@ _WIDTHS = {
     "adhesion_degraded": 1.0,
     "adhesion_recovered": 1.0,
     "vehicle_speed": 2.5,
-    "wsp_reference_speed": 1.0,
+    **dict.fromkeys(signals.REFERENCE_SPEEDS, 1.0),
     "motor_torque_demand": 0.8,
 }
 # Signals with a fixed colour. The others have the colours of the axles, or that of the vehicle.
 COLOUR_OF_SIGNAL = {
     "adhesion_degraded": colours.LIMIT,
     "adhesion_recovered": colours.LIMIT,
-    "wsp_reference_speed": colours.REFERENCE,
+    **dict.fromkeys(signals.REFERENCE_SPEEDS, colours.REFERENCE),
     "brake_demand": colours.REFERENCE,
 }
 # legends of signals whose name, with spaces, would not be a good legend
@@ -520,7 +520,7 @@ def _axle(page: _Page, axle: int) -> rrb.Vertical:
         f"Axle {axle}: speed (km/h)",
         [
             "/speeds/vehicle_speed",
-            "/speeds/wsp_reference_speed",
+            f"/speeds/{signals.reference_speed_name(signals.group_of_axle(axle))}",
             f"/speeds/wheel_circumferential_speed_{axle}",
         ],
         legend=axle == 1,

@@ -161,11 +161,11 @@ def test_a_sync_counter_runs_from_one_to_its_overflow_value():
 def test_the_units_reference_speed_is_known_until_the_unit_is_lost(rig):
     rig.run(60, unit=OPERATIONAL)
     rig.tester.send(Frame(0x1A0, (4230).to_bytes(2, "little")))
-    assert rig.network.reference_speed_m_s == pytest.approx(42.3)
+    assert rig.network.reference_speeds_m_s[0] == pytest.approx(42.3)
     rig.tester.send(Frame(0x1A0, b"\1"))  # a byte too short
-    assert rig.network.reference_speed_m_s == pytest.approx(42.3)
+    assert rig.network.reference_speeds_m_s[0] == pytest.approx(42.3)
     rig.run(250)
-    assert math.isnan(rig.network.reference_speed_m_s)
+    assert math.isnan(rig.network.reference_speeds_m_s[0])
 
 
 def test_a_node_without_power_is_lost_and_boots_when_it_has_power_again(rig):

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from binascii import crc32
 
+import numpy as np
+import pyarrow.parquet
 import pytest
 
 # these processes compile kernels for their number of axles
@@ -132,3 +134,70 @@ def test_a_message_of_a_unit_with_an_identifier_of_a_further_group_is_refused(tm
     assert status == 2
     expected = "TAKEN has the identifier 231h, which the rig uses for group 2 (axles 5 to 6)"
     assert expected in " ".join(messages.split())
+
+
+# --- faults and reference speeds by group ---
+
+
+def frames_of(folder):
+    """The frames of a run as (time in s, identifier), in the order of the bus."""
+    frames = []
+    for line in (folder / "can.log").read_text(encoding="utf-8").splitlines():
+        stamp, _, frame = line.split()
+        frames.append((float(stamp.strip("()")), int(frame.partition("#")[0], 16)))
+    return frames
+
+
+def events_of(folder):
+    lines = (folder / "events.jsonl").read_text(encoding="utf-8").splitlines()
+    return [json.loads(line) for line in lines]
+
+
+def test_a_fault_stops_the_unit_of_one_group_and_the_others_go_on(tmp_path):
+    folder = tmp_path / "run"
+    status, _, messages = rollerrig(
+        *("run", "tram_low", "--pacing", "lockstep", "--set", "duration_max_s=3", *ON_HUB),
+        *("--fault", "wsp_frozen group=2 at=1 for=1", "--out", folder),
+    )
+    # a run of three seconds does not stop
+    assert status == 4, messages
+    frozen = [can_id for time_s, can_id in frames_of(folder) if 1.0 < time_s < 1.995]
+    assert frozen.count(0x231) == 0
+    assert frozen.count(0x211) == 99
+    after = [can_id for time_s, can_id in frames_of(folder) if time_s > 1.995]
+    # the second unit answers again, and the SYNCs that it has missed too
+    assert after.count(0x231) > after.count(0x211)
+
+    lost = [event["fields"]["node"] for event in events_of(folder) if event["code"] == "unit.lost"]
+    assert lost == [64]
+    table = pyarrow.parquet.read_table(folder / "channels.parquet")
+    time_s = table["time_s"].to_numpy()
+    held = (time_s > 1.3) & (time_s < 2.0)
+    # without its unit a group has no reference speed
+    assert np.isnan(table["wsp_reference_speed_2_m_s"].to_numpy()[held]).all()
+    assert np.isfinite(table["wsp_reference_speed_m_s"].to_numpy()[held]).all()
+    # the units see other axles, so their reference speeds differ
+    before = (time_s > 0.5) & (time_s < 1.0)
+    first, second = (
+        table[f"wsp_reference_speed{place}_m_s"].to_numpy()[before] for place in ("", "_2")
+    )
+    np.testing.assert_allclose(second, first, rtol=0.1)
+    assert (second != first).any()
+
+
+@pytest.mark.parametrize(
+    ("scenario", "fault", "message"),
+    [
+        ("tram_low", "wsp_frozen group=3", "group = 3"),
+        ("velim_a1", "wsp_frozen group=1", "group"),
+    ],
+)
+def test_a_fault_of_the_unit_of_a_group_that_is_not_there_is_refused(
+    scenario, fault, message, tmp_path
+):
+    status, _, messages = rollerrig(
+        *("run", scenario, "--pacing", "lockstep", "--fault", fault, "--out", tmp_path / "run")
+    )
+    assert status == 2
+    assert message in messages
+    assert not (tmp_path / "run").exists()

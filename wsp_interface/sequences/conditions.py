@@ -50,7 +50,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "measured_speed": (0.0, 327.67),
     "wheel_circumferential_speed": (0.0, 100.0),
     "sliding": (-100.0, 100.0),
-    "wsp_reference_speed": (0.0, 327.67),
+    **dict.fromkeys(signals.REFERENCE_SPEEDS, (0.0, 327.67)),
     "vehicle_acceleration": (-20.0, 20.0),
 }
 _OPERATORS: dict[str, Callable[[float, float], bool]] = {
