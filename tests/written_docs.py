@@ -123,6 +123,16 @@ def searches():
         yield f"| `{cause.name}` | {cause.mechanism.text} | {' | '.join(map(str, cells))} |"
 
 
+def equations():
+    """Yield the lines of the table of the equations of the causes, with their parameters."""
+    # the last row is the empirical formula, which is no cause
+    for cause in causes.TABLE[:-1]:
+        mechanism = cause.mechanism
+        sizes = [f"`{row.name}` ({row.source})" for row in mechanism.parameters]
+        equation = mechanism.formula.rstrip(".").replace("|", r"\|")
+        yield f"| `{cause.name}` | {equation} | {', '.join(sizes)} |"
+
+
 def further_thresholds():
     """Yield the lines of the table of thresholds of a decision that no other table has."""
     page = (test_architecture.ROOT / "docs" / "explain_causes.md").read_text(encoding="utf-8")
@@ -228,6 +238,7 @@ TABLES = {
     "harness.md": {"| of the harness | what |": harness},
     "explain_causes.md": {
         "| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
+        "| cause | equation | parameters |": equations,
         FURTHER_THRESHOLDS: further_thresholds,
         "| threshold of creep curves | value | where | reason |": thresholds_of_creep_curves,
     },

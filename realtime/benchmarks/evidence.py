@@ -92,8 +92,9 @@ REFERENCES = (
     Reference(
         "sliding and deceleration on soap",
         "the published test A1 at Velim",
-        "mean sliding 0.35 m/s of 5.00 m/s; decelerations of both halves 1 %",
-        "one coach on soap and water from 152 km/h; the band of the WSP was fitted to this test",
+        "mean sliding within 0.35 m/s of 5.00 m/s, its deviation within 0.35 m/s of 1.72 m/s",
+        "one coach on soap and water from 152 km/h; mu_cd and the band of the WSP were fitted "
+        "to this test, so it is not the scenario velim_a1",
         "realtime/test_velim.py",
         "test_the_six_stops_run_by_the_papers_law_and_adhesion_recovers_in_their_second_half",
     ),

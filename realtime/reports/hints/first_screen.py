@@ -53,8 +53,8 @@ def cost(diagnosis: Diagnosis) -> str:
     return (
         f"Cost: a stop of this vehicle from {distance.from_m_s:.3g} m/s is "
         f"{abs(distance.longer_m):.0f} m {how} than the base model predicts "
-        f"({distance.extended_m:.0f} m instead of {distance.base_m:.0f} m, at the mean deceleration of "
-        "the runs)."
+        f"({distance.extended_m:.0f} m instead of {distance.base_m:.0f} m). This is an estimate at the "
+        "mean deceleration and the sliding of the runs."
     )
 
 
@@ -82,7 +82,8 @@ def what_next(diagnosis: Diagnosis, worst: list[str]) -> list[str]:
         if any(cause.confusable for cause in diagnosis.causes):
             return ["Measure next: run the separating test of this report."]
         return [
-            "Measure next: repeat one stop after the cause is corrected (--next 1 proposes one)."
+            "Measure next: one more stop, after the cause is corrected if it can be (--next 1 "
+            "proposes one)."
         ]
     lines = []
     for covariate in worst[:MOST_SUSPECTS]:
