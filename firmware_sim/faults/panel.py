@@ -6,7 +6,7 @@ rig is free of faults. A drive that has tripped is reset and enabled again when 
 if the rig control moves it. A master on the bus must reset its drives itself.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
@@ -96,18 +96,29 @@ class Active:
 
 
 class Panel:
-    """Planned and active faults on `site`. `on_event(code, **fields)` records each change."""
+    """Planned and active faults on `site`. `on_event(code, **fields)` records each change.
+
+    `sections` are those of the resolved scenario: they list the axles and bogies with equipment
+    that can fail.
+    """
 
     site: Site
 
-    def __init__(self, planned: Iterable[Fault], on_event: OnEvent) -> None:
+    def __init__(
+        self, planned: Iterable[Fault], on_event: OnEvent, sections: Mapping[str, Any]
+    ) -> None:
         self.active: dict[tuple[str, Any], Active] = {}
         self.now_s = 0.0
         self._on_event = on_event
+        self.begin(planned, sections)
+
+    def begin(self, planned: Iterable[Fault], sections: Mapping[str, Any]) -> None:
+        """Take the faults and the sections of another scenario."""
+        self._sections = sections
         self.schedule(planned)
 
     def schedule(self, planned: Iterable[Fault]) -> None:
-        """Plan the faults of a scenario, instead of those planned before."""
+        """Plan these faults, instead of those planned before."""
         self.waiting = sorted(planned, key=lambda fault: fault.at_s)
 
     def connect(self, site: Site) -> None:
@@ -133,6 +144,7 @@ class Panel:
         """
         fault = catalogue.make({"kind": name, "at_s": self.now_s} | values, f"fault {name}")
         check_pacing((fault,), "lockstep" if self.site.nodes else "free")
+        catalogue.check_equipped(fault, self._sections, "the running rig")
         if fault.at_s > self.now_s:
             self.schedule((*self.waiting, fault))
         else:

@@ -51,7 +51,7 @@ class Stop:
         self.data = data
         self.events: list[Event] = []
         self.ended = "finished"
-        self.faults = faults or panel.Panel(plan.faults, self._record)
+        self.faults = faults or panel.Panel(plan.faults, self._record, plan.resolved)
         self.faults.connect(
             panel.Site(data.commands.values[tick.FAULTS : tick.MOTORS], lambda: None)
         )

@@ -76,6 +76,7 @@ _VEHICLE_SPEED = signals.column("vehicle_speed")
 _SLIDING = signals.span("sliding")
 _VALVE = signals.span("valve")
 _REFERENCE = signals.column("wsp_reference_speed")
+_BRAKE_DEMAND = signals.column("brake_demand")
 
 
 def _sample(row: np.ndarray) -> Sample:
@@ -86,6 +87,7 @@ def _sample(row: np.ndarray) -> Sample:
         sliding_m_s=row[_SLIDING].tolist(),
         valves=row[_VALVE].tolist(),
         reference_m_s=row.item(_REFERENCE),
+        brake_demand_Pa=row.item(_BRAKE_DEMAND),
     )
 
 
@@ -131,7 +133,7 @@ class Parts:
         self.modbus = Counters()
         self.modbus_demand = brake_demand.ModbusDemand(plan["modbus"]["emergency_pressure_Pa"])
 
-        self.faults = panel.Panel(plan.faults, self.event)
+        self.faults = panel.Panel(plan.faults, self.event, plan.resolved)
         self.derailment = derailment.Watch(self.event, lambda: self.stop(Code.RUN_DERAILED))
         self.diagnosis = Diagnosis(self.event)
         self.processes = Processes(options, self.event)

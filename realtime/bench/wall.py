@@ -196,7 +196,7 @@ def _take_scenario(parts: Parts, plan: Scenario) -> None:
     before = parts.data
     parts.plan = plan
     parts.next_plan = None
-    parts.faults.schedule(plan.faults)
+    parts.faults.begin(plan.faults, plan.resolved)
 
     speed_m_s = float(before.state.vehicle_speed[0])
     after = tick_data.build(plan, parts.rows, speed_m_s, parts.options.seed)

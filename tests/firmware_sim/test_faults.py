@@ -642,7 +642,7 @@ class RigWithoutBus:
     def __init__(self):
         self.events = []
         self.array = np.zeros(effects.SIZE)
-        self.faults = panel.Panel((), self.event)
+        self.faults = panel.Panel((), self.event, {})
         self.faults.connect(panel.Site(self.array, lambda: None))
 
     def event(self, code, /, **fields):

@@ -5,6 +5,7 @@ files as any other program does.
 """
 
 import json
+import os
 import subprocess
 import sys
 import tomllib
@@ -316,6 +317,58 @@ def test_a_motor_magnet_or_fault_that_the_vehicle_cannot_have_is_refused_before_
     assert message in messages
     assert "Traceback" not in messages
     assert not (tmp_path / "run").exists()
+
+
+# run in a process whose vehicles have a dynamic brake: a fault of an axle, over Modbus, at running time
+FAULT_OVER_MODBUS = """
+import sys
+
+import numpy as np
+
+from rollerrig.firmware_sim.faults import effects, panel
+from rollerrig.firmware_sim.modbus.pdu import RefusedError
+from rollerrig.realtime.bench import fault_registers
+
+events = []
+
+
+def record(code, /, **fields):
+    events.append((code.value, fields))
+
+
+array = np.zeros(effects.SIZE)
+faults = panel.Panel((), record, {"dynamic_brake": {"axles": [1, 2, 5, 6]}})
+faults.connect(panel.Site(array, lambda: None))
+write = fault_registers.FaultRegisters(faults, record).writers()
+write["fault"](29, False)
+write["fault_target"](int(sys.argv[1]), False)
+try:
+    write["inject_fault"](1, False)
+except RefusedError:
+    print("refused")
+print(events, array.any())
+"""
+
+
+@pytest.mark.parametrize("axle", [1, 3])
+def test_a_running_rig_refuses_the_fault_of_a_motor_on_an_axle_without_one(axle):
+    environment = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": "dynamic_brake"}
+    done = subprocess.run(
+        [sys.executable, "-c", FAULT_OVER_MODBUS, str(axle)],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=True,
+    )
+    if axle == 1:
+        assert "fault.begins" in done.stdout
+        assert done.stdout.strip().endswith("True")
+        return
+    assert done.stdout.startswith("refused")
+    assert "the running rig: fault dynamic_brake_lost axle=3" in done.stdout
+    assert "allowed are 1, 2, 5, 6 ([dynamic_brake] axles)" in done.stdout
+    assert done.stdout.strip().endswith("False")
 
 
 SEQUENCE_OF_A_TRAM = """
