@@ -13,6 +13,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
 
 ROOT = Path(__file__).parent
+# the folder of a kind that has the configurations for other vehicles than the coach
+VEHICLES = "vehicles"
 # what one configuration of a kind is called in messages
 _SINGULAR = {
     "buses": "bus",
@@ -33,6 +35,14 @@ def names(kind: str) -> list[str]:
     return sorted(path.stem for path in (ROOT / kind).glob("*.toml"))
 
 
+def names_of_vehicles(kind: str) -> list[str]:
+    """Return the names of the packaged configurations of a kind for other vehicles than the coach.
+
+    `names` does not list them, because one process has one vehicle; `find` finds them.
+    """
+    return sorted(path.stem for path in (ROOT / kind / VEHICLES).glob("*.toml"))
+
+
 def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
     """Return the file of a configuration. Raises ConfigError if there is none.
 
@@ -49,18 +59,19 @@ def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
             # os.path, because Path raises an error for a name that is too long or contains NUL
             if os.path.isfile(candidate):
                 return candidate
-        packaged_names = names(kind)
+        packaged_names = [*names(kind), *names_of_vehicles(kind)]
         if not packaged_names:
             raise ConfigError(f"{name}: no such file; give the path of a TOML file")
         hint = nearest(path.stem, packaged_names, "Packaged")
         raise ConfigError(f"{name}: no such file{hint}; or give the path of a TOML file")
-    packaged = ROOT / kind / f"{name}.toml"
-    if not os.path.isfile(packaged):
-        raise ConfigError(
-            f"no {_SINGULAR.get(kind, kind)} is called '{name}'{nearest(name, names(kind))}; "
-            "or give the path of a TOML file"
-        )
-    return packaged
+    for packaged in (ROOT / kind / f"{name}.toml", ROOT / kind / VEHICLES / f"{name}.toml"):
+        if os.path.isfile(packaged):
+            return packaged
+    raise ConfigError(
+        f"no {_SINGULAR.get(kind, kind)} is called '{name}'"
+        f"{nearest(name, [*names(kind), *names_of_vehicles(kind)])}; "
+        "or give the path of a TOML file"
+    )
 
 
 def parse(path: Path, within: Path | None = None) -> dict[str, Any]:

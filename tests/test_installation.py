@@ -89,7 +89,7 @@ def test_the_wheel_holds_every_packaged_file_of_a_kind(kind, program, tmp_path):
     if kind == "datasets":
         assert names == sorted(path.parent.name for path in store.ROOT.glob("datasets/*/*.toml"))
     else:
-        assert names == store.names(kind)
+        assert names == [*store.names(kind), *store.names_of_vehicles(kind)]
 
 
 def test_the_wheel_reads_its_packaged_sequences(program, tmp_path):

@@ -74,7 +74,8 @@ def names_and_titles(kind: str) -> list[tuple[str, str]]:
         files = sorted(store.ROOT.glob("datasets/*/dataset.toml"))
         return [(path.parent.name, dataset.parse(path)["title"]) for path in files]
 
-    return [(name, _title(store.find(kind, name))) for name in store.names(kind)]
+    names = [*store.names(kind), *store.names_of_vehicles(kind)]
+    return [(name, _title(store.find(kind, name))) for name in names]
 
 
 def _title(path: Path) -> str:

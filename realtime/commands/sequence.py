@@ -35,7 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         metavar="FILE",
         help="sequences: names of packaged sequences, TOML files, or folders of TOML files "
-        "(default: all packaged sequences)",
+        "(default: all packaged sequences of the coach)",
     )
     parser.add_argument(
         "--out",
@@ -180,21 +180,28 @@ def _warnings(outcomes: "list[Outcome]") -> list[str]:
 def load(names: list[str]) -> "list[Sequence]":
     """Return the sequences of names, files and folders; without names, the packaged ones.
 
-    Checks all of them. Raises ConfigError with the errors of all sequences.
+    Checks all of them. Raises ConfigError with the errors of all sequences. Raises OtherVehicleError
+    if all of them are for a vehicle that this process does not simulate.
     """
     from rollerrig.firmware_sim.faults import catalogue
     from rollerrig.wsp_interface.sequences import sequence as sequence_file
 
     sequences: list[Sequence] = []
     errors: list[str] = []
+    # errors of the sequences whose vehicle this process does not simulate, by their names
+    of_others: dict[str, OtherVehicleError] = {}
     for path in _find(names):
         try:
             check_fault = partial(catalogue.parse, source="the fault")
             sequences.append(sequence_file.load(path, check_fault))
         except ConfigError as error:
             # a sequence of another vehicle may have axles or faults that are unknown here
-            _check_vehicle(path)
-            errors.append(str(error))
+            try:
+                _check_vehicle(path)
+            except OtherVehicleError as other:
+                of_others[path.stem] = other
+            else:
+                errors.append(str(error))
 
     # each sequence needs a different name, because the folder of its run has this name
     loaded_names = [sequence.name for sequence in sequences]
@@ -202,19 +209,29 @@ def load(names: list[str]) -> "list[Sequence]":
         if loaded_names.count(name) > 1:
             errors.append(f"two sequences have the name '{name}'; rename one of them")
 
+    of_this_vehicle: list[str] = []
     for sequence in sequences:
         try:
             of_bench = scenario_of(sequence)
+            of_this_vehicle.append(sequence.name)
             for step in sequence.steps:
                 for text in step.faults:
                     fault = catalogue.parse(text, source="the fault")
                     catalogue.check_equipped(fault, of_bench.resolved, f"line {step.line} [[step]]")
-        except OtherVehicleError:
-            # the command line starts itself again for this vehicle
-            raise
+        except OtherVehicleError as other:
+            of_others[sequence.name] = other
         except ConfigError as error:
             errors.append(f"{sequence.path} [start]: {error}")
 
+    for name, other in of_others.items():
+        if of_this_vehicle:
+            raise ConfigError(
+                f"no sequence was played: {of_this_vehicle[0]} and {name} are for vehicles with "
+                "different axles or equipment, and one command plays those of one vehicle; use one "
+                "command for each vehicle"
+            )
+        # the command line starts itself again for this vehicle
+        raise other
     if errors:
         raise ConfigError("no sequence was played:\n  " + "\n  ".join(errors))
     return sequences
