@@ -18,13 +18,16 @@ well as a wrong reference.
 
 Source of the thresholds: assumption. The reference unit stays below each of them by a factor of 1.5
 or more in all stops of the paper (`tests/realtime/test_diagnosis.py`). Limits: below `SLOWEST_M_S`
-nothing is judged, because units cut off there.
+nothing is judged, because units cut off there. While motors may drive nothing is judged either:
+wheels that slip in traction turn faster than the vehicle, so their speed is no reference, and a
+valve that vents releases no brake.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import HAS_DYNAMIC_BRAKE
 from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.signals import AXLES
 
@@ -46,9 +49,10 @@ _NEVER_S = -1e9
 class Sample(NamedTuple):
     """One bus cycle: lists have one value an axle.
 
-    sliding_m_s: true sliding.
+    sliding_m_s: true sliding; negative where a motor drives the axle.
     valves: 0 fill, 1 hold, 2 vent.
     reference_m_s: the reference speed that the unit sends; NaN if it sends none.
+    brake_demand_Pa: the demanded brake pressure; NaN if nothing demands one.
     """
 
     time_s: float
@@ -56,6 +60,12 @@ class Sample(NamedTuple):
     sliding_m_s: list[float]
     valves: list[float]
     reference_m_s: float
+    brake_demand_Pa: float
+
+    @property
+    def may_drive(self) -> bool:
+        """Whether motors may drive the vehicle: it has motors, and no brake is demanded."""
+        return HAS_DYNAMIC_BRAKE and not self.brake_demand_Pa > 0.0
 
 
 class Diagnosis:
@@ -94,9 +104,9 @@ class Diagnosis:
             return
         self._before = sample
         for axle in range(AXLES):
-            if sample.sliding_m_s[axle] > SLIDES_M_S:
+            if abs(sample.sliding_m_s[axle]) > SLIDES_M_S:
                 self._slid_at_s[axle] = sample.time_s
-        if sample.speed_m_s < SLOWEST_M_S:
+        if sample.speed_m_s < SLOWEST_M_S or sample.may_drive:
             self._drifts_since_s = None
             return
         for axle in range(AXLES):

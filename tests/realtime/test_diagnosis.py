@@ -38,6 +38,7 @@ def diagnosed(rows):
         rows[:, signals.span("sliding")].tolist(),
         rows[:, signals.span("valve")].tolist(),
         rows[:, signals.column("wsp_reference_speed")].tolist(),
+        rows[:, signals.column("brake_demand")].tolist(),
     ]
     for sample in zip(*columns, strict=True):
         one.look(Sample(*sample))
@@ -68,6 +69,32 @@ def test_a_unit_that_vents_a_rolling_axle_is_found_and_its_vents_are_counted():
     assert codes(found) == [Code.WSP_VENTS_WITHOUT_SLIDING]
     assert found[0][1]["axle"] == 2
     assert one.vents_without_sliding > 5
+
+
+def vent_of_axle_1(sliding_m_s):
+    """Return the findings when the valve of axle 1 vents while the axle slides so much."""
+    found = []
+    one = Diagnosis(lambda code, /, **fields: found.append(code))
+    still = [0.0] * (signals.AXLES - 1)
+    for cycle in range(200):
+        vents = 2.0 if cycle == 150 else 0.0
+        one.look(
+            Sample(
+                time_s=0.01 * cycle,
+                speed_m_s=10.0,
+                sliding_m_s=[sliding_m_s, *still],
+                valves=[vents, *still],
+                reference_m_s=10.0,
+                brake_demand_Pa=3.8e5,
+            )
+        )
+    return found
+
+
+@pytest.mark.parametrize("sliding_m_s", [1.0, -1.0])
+def test_a_wheel_that_slips_in_either_direction_slides(sliding_m_s):
+    assert vent_of_axle_1(0.0) == [Code.WSP_VENTS_WITHOUT_SLIDING]
+    assert vent_of_axle_1(sliding_m_s) == []
 
 
 def test_swapped_axles_are_found_and_named():

@@ -96,6 +96,7 @@ class Record:
             sliding_m_s,
             valves,
             self.braked("wsp_reference_speed_m_s").tolist(),
+            self.braked("brake_demand_Pa").tolist(),
             strict=True,
         ):
             found.look(Sample(*sample))
