@@ -49,6 +49,7 @@ LONG_FILES = (
     "tests/realtime/test_lockstep_under_load.py",
     "tests/realtime/test_timers_on_a_bench.py",
     "tests/realtime/test_validity.py",
+    "tests/realtime/test_vehicle_sequences.py",
     "tests/realtime/test_velim.py",
     "tests/third_party/",
     "tests/tutorials/",

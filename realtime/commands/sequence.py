@@ -180,7 +180,7 @@ def _warnings(outcomes: "list[Outcome]") -> list[str]:
 def load(names: list[str]) -> "list[Sequence]":
     """Return the sequences of names, files and folders; without names, the packaged ones.
 
-    Checks all of them. Raises ConfigError with the errors of all sequences. Raises OtherVehicleError
+    Checks all of them. Raises ConfigError with the errors of all sequences, and OtherVehicleError
     if all of them are for a vehicle that this process does not simulate.
     """
     from rollerrig.firmware_sim.faults import catalogue

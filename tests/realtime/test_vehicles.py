@@ -319,7 +319,7 @@ def test_a_motor_magnet_or_fault_that_the_vehicle_cannot_have_is_refused_before_
     assert not (tmp_path / "run").exists()
 
 
-# run in a process whose vehicles have a dynamic brake: a fault of an axle, over Modbus, at running time
+# run in a process whose vehicles have motors: a fault of an axle over Modbus, at running time
 FAULT_OVER_MODBUS = """
 import sys
 

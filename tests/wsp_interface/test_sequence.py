@@ -1,6 +1,8 @@
 """Sequences: how they are read, what is refused with which line, and the packaged library."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -133,6 +135,49 @@ def test_every_packaged_sequence_is_in_order_and_has_limits(name):
     loaded = sequence.load(name, catalogue.parse)
     assert loaded.criteria.limits
     assert loaded.steps
+
+
+def of_vehicle(vehicle: str) -> list[str]:
+    """Return the names of the packaged sequences of a vehicle other than the coach."""
+    found = []
+    for name in store.names_of_vehicles("sequences"):
+        content, _ = store.load("sequences", name)
+        scenario, _ = store.load("scenarios", content["scenario"])
+        if scenario["vehicle"] == vehicle:
+            found.append(name)
+    return found
+
+
+def check(*names: str) -> tuple[int, str]:
+    """Check sequences in a process, as a user does; return the exit status and the messages."""
+    words = [sys.executable, "-m", "rollerrig.realtime.cli", "sequence", "--check", *names]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize("vehicle", sorted(set(store.names("vehicles")) - {"uic_z1"}))
+def test_every_shipped_vehicle_has_sequences_that_are_in_order_and_have_limits(vehicle):
+    names = of_vehicle(vehicle)
+    assert names
+    status, messages = check(*names)
+    assert status == 0, messages
+    for name in names:
+        content, _ = store.load("sequences", name)
+        assert content.get("measure") or content.get("criteria", "none") != "none", name
+
+
+def test_no_two_packaged_sequences_have_the_same_name():
+    assert not set(store.names("sequences")) & set(store.names_of_vehicles("sequences"))
+
+
+@pytest.mark.parametrize("other", ["dry_120", "multiple_unit_dynamic_low"])
+def test_sequences_of_two_vehicles_in_one_command_are_refused_with_a_name_of_each(other):
+    status, messages = check("tram_dynamic_brake_lost", other)
+    assert status == 2
+    assert "tram_dynamic_brake_lost" in messages
+    assert other in messages
+    assert "one command for each vehicle" in messages
+    assert "Traceback" not in messages
 
 
 @pytest.mark.conformance("Faults", "every fault has a sequence in the library")
