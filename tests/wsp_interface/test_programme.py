@@ -76,6 +76,24 @@ def test_every_packaged_programme_and_its_sequences_are_valid(name):
         assert group.source.startswith(("recollection, to be checked against", "assumption"))
 
 
+@pytest.mark.parametrize("name", store.names_of_vehicles("programmes"))
+def test_every_packaged_programme_of_another_vehicle_and_its_sequences_are_valid(name, tmp_path):
+    loaded = programme.load(name)
+    kinds = [group.kind for group in loaded.groups]
+    assert {programme.MANDATORY, programme.BY_AGREEMENT, programme.APART} <= set(kinds)
+    # the process starts itself again for the vehicle
+    done = subprocess.run(
+        [sys.executable, "-m", "rollerrig.realtime.cli", "programme", name, "--check"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"{len(loaded.sequences)} sequences are valid" in done.stdout + done.stderr
+
+
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [

@@ -56,6 +56,15 @@ def test_the_reference_stop_has_the_running_resistance_of_an_extended_model():
     assert measures.reference_distance_m(dragged) < measures.reference_distance_m(record)
 
 
+def test_motors_add_their_inertia_to_the_mass_that_brakes():
+    record = stop.record()
+    motors = {"axles": [1, 4], "rotor_inertia_kgm2": 20.0}
+    driven = replace(record, scenario=record.scenario | {"dynamic_brake": motors})
+    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
+    added_kg = measures.dynamic_mass_kg(driven) - measures.dynamic_mass_kg(record)
+    assert added_kg == pytest.approx(2 * 20.0 / radius_m**2)
+
+
 def test_a_demand_of_twice_the_rate_falls_short_by_the_difference():
     record = stop.record()
     force_N = float(measures.brake_force_N(record, 3.8e5)) + 600.0

@@ -115,12 +115,13 @@ def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
 
 
 def dynamic_mass_kg(record: Record) -> float:
-    """Return the mass of the vehicle, with the equivalent mass of its rotating wheelsets."""
+    """Return the mass of the vehicle, with the equivalent mass of its wheelsets and motors."""
     vehicle = record.scenario["vehicle"]
-    return float(
-        vehicle["mass_kg"]
-        + AXLES * vehicle["wheelset_inertia_kgm2"] / vehicle["wheel_radius_m"] ** 2
-    )
+    inertia_kgm2 = AXLES * vehicle["wheelset_inertia_kgm2"]
+    motors = record.scenario.get("dynamic_brake")
+    if motors:
+        inertia_kgm2 += len(motors["axles"]) * motors["rotor_inertia_kgm2"]
+    return float(vehicle["mass_kg"] + inertia_kgm2 / vehicle["wheel_radius_m"] ** 2)
 
 
 def _resistance(record: Record) -> tuple[float, float, float]:

@@ -25,6 +25,14 @@ KINDS = (MANDATORY, BY_AGREEMENT, ADDITIONAL, APART)
 # kinds whose sequences count for the result
 COUNTED = (MANDATORY, BY_AGREEMENT)
 
+# Names of the signals of any vehicle. A programme is read before it is known which vehicle its
+# sequences have, and a record without a signal of this list is an error in the evidence.
+_SIGNALS = tuple(
+    dict.fromkeys(
+        signal.name
+        for signal in (*signals.SIGNALS, *signals.OF_DYNAMIC_BRAKE, *signals.OF_TRACK_BRAKE)
+    )
+)
 _KEYS = ("title", "source", "notes", "log", "group")
 _GROUP_KEYS = ("title", "kind", "source", "sequences", "reason")
 
@@ -72,10 +80,8 @@ def load(name: str) -> Programme:
     known(content, _KEYS, lambda key: where)
     log = _texts(content, "log", where)
     for signal in log:
-        if signal not in signals.BY_NAME:
-            raise ConfigError(
-                f"{where}: log: no signal '{signal}'{nearest(signal, signals.BY_NAME)}"
-            )
+        if signal not in _SIGNALS:
+            raise ConfigError(f"{where}: log: no signal '{signal}'{nearest(signal, _SIGNALS)}")
     tables = content.get("group", [])
     if not isinstance(tables, list) or not tables:
         raise ConfigError(f"{where}: has no group; write [[group]] with title, kind and sequences")
