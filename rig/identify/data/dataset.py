@@ -17,7 +17,7 @@ from rollerrig.configs import store, table, toml_text, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, flag, number
 from rollerrig.rig import params
-from rollerrig.rig.identify.data import mdf, quality
+from rollerrig.rig.identify.data import mdf, pressures, quality
 from rollerrig.rig.identify.data.runs import AXLES, LARGEST_ADHESION, Curve, Dataset, Run
 from rollerrig.rig.identify.files import channels, tables, units
 from rollerrig.rig.identify.files.channels import Source
@@ -77,6 +77,7 @@ CHANNELS = (
     *columns_of_axles("wheel_speed", "rad_s"),
     *columns_of_axles("wheel_load", "N"),
     *columns_of_axles("brake_torque", "Nm"),
+    *columns_of_axles("brake_pressure", "Pa"),
     *columns_of_axles("surface_speed", "m_s"),
 )
 # the columns of a creep curve
@@ -93,6 +94,7 @@ KEY_UNITS = {
     "rad_s": "rad/s",
     "N": "N",
     "Nm": "Nm",
+    "Pa": "Pa",
     "m": "m",
     "creepage": "-",
     "adhesion": "-",
@@ -150,10 +152,34 @@ def load(folder: Path | str) -> Dataset:
     )
     if head["kind"] == "creep_curve":
         return dataset._replace(curve=_creep_curve(dataset, head, toml_tables, reading))
-    for number_of_run, row in enumerate(toml_tables.get("run", []), start=1):
-        dataset.runs.append(_run(dataset, row, number_of_run, path, reading))
+    _read_runs(dataset, toml_tables.get("run", []), path, reading)
     quality.check(dataset, str(path))
     return dataset
+
+
+def _read_runs(
+    dataset: Dataset, rows: Sequence[Mapping[str, Any]], path: Path, reading: "_Reading"
+) -> None:
+    """Read the runs of the tables [[run]] into the dataset, and check them. Raises ConfigError."""
+    read = [_run(dataset, row, number, path, reading) for number, row in enumerate(rows, start=1)]
+    runs = [one.run for one in read]
+    pressures_Pa = [one.pressure_Pa for one in read if one.pressure_Pa is not None]
+    if pressures_Pa:
+        if len(pressures_Pa) < len(runs):
+            raise ConfigError(
+                f"{path}: some runs have brake torques and others have pressures only; give the same "
+                "columns for all runs"
+            )
+        runs, gain = pressures.with_torques(runs, pressures_Pa, dataset.sections, str(path))
+        dataset.warnings.append(
+            "brake torques were not measured: they are the cylinder pressures above that of the "
+            f"spring times {1e5 * gain.torque_Nm_Pa:.4g} N m per bar and wheelset (95 %: +- "
+            f"{1e5 * gain.half_width_Nm_Pa:.2g}), which is what the lost momentum of the runs gives; "
+            "a brake or a mass that is wrong by the same share in all runs cannot be seen"
+        )
+    for one, run in zip(read, runs, strict=True):
+        quality.check_run(run, one.path, dataset, one.initial_speed_m_s)
+        dataset.runs.append(run)
 
 
 def _take_tables(content: dict[str, Any], path: Path) -> dict[str, Any]:
@@ -348,10 +374,23 @@ def _read_sources(content: Any, keys: tuple[str, ...], where: str) -> dict[str, 
     return sources
 
 
+class _ReadRun(NamedTuple):
+    """A run that is not checked yet.
+
+    pressure_Pa: of the brake cylinders, (n, AXLES), if the file has no torques. Then the torques of
+    the run are zero.
+    """
+
+    run: Run
+    path: Path
+    initial_speed_m_s: float
+    pressure_Pa: np.ndarray | None
+
+
 def _run(
     dataset: Dataset, row: Mapping[str, Any], number_of_run: int, toml: Path, reading: _Reading
-) -> Run:
-    """Return the checked run of a table [[run]]. Raises ConfigError."""
+) -> _ReadRun:
+    """Return the run of a table [[run]]. Raises ConfigError."""
     where = f"{toml} [[run]] {number_of_run}"
     entry = read_rows(RUN, row, where)
     if not entry["file"]:
@@ -371,21 +410,32 @@ def _run(
     if file.has("surface_speed_1_m_s"):
         surface_m_s = file.axles("surface_speed", "m_s")
 
+    # the first missing column is reported, in the order of the documents
+    time_s = file.channel("time_s")
+    speed_m_s = file.channel("vehicle_speed_m_s")
+    wheel_speed_rad_s = file.axles("wheel_speed", "rad_s")
+    load_N = file.axles("wheel_load", "N")
+    pressure_Pa = None
+    if file.has("brake_pressure_1_Pa") and not file.has("brake_torque_1_Nm"):
+        pressure_Pa = file.axles("brake_pressure", "Pa")
+        torque_Nm = np.zeros((time_s.size, AXLES))
+    else:
+        torque_Nm = file.axles("brake_torque", "Nm")
+
     run = Run(
         name=path.stem,
         group=entry["group"],
         mass_kg=mass_kg,
         mu_cd=entry["mu_cd"] if entry["mu_cd"] > 0 else None,
-        time_s=file.channel("time_s"),
-        speed_m_s=file.channel("vehicle_speed_m_s"),
-        wheel_speed_rad_s=file.axles("wheel_speed", "rad_s"),
-        load_N=file.axles("wheel_load", "N"),
-        torque_Nm=file.axles("brake_torque", "Nm"),
+        time_s=time_s,
+        speed_m_s=speed_m_s,
+        wheel_speed_rad_s=wheel_speed_rad_s,
+        load_N=load_N,
+        torque_Nm=torque_Nm,
         position_m=position_m,
         surface_m_s=surface_m_s,
     )
-    quality.check_run(run, path, dataset, entry["initial_speed_m_s"])
-    return run
+    return _ReadRun(run, path, entry["initial_speed_m_s"], pressure_Pa)
 
 
 def _open(dataset: Dataset, path: Path, reading: _Reading) -> _DataFile:

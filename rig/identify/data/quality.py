@@ -16,7 +16,10 @@ from rollerrig.rig.identify.data import units
 from rollerrig.rig.identify.data.runs import Dataset, Run
 
 LEAST_SAMPLES = 200
-LEAST_SLIDING_M_S = 0.15  # mean sliding below which a stop has no information about adhesion, m/s
+# A stop in which no wheelset slides by more than LEAST_SLIDING_M_S, as a mean over LEAST_SLIDING_S
+# of its strongest sliding, has no information about adhesion. The rest of the run does not count.
+LEAST_SLIDING_M_S = 0.15
+LEAST_SLIDING_S = 2.0
 LONGEST_HELD_S = 1.0  # a wheel speed that stays the same for longer is that of a stuck sensor
 
 # sample times, as shares of sample_time_s
@@ -168,20 +171,34 @@ def _check_sliding(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: l
             "positive in braking: check radius and channels"
         )
 
-    still = [
-        str(j + 1)
-        for j in range(sliding_m_s.shape[1])
-        if np.mean(np.abs(sliding_m_s[:, j])) < LEAST_SLIDING_M_S
-    ]
-    if still:
+    still = np.flatnonzero(_strongest_sliding_m_s(run, vehicle) < LEAST_SLIDING_M_S) + 1
+    if still.size:
         warnings.append(
-            f"{path.name}: wheelset {', '.join(still)} hardly slides; this run has little information "
+            f"{path.name}: wheelset {', '.join(map(str, still))} hardly slides; this run has little information "
             "about its friction"
         )
 
     lost_m_s = float(run.speed_m_s[0] - run.speed_m_s[-1])
     if lost_m_s < LEAST_SPEED_LOSS_M_S and np.isfinite(run.mass_kg):
         warnings.append(f"{path.name}: the speed decreases by only {lost_m_s:.3g} m/s")
+
+
+def _strongest_sliding_m_s(run: Run, vehicle: Mapping[str, Any]) -> np.ndarray:
+    """Return the mean sliding of each wheelset over the LEAST_SLIDING_S of its strongest sliding.
+
+    m/s, shape (AXLES,). These samples need not follow one another. Running means over a tenth of
+    this time keep noise out.
+    """
+    sliding_m_s = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s
+    step_s = float(np.median(np.diff(run.time_s)))
+    samples = min(max(round(LEAST_SLIDING_S / step_s), 1), run.time_s.size)
+    window = max(samples // 10, 1)
+    kernel = np.full(window, 1.0 / window)
+    strongest = []
+    for of_wheelset in sliding_m_s.T:
+        smooth = np.abs(np.convolve(of_wheelset, kernel, "same"))
+        strongest.append(float(np.sort(smooth)[-samples:].mean()))
+    return np.array(strongest)
 
 
 def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
@@ -234,14 +251,12 @@ def check(dataset: Dataset, where: str) -> None:
                 "no new information and cannot validate: remove one"
             )
 
-    radius_m = dataset.sections["vehicle"]["wheel_radius_m"]
-    largest_m_s = max(
-        float(np.mean(np.abs(run.speed_m_s[:, None] - radius_m * run.wheel_speed_rad_s)))
-        for run in tune
-    )
+    vehicle = dataset.sections["vehicle"]
+    largest_m_s = max(float(_strongest_sliding_m_s(run, vehicle).max()) for run in tune)
     if largest_m_s < LEAST_SLIDING_M_S:
         raise ConfigError(
-            f"{where}: the wheels hardly slide (mean {largest_m_s:.3g} m/s in the best run, "
+            f"{where}: the wheels hardly slide (mean {largest_m_s:.3g} m/s over the "
+            f"{LEAST_SLIDING_S:g} s of strongest sliding of the best wheelset, "
             f"{LEAST_SLIDING_M_S} m/s are needed): adhesion was never exhausted, so it cannot be "
             "judged; brake harder or on a slippery rail"
         )

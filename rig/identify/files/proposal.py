@@ -56,7 +56,7 @@ _KEYS = {
     },
 }
 _REASONS = {
-    words.PRESSURE: "a pressure of a brake cylinder, which is not used: braking runs need torques",
+    words.PRESSURE: "a pressure of a brake cylinder; without torques write it as brake_pressure_1_Pa in [channels]",
     words.VEHICLE_SPEED: "a speed of the vehicle, which is not used beside a reference",
     words.REFERENCE_SPEED: "a reference, which is used of recorders only",
 }

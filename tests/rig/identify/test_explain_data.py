@@ -9,6 +9,7 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import brake_torque_Nm_Pa
 from rollerrig.rig.identify.data import dataset
 
 SHIPPED = store.ROOT / "datasets" / "open_none"
@@ -128,6 +129,85 @@ def test_runs_whose_wheels_never_slide_are_refused(copy: Path) -> None:
         columns["wheel_speed_1_rad_s"] = columns["wheel_speed_1_rad_s"] + 2e-3
         write(copy, run, columns)
     with pytest.raises(ConfigError, match="hardly slide"):
+        dataset.load(copy)
+
+
+def test_brief_sliding_in_a_long_run_is_judged_over_the_time_in_which_wheels_slide(
+    copy: Path,
+) -> None:
+    for run in ("a1", "a2", "a3"):
+        columns = read(copy, run)
+        rolling_rad_s = columns["vehicle_speed_m_s"] / RADIUS_M
+        rows = np.arange(rolling_rad_s.size)
+        slides = (rows > 500) & (rows < 800)
+        for axle in range(1, 5):
+            ripple_rad_s = 2e-3 * np.sin(rows + axle)
+            columns[f"wheel_speed_{axle}_rad_s"] = rolling_rad_s + ripple_rad_s - 1.0 * slides
+        write(copy, run, columns)
+    assert dataset.load(copy).runs
+
+
+# --- pressures in the place of torques ---
+
+
+def write_pressures(copy: Path, share_of_gain: float, unit_Pa: float = 1.0) -> None:
+    """Replace the torques of all runs by pressures.
+
+    `share_of_gain` is the torque for each Pa as a share of that of the vehicle's brake.
+    """
+    brake = dataset.load(copy).sections["brake"]
+    torque_Nm_Pa = share_of_gain * brake_torque_Nm_Pa(brake)
+    for path in (copy / "runs").glob("*.csv"):
+        columns = {}
+        for name, values in read(copy, path.stem).items():
+            if not name.startswith("brake_torque"):
+                columns[name] = values
+                continue
+            pressure_Pa = values / torque_Nm_Pa + brake["spring_pressure_Pa"] * (values > 0.0)
+            name_of_pressure = name.replace("torque", "pressure").replace("_Nm", "_Pa")
+            columns[name_of_pressure] = pressure_Pa / unit_Pa
+        write(copy, path.stem, columns)
+
+
+def test_pressures_become_torques_by_the_momentum_that_the_vehicle_loses(copy: Path) -> None:
+    measured = dataset.load(copy)
+    write_pressures(copy, 1.2)
+    data = dataset.load(copy)
+    for run, of_torque in zip(data.runs, measured.runs, strict=True):
+        # within the calibration of torque and mass, 0.3 % each
+        acts = of_torque.torque_Nm > 500.0
+        np.testing.assert_allclose(run.torque_Nm[acts], of_torque.torque_Nm[acts], rtol=0.01)
+    assert any("N m per bar" in warning for warning in data.warnings)
+
+
+def test_pressures_may_be_in_bar(copy: Path) -> None:
+    write_pressures(copy, 1.2, unit_Pa=1e5)
+    lines = ["[channels]"]
+    for axle in range(1, 5):
+        key = f"brake_pressure_{axle}_Pa"
+        lines.append(f'{key} = {{ column = "brake_pressure_{axle}", unit = "bar" }}')
+    for path in (copy / "runs").glob("*.csv"):
+        text = path.read_text()
+        path.write_text(text.replace("_Pa", ""))
+    path = copy / "dataset.toml"
+    path.write_text(path.read_text() + "\n" + "\n".join(lines) + "\n")
+    assert dataset.load(copy).runs[0].torque_Nm.max() > 1000.0
+
+
+@pytest.mark.parametrize("share", [0.1, 10.0])
+def test_pressures_in_a_wrong_unit_are_refused(copy: Path, share: float) -> None:
+    write_pressures(copy, share)
+    with pytest.raises(ConfigError, match="unit of the pressures"):
+        dataset.load(copy)
+
+
+def test_pressures_whose_gain_differs_from_run_to_run_are_refused(copy: Path) -> None:
+    write_pressures(copy, 1.0)
+    change = read(copy, "a2")
+    for axle in range(1, 5):
+        change[f"brake_pressure_{axle}_Pa"] *= 1.2
+    write(copy, "a2", change)
+    with pytest.raises(ConfigError, match="or give torques"):
         dataset.load(copy)
 
 
