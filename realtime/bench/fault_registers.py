@@ -15,7 +15,7 @@ from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.unit import Reader, Writer
 from rollerrig.wsp_interface.events import Code, OnEvent
 
-AIMS = ("axle", "group", "node", "can_id")
+AIMS = ("axle", "bogie", "group", "node", "can_id")
 DURATION_UNIT_S = 0.1
 
 

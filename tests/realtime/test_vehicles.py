@@ -319,7 +319,7 @@ def test_a_motor_magnet_or_fault_that_the_vehicle_cannot_have_is_refused_before_
     assert not (tmp_path / "run").exists()
 
 
-# run in a process whose vehicles have motors: a fault of an axle over Modbus, at running time
+# run in a process whose vehicles have motors and magnets: a fault over Modbus, at running time
 FAULT_OVER_MODBUS = """
 import sys
 
@@ -337,11 +337,15 @@ def record(code, /, **fields):
 
 
 array = np.zeros(effects.SIZE)
-faults = panel.Panel((), record, {"dynamic_brake": {"axles": [1, 2, 5, 6]}})
+sections = {
+    "dynamic_brake": {"axles": [1, 2, 5, 6]},
+    "magnetic_track_brake": {"bogies": [1, 2]},
+}
+faults = panel.Panel((), record, sections)
 faults.connect(panel.Site(array, lambda: None))
 write = fault_registers.FaultRegisters(faults, record).writers()
-write["fault"](29, False)
-write["fault_target"](int(sys.argv[1]), False)
+write["fault"](int(sys.argv[1]), False)
+write["fault_target"](int(sys.argv[2]), False)
 try:
     write["inject_fault"](1, False)
 except RefusedError:
@@ -350,25 +354,40 @@ print(events, array.any())
 """
 
 
-@pytest.mark.parametrize("axle", [1, 3])
-def test_a_running_rig_refuses_the_fault_of_a_motor_on_an_axle_without_one(axle):
-    environment = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": "dynamic_brake"}
+@pytest.mark.parametrize(
+    ("number", "target", "message"),
+    [
+        (29, 2, ""),
+        (
+            29,
+            3,
+            "fault dynamic_brake_lost axle=3: axle 3 has no such brake; allowed are 1, 2, 5, 6",
+        ),
+        (30, 2, ""),
+        (30, 3, "fault track_brake_dead bogie=3: bogie 3 has no such brake; allowed are 1, 2"),
+    ],
+)
+def test_a_running_rig_refuses_the_fault_of_a_motor_or_magnet_that_is_not_there(
+    number, target, message
+):
+    equipment = "dynamic_brake,magnetic_track_brake"
+    environment = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": equipment}
     done = subprocess.run(
-        [sys.executable, "-c", FAULT_OVER_MODBUS, str(axle)],
+        [sys.executable, "-c", FAULT_OVER_MODBUS, str(number), str(target)],
         env=os.environ | environment,
         capture_output=True,
         text=True,
         timeout=LONGEST_S,
         check=True,
     )
-    if axle == 1:
-        assert "fault.begins" in done.stdout
-        assert done.stdout.strip().endswith("True")
-        return
-    assert done.stdout.startswith("refused")
-    assert "the running rig: fault dynamic_brake_lost axle=3" in done.stdout
-    assert "allowed are 1, 2, 5, 6 ([dynamic_brake] axles)" in done.stdout
-    assert done.stdout.strip().endswith("False")
+    begins = not message
+    assert done.stdout.startswith("refused") != begins
+    assert ("fault.begins" in done.stdout) == begins
+    # the number of the target reaches the fault
+    assert f"={target}" in done.stdout
+    assert message in done.stdout
+    # a fault that is refused has no effect
+    assert done.stdout.strip().endswith(str(begins))
 
 
 SEQUENCE_OF_A_TRAM = """
