@@ -137,7 +137,7 @@ _COMMANDS_AND_STATES = (
         21,
         "fault_target",
         "U16",
-        "axle, node or identifier of the fault; 0: the default",
+        "axle, bogie, group, node or identifier of the fault; 0: the default",
         access=WRITE,
     ),
     Register(
