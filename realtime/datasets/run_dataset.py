@@ -206,6 +206,25 @@ def from_folders(
     )
 
 
+def _cleaning_of_adhesion(scenario: Mapping[str, Any]) -> str:
+    """Return the note on an adhesion of the package that includes cleaning of the rail, or "".
+
+    What else a scenario hides in [mechanisms] is not mentioned.
+    """
+    name = scenario["adhesion_set"]
+    if name not in store.names("adhesion"):
+        return ""
+    content, _ = store.load("adhesion", name)
+    gain = content.get("mechanisms", {}).get("rail_cleaning_gain", 0.0)
+    if not gain:
+        return ""
+    return (
+        f"the adhesion '{name}' of these runs includes cleaning of the rail (gain {gain:g}), which "
+        "the base model does not include: it is reported as the cause rail_cleaning, and a further "
+        "cause beside it, such as load_transfer, may be due to its form"
+    )
+
+
 def _check_no_copies(runs: Sequence[Run], recorded: Sequence[records.Run]) -> None:
     """Raise ConfigError if two runs have the same wheel speeds."""
     pairs = itertools.combinations(zip(runs, recorded, strict=True), 2)
@@ -268,4 +287,7 @@ def _note(recorded: Sequence[records.Run]) -> str:
         notes.append(
             f"the runs had contact.model = {model!r}; the base model is the degraded adhesion law"
         )
+    cleaning = _cleaning_of_adhesion(recorded[0].scenario)
+    if cleaning:
+        notes.append(cleaning)
     return "; ".join(notes)

@@ -271,6 +271,20 @@ def test_a_dataset_of_runs_has_their_vehicle_and_their_brake(stop: Path, tmp_pat
     assert dataset.load(out).sections == sections
 
 
+@pytest.mark.parametrize(("adhesion", "is_noted"), [("low", True), ("soap", False)])
+def test_cleaning_that_the_adhesion_of_the_package_includes_is_a_note(
+    stop: Path, tmp_path: Path, adhesion: str, is_noted: bool
+) -> None:
+    run = copied(stop, tmp_path / "run", 1)
+    plan = tomllib.loads((run / "scenario.toml").read_text())
+    text = (run / "scenario.toml").read_text()
+    used = f'adhesion_set = "{plan["adhesion_set"]}"'
+    assert used in text
+    (run / "scenario.toml").write_text(text.replace(used, f'adhesion_set = "{adhesion}"'))
+    out = run_dataset.from_folders([run], tmp_path / "out")
+    assert ("cleaning of the rail" in (out / "dataset.toml").read_text()) == is_noted
+
+
 def test_runs_to_validate_are_accepted_with_runs_only(tmp_path: Path, capsys) -> None:
     assert (
         cli.main(["explain", "open_none", "--validate", str(tmp_path), "--out", str(tmp_path)]) == 2
