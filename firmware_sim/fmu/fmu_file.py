@@ -20,12 +20,13 @@ from xml.etree import ElementTree
 from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
+from rollerrig.configs.vehicle import UNIT_AXLES
 from rollerrig.firmware_sim.fmu import kinds
 from rollerrig.firmware_sim.fmu.ls_bus import MEDIA_TYPE
-from rollerrig.wsp_interface.signals import AXLES
 from rollerrig.wsp_interface.unit_map import mapping
 
-_AXLES = range(1, AXLES + 1)
+# of the group that the unit protects
+_AXLES = range(1, UNIT_AXLES + 1)
 _SPEED_INPUTS = {f"wheel_speed_{axle}": (f"measured_speed_{axle}", 1.0) for axle in _AXLES}
 _PRESSURE_INPUTS = {
     f"cylinder_pressure_{axle}": (f"cylinder_pressure_{axle}", 1.0) for axle in _AXLES

@@ -13,10 +13,10 @@ from typing import Any
 import tomli_w
 
 from rollerrig.configs.output_files import write_text, writing
+from rollerrig.configs.vehicle import UNIT_AXLES
 from rollerrig.firmware_sim.fmu import fmu_file, kinds
-from rollerrig.wsp_interface.signals import AXLES
 
-_AXLES = range(1, AXLES + 1)
+_AXLES = range(1, UNIT_AXLES + 1)
 _UNKNOWN = "?"
 # words in names, in lower case; the first group that has one counts
 _WORDS = {
@@ -86,7 +86,7 @@ def skeleton(description: Any, name: str) -> tuple[str, int]:
     from_unit: dict[str, Any] = {}
     for magnet, found in outputs.items():
         from_unit[magnet] = [found.get(axle, f"{_UNKNOWN}{axle}") for axle in _AXLES]
-        unknown += AXLES - len(found)
+        unknown += UNIT_AXLES - len(found)
     from_unit |= _reference(description)
     content = tomli_w.dumps({"to_unit": tables, "from_unit": from_unit})
     return "".join(f"# {line}\n" for line in _head(description, name)) + "\n" + content, unknown

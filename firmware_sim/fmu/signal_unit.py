@@ -25,13 +25,14 @@ import numpy as np
 
 from rollerrig.configs import unpacking
 from rollerrig.configs.errors import ConfigError, UnitError
+from rollerrig.configs.vehicle import UNIT_AXLES
 from rollerrig.firmware_sim.fmu import fmu_file
 from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
 from rollerrig.firmware_sim.fmu.fmu_log import FmuLog
 from rollerrig.firmware_sim.wsp import node
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface import rig_objects as rig
-from rollerrig.wsp_interface.unit_map.mapping import SOURCES
+from rollerrig.wsp_interface.unit_map.mapping import SOURCES_OF_GROUP
 
 _EXIT_STATUS_HANGS = 5
 _WATCH_PERIOD_S = 0.1
@@ -123,20 +124,31 @@ def initialisation_of(name: str, log: FmuLog) -> Iterator[None]:
 class Fmu:
     """An FMU as the WSP of a unit, see `node.Wsp`.
 
-    `patience_s`: how long a step may take before the process is stopped.
+    `patience_s`: how long a step may take before the process is stopped. An FMU has inputs and
+    outputs for the axles of a whole group. In a group with fewer axles, the further inputs repeat
+    the speeds and pressures of the axles that are there, and the further outputs have no effect.
     """
 
-    hears: tuple[rig.Layout, ...] = (rig.SPEEDS, rig.PRESSURES)
+    def __init__(
+        self,
+        checked: CheckedFmu,
+        folder: Path,
+        patience_s: float = 10.0,
+        frames: rig.UnitFrames = node.LEADING_GROUP,
+    ) -> None:
+        """Extract the FMU into a folder and load it. `frames` are those of its group of axles.
 
-    def __init__(self, checked: CheckedFmu, folder: Path, patience_s: float = 10.0) -> None:
-        """Extract the FMU into a folder and load it. Raises ConfigError, UnitError."""
+        Raises ConfigError, UnitError.
+        """
+        self.hears: tuple[rig.Layout, ...] = (frames.speeds, frames.pressures)
+        self._axles = len(frames.speeds.names)
+        self._repeated = np.arange(UNIT_AXLES) % self._axles  # the axle of each input
         self._period_s = checked.period_s
         self._steps = 0
         self._begun = False
         self._description = checked.description
         self._fmu = open_fmu(checked, folder)
         self._log = FmuLog()
-        self._values = np.zeros(len(SOURCES))  # of the input frames, in SI units
         self._scales = np.array([scale for layout in self.hears for scale in layout.scales])
         self._inputs = _by_type(checked.inputs)
         self._outputs = _by_type(checked.outputs)
@@ -160,12 +172,14 @@ class Fmu:
             fmu.exitInitializationMode()
 
     def cycle(self, counts: np.ndarray) -> tuple[int, int | None]:
-        self._values[:] = counts * self._scales
-        inputs = dict(zip(SOURCES, self._values.tolist(), strict=True))
+        # quantities of the input frames in SI units, one row each
+        values = (counts * self._scales).reshape(len(self.hears), self._axles)
+        of_inputs = values[:, self._repeated].ravel()
+        inputs = dict(zip(SOURCES_OF_GROUP, of_inputs.tolist(), strict=True))
         outputs = self._step(inputs)
 
         pairs = []
-        for axle in range(1, signals.AXLES + 1):
+        for axle in range(1, self._axles + 1):
             hold = outputs[f"hold_{axle}"] >= _ENERGISED_FROM
             vent = outputs[f"vent_{axle}"] >= _ENERGISED_FROM
             pairs.append(magnets.pair(hold, vent))
@@ -313,17 +327,22 @@ def main(
     priority: int = 0,
     lockstep_s: float = 0.0,
     patience_s: float = 10.0,
+    group: int = 1,
 ) -> int:
     """Run an FMU on a bus until the bus ends, as `node.main`. Returns 0.
 
     Raises ConfigError, BusError, UnitError.
     """
     flush_every_line()
+    frames = node.frames_of_group(group)
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as folder:
-        fmu = Fmu(checked, Path(folder), patience_s)
+        fmu = Fmu(checked, Path(folder), patience_s, frames)
         try:
             return node.serve(
-                lambda bus: node.Unit(bus, fmu, lockstep_s), bus_address, priority, lockstep_s
+                lambda bus: node.Unit(bus, fmu, lockstep_s, frames),
+                bus_address,
+                priority,
+                lockstep_s,
             )
         finally:
             fmu.close()

@@ -356,15 +356,20 @@ def main(
     ConfigError for a wrong `config` (name or TOML path) or group, BusError if the bus cannot be
     opened.
     """
+    frames = frames_of_group(group)
+    wsp = Reference(logic.load(config), frames)
+    return serve(lambda bus: Unit(bus, wsp, lockstep_s, frames), bus_address, priority, lockstep_s)
+
+
+def frames_of_group(group: int) -> rig.UnitFrames:
+    """Return the frames of the unit of a group, 1 the leading one. Raises ConfigError."""
     if not 1 <= group <= GROUPS:
         raise ConfigError(
             f"--group {group}: a vehicle with {AXLES} axles has {GROUPS} group(s) of up to four "
             f"axles; for another vehicle set the environment variable {AXLES_VARIABLE}, for example "
             f"{AXLES_VARIABLE}=8"
         )
-    frames = rig.unit_frames(group - 1)
-    wsp = Reference(logic.load(config), frames)
-    return serve(lambda bus: Unit(bus, wsp, lockstep_s, frames), bus_address, priority, lockstep_s)
+    return rig.unit_frames(group - 1)
 
 
 def serve(

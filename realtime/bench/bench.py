@@ -19,7 +19,7 @@ import pyarrow as pa
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import write_text, writing
 from rollerrig.configs.processes import interruption
-from rollerrig.configs.vehicle import AXLES, AXLES_OF_GROUP, GROUPS
+from rollerrig.configs.vehicle import AXLES, GROUPS
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
@@ -77,12 +77,6 @@ class Bench:
                 "frames of several units wait is known on the bus only; use --pacing lockstep, or "
                 "bus.arbitration=false"
             )
-        if GROUPS > 1 and given.fmus:
-            raise ConfigError(
-                f"{plan.name}: an FMU as the WSP unit of a vehicle with {AXLES} axles: an FMU "
-                f"protects one group of at most {AXLES_OF_GROUP} axles, and only one can be started; "
-                "allowed are --wsp reference, external and none"
-            )
         panel.check_pacing(plan.faults, given.pacing)
         for fault in plan.faults:
             catalogue.check_equipped(fault, plan.resolved, plan.name)
@@ -94,7 +88,15 @@ class Bench:
         if given.fmus:
             from rollerrig.firmware_sim.fmu import fmu_file
 
-            fmu_file.check_all(given.fmus, given.unit_map, plan["bus"]["sync_period_s"])
+            period_s = plan["bus"]["sync_period_s"]
+            fmus = fmu_file.check_all(given.fmus, given.unit_map, period_s)
+            if GROUPS > 1 and fmus[0].terminal:
+                raise ConfigError(
+                    f"{plan.name}: {fmus[0].path.name} has a CAN port and is the unit of the leading "
+                    f"group of axles, and a vehicle with {AXLES} axles has {GROUPS} groups, each "
+                    "with a unit; allowed are an FMU without a CAN port (the bench starts one "
+                    "instance for each group), --wsp reference, external and none"
+                )
         if plan["modbus"]["enabled"]:
             tls_context(plan["modbus"])
 

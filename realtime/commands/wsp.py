@@ -230,6 +230,7 @@ def _run_fmus(options: argparse.Namespace) -> int:
         priority=options.priority,
         lockstep_s=options.lockstep,
         patience_s=options.step_wait,
+        group=options.group,
     )
 
 

@@ -8,6 +8,8 @@ import subprocess
 import sys
 from binascii import crc32
 
+import fmpy
+import fmus
 import numpy as np
 import pyarrow.parquet
 import pytest
@@ -201,3 +203,89 @@ def test_a_fault_of_the_unit_of_a_group_that_is_not_there_is_refused(
     assert status == 2
     assert message in messages
     assert not (tmp_path / "run").exists()
+
+
+# --- one unit for each group ---
+
+
+# the rules of the FMU are those of the packaged configuration of the coach
+TRAIN = (
+    *("run", "multiple_unit_low", "--pacing", "lockstep", "--set", "wsp_config=reference"),
+    *("--set", "duration_max_s=4", *ON_HUB),
+)
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    """The rules of the reference unit as an FMU."""
+    return fmus.build(tmp_path_factory.mktemp("fmu"))
+
+
+@pytest.fixture(scope="module")
+def train(tmp_path_factory):
+    """The folder of a run of a train of two cars, each with a reference unit in a process."""
+    folder = tmp_path_factory.mktemp("train") / "run"
+    status, _, messages = rollerrig(*TRAIN, "--out", folder)
+    # a run of four seconds does not stop
+    assert status == 4, messages
+    return folder
+
+
+def test_a_train_with_one_unit_a_car_in_two_processes_repeats_to_the_byte(train, tmp_path):
+    status, _, messages = rollerrig(*TRAIN, "--out", tmp_path / "again")
+    assert status == 4, messages
+    for name in ("channels.parquet", "can.log"):
+        assert (tmp_path / "again" / name).read_bytes() == (train / name).read_bytes()
+    # both units have acted, and both answer every SYNC
+    magnets = pyarrow.parquet.read_table(train / "channels.parquet")
+    for axle in (1, 5):
+        assert magnets[f"magnets_{axle}"].to_numpy().any()
+    ids = [can_id for _, can_id in frames_of(train)]
+    assert ids.count(0x211) == ids.count(0x231) == ids.count(0x080)
+
+
+def test_an_fmu_for_each_group_gives_the_channels_of_the_reference_units(fmu, train, tmp_path):
+    status, _, messages = rollerrig(*TRAIN, "--wsp", f"fmu:{fmu}", "--out", tmp_path / "fmu")
+    assert status == 4, messages
+    expected = pyarrow.parquet.read_table(train / "channels.parquet")
+    table = pyarrow.parquet.read_table(tmp_path / "fmu" / "channels.parquet")
+    for name in expected.column_names:
+        np.testing.assert_array_equal(table[name].to_numpy(), expected[name].to_numpy(), name)
+
+
+def test_an_fmu_protects_a_last_group_that_has_two_axles(fmu, tmp_path):
+    folder = tmp_path / "tram"
+    status, _, messages = rollerrig(
+        *("run", "tram_low", "--pacing", "lockstep", "--wsp", f"fmu:{fmu}"),
+        *("--set", "duration_max_s=4", *ON_HUB, "--out", folder),
+    )
+    assert status == 4, messages
+    table = pyarrow.parquet.read_table(folder / "channels.parquet")
+    # its second instance has acted, and its reference speed is near that of the vehicle
+    assert table["magnets_5"].to_numpy().any()
+    reference = table["wsp_reference_speed_2_m_s"].to_numpy()[20]
+    assert reference == pytest.approx(table["vehicle_speed_m_s"].to_numpy()[20], rel=0.5)
+
+
+# --- the rig as an FMU ---
+
+
+@pytest.mark.parametrize("scenario", ["bogie_low", "tram_low_dynamic", "multiple_unit_low"])
+def test_the_rig_of_every_vehicle_as_an_fmu_brakes_as_a_free_run(scenario, tmp_path):
+    out = tmp_path / "rig.fmu"
+    status, _, messages = rollerrig("export-fmu", scenario, "--out", out)
+    assert status == 0, messages
+    status, _, messages = rollerrig(
+        *("run", scenario, "--pacing", "free", "--wsp", "none", "--set", "duration_max_s=1.5"),
+        *("--out", tmp_path / "run"),
+    )
+    assert status == 4, messages
+    table = pyarrow.parquet.read_table(tmp_path / "run" / "channels.parquet")
+    last = sum(name.startswith("wheel_load_") for name in table.column_names)
+    names = {"vehicle_speed": "vehicle_speed_m_s", f"wheel_load_{last}": f"wheel_load_{last}_N"}
+    result = fmpy.simulate_fmu(
+        str(out), stop_time=1.0, step_size=0.01, output_interval=0.01, output=list(names)
+    )
+    for variable, column in names.items():
+        recorded = np.interp(result["time"], table["time_s"].to_numpy(), table[column].to_numpy())
+        np.testing.assert_allclose(result[variable], recorded, rtol=1e-9, err_msg=variable)

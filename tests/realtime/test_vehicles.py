@@ -249,17 +249,6 @@ expect = "every cylinder_pressure > 1.5 bar"
     assert "Eight axles brake gently" in page
 
 
-def test_an_fmu_is_refused_where_it_would_protect_one_group_of_several(tmp_path):
-    (tmp_path / "unit.fmu").write_bytes(b"not read")
-    status, _, messages = rollerrig(
-        *("run", "tram_low", "--pacing", "lockstep", "--wsp", f"fmu:{tmp_path / 'unit.fmu'}"),
-        *("--out", tmp_path / "run"),
-    )
-    assert status == 2
-    assert "6 axles" in messages
-    assert not (tmp_path / "run").exists()
-
-
 ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
 
 

@@ -34,7 +34,7 @@ from cantools.database.can import Message as DbcMessage
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
-from rollerrig.configs.vehicle import GROUPS
+from rollerrig.configs.vehicle import GROUPS, UNIT_AXLES
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import (
     LSS_ANSWER,
@@ -74,6 +74,12 @@ SOURCE_OF_COLUMN = {
     for axle, column in enumerate(signals.columns(signals.BY_NAME[name]), start=1)
 }
 SOURCES = tuple(SOURCE_OF_COLUMN.values())
+# those of a unit that protects one group, with its axles counted from 1
+SOURCES_OF_GROUP = tuple(
+    f"{name}_{axle}"
+    for name in ("measured_speed", "cylinder_pressure")
+    for axle in range(1, UNIT_AXLES + 1)
+)
 
 
 @dataclass(frozen=True)
@@ -126,7 +132,7 @@ def load_fmu_map(path: Path) -> FmuMap:
         where = f"{path} [[to_unit]] {number}"
         known(table, ("signals", "factor"), lambda key, where=where: where)
         factor = _factor(table, "factor", where)
-        for name, source in _sources(table, where).items():
+        for name, source in _sources(table, where, SOURCES_OF_GROUP).items():
             inputs[name] = (source, factor)
 
     from_unit = content.get("from_unit")
@@ -134,7 +140,7 @@ def load_fmu_map(path: Path) -> FmuMap:
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
     known(from_unit, _FMU_KEYS, lambda key: where)
-    hold, vent = _magnets(from_unit, where)
+    hold, vent = _magnets(from_unit, where, UNIT_AXLES)
     return FmuMap(
         inputs=inputs,
         hold=hold,
@@ -163,7 +169,7 @@ def load(path: Path) -> UnitMap:
     where = f"{path} [from_unit]"
     known(from_unit, _FROM_UNIT_KEYS, lambda key: where)
     incoming = _message(from_unit, database, where)
-    hold, vent = _magnets(from_unit, where)
+    hold, vent = _magnets(from_unit, where, AXLES)
     _check_signals(hold, incoming, f"{where}: hold")
     _check_signals(vent, incoming, f"{where}: vent")
     reference = str(from_unit.get("reference", ""))
@@ -203,7 +209,7 @@ def _database(path: Path, name: Any) -> Any:
 def _outgoing(table: Any, database: Any, where: str) -> Outgoing:
     known(table, _TO_UNIT_KEYS, lambda key: where)
     message = _message(table, database, where)
-    sources = _sources(table, where)
+    sources = _sources(table, where, SOURCES)
     _check_signals(tuple(sources), message, f"{where}: signals")
     filled = Filled(
         constants=_constants(table, message, where),
@@ -315,14 +321,14 @@ def _checksum(table: Mapping[str, Any], message: DbcMessage, where: str) -> Chec
     return Checksum(name, kind, bytes(prefix))
 
 
-def _sources(table: Mapping[str, Any], where: str) -> dict[str, str]:
-    """Return the source of each of the unit's signals."""
+def _sources(table: Mapping[str, Any], where: str, allowed: tuple[str, ...]) -> dict[str, str]:
+    """Return the source of each of the unit's signals, one of the allowed sources."""
     sources = table.get("signals")
     if not isinstance(sources, dict) or not sources:
         raise ConfigError(f'{where}: signals = {sources!r}: write {{ V1 = "measured_speed_1" }}')
     for source in sources.values():
-        if source not in SOURCES:
-            raise ConfigError(f"{where}: signals: '{source}'{nearest(str(source), SOURCES)}")
+        if source not in allowed:
+            raise ConfigError(f"{where}: signals: '{source}'{nearest(str(source), allowed)}")
     return dict(sources)
 
 
@@ -334,12 +340,14 @@ def _factor(table: Mapping[str, Any], key: str, where: str) -> float:
     return float(factor)
 
 
-def _magnets(from_unit: Mapping[str, Any], where: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _magnets(
+    from_unit: Mapping[str, Any], where: str, axles: int
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the unit's signals of the hold and of the vent magnets, one for each axle."""
     for key in ("hold", "vent"):
         names = from_unit.get(key)
-        if not isinstance(names, list) or len(names) != AXLES:
-            raise ConfigError(f"{where}: {key} = {names!r}: {AXLES} signals, one for each axle")
+        if not isinstance(names, list) or len(names) != axles:
+            raise ConfigError(f"{where}: {key} = {names!r}: {axles} signals, one for each axle")
     hold = tuple(str(name) for name in from_unit["hold"])
     vent = tuple(str(name) for name in from_unit["vent"])
     return hold, vent
