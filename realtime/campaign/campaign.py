@@ -452,7 +452,14 @@ def claim(plan: Plan, out: Path) -> None:
             f"{out} holds the results of another plan or version; give a new folder with --out, or "
             "remove it"
         )
-    content = {
+    with writing(out):
+        make_folder(out, "results")
+        write_text(mark, json.dumps(_manifest(plan, found), indent=1))
+
+
+def _manifest(plan: Plan, found: str) -> dict[str, Any]:
+    """Return what plan.json has of a plan with this fingerprint."""
+    return {
         "fingerprint": found,
         "head": plan.head,
         "axes": plan.axes,
@@ -460,9 +467,19 @@ def claim(plan: Plan, out: Path) -> None:
         "sources": plan.sources,
         "etcs": plan.steps._asdict() if plan.steps else None,
     }
-    with writing(out):
-        make_folder(out, "results")
-        write_text(mark, json.dumps(content, indent=1))
+
+
+def write_deviation(plan: Plan, out: Path, ran_again: int, largest: float) -> None:
+    """Add to plan.json how many stops ran again, and how far the longer step had been off.
+
+    ran_again: number of stops; nothing is written if there are none.
+    largest: largest relative deviation of their distances.
+    """
+    if ran_again:
+        deviation = {"ran_again": ran_again, "largest_deviation": largest}
+        content = _manifest(plan, fingerprint(plan)) | {"long_step": deviation}
+        with writing(out):
+            write_text(out / "plan.json", json.dumps(content, indent=1))
 
 
 def _check_same_step(plan: Plan, mark: Path, out: Path) -> None:
@@ -502,6 +519,13 @@ def _fingerprint(mark: Path, out: Path) -> Any:
     return content["fingerprint"]
 
 
+def again_count(plan: Plan) -> int:
+    """Return how many stops of the whole campaign run again after its last chunk, at most."""
+    if plan.is_large or _long_step_s(plan) is None:
+        return 0
+    return math.ceil(AGAIN * len(plan.points))
+
+
 def open_again(plan: Plan, out: Path) -> dict[int, list[Again]]:
     """Return the stops that must still run again, by the number of their file.
 
@@ -509,7 +533,7 @@ def open_again(plan: Plan, out: Path) -> dict[int, list[Again]]:
     the files of the chunks, which no later run changes: a campaign that is killed in between finds
     the same ones.
     """
-    if plan.is_large or _long_step_s(plan) is None:
+    if not again_count(plan):
         return {}
     columns = ["run", "stopped", _DISTANCE]
     found = {row["run"]: row for row in _parts(out, _PART).select(columns).to_pylist()}

@@ -99,6 +99,7 @@ def call(options: argparse.Namespace) -> int:
     _run_chunks(options, plan, out)
 
     found = outcome.read(plan, out)
+    campaign.write_deviation(plan, out, *found.again)
     report = campaign_report.write(plan, found, out, options.worst, options.pdf, about)
     worst = campaign_report.worst(plan, found.longest, options.worst)
     not_valid = campaign_report.not_valid(plan, found)
@@ -166,7 +167,8 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
     else:
         chunks_to_do = campaign.open_result(plan, out)
 
-    run_count = len(plan.points)
+    # the longest stops run once more if the plan has a longer step than the scenario
+    run_count = len(plan.points) + campaign.again_count(plan)
     console = output.console(error=True)
     bar = Progress(
         TextColumn("{task.description}"),
@@ -184,7 +186,7 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
 
         # the last chunk may have fewer runs than the others
         chunks_done = len(plan.chunks) - len(chunks_to_do)
-        bar.advance(task, min(run_count, chunks_done * plan.head["chunk"]))
+        bar.advance(task, min(len(plan.points), chunks_done * plan.head["chunk"]))
 
         if merger is None:
             if chunks_to_do:
@@ -192,9 +194,12 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
                     campaign.write_chunk(out, chunk, rows)
                     bar.advance(task, len(rows))
             again = campaign.open_again(plan, out)
+            to_do = sum(len(stops) for stops in again.values())
+            bar.update(task, completed=run_count - to_do)
             if again:
                 for chunk, rows in _finished(options, campaign.work_again(again), list(again)):
                     campaign.write_again(out, chunk, rows)
+                    bar.advance(task, len(rows))
             return
         if not chunks_to_do:
             return

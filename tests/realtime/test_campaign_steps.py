@@ -4,8 +4,12 @@ The shares of deviation that users see are measured by `rollerrig bench campaign
 hold what does not depend on luck.
 """
 
+import json
 import math
+import multiprocessing
 import re
+import signal
+import time
 
 import pytest
 
@@ -87,6 +91,60 @@ def test_a_campaign_that_is_killed_before_its_longest_stops_finds_the_same_ones(
     file.unlink()
     assert run_all(loaded, out) == rows
     assert file.read_bytes() == before
+
+
+def run_one_again_and_wait(loaded, out) -> None:
+    """Write the next file of stops that run again, and compute the following ones until killed."""
+    waiting = iter(campaign.open_again(loaded, out).items())
+    chunk, stops = next(waiting)
+    campaign.write_again(out, chunk, campaign.run_again(stops))
+    _, following = next(waiting)
+    while True:
+        campaign.run_again(following)
+
+
+def test_sigkill_while_stops_run_again_changes_no_byte(plan, tmp_path, monkeypatch):
+    monkeypatch.setattr(campaign, "AGAIN", 1.0)
+    loaded = plan(LONG)
+    loaded.head["chunk"] = 1
+    run_all(loaded, tmp_path / "whole")
+    out = tmp_path / "killed"
+    for chunk in campaign.open_result(loaded, out):
+        campaign.write_chunk(out, chunk, campaign.run_chunk(loaded, chunk))
+    for written in range(3):
+        process = multiprocessing.get_context("fork").Process(
+            target=run_one_again_and_wait, args=(loaded, out)
+        )
+        process.start()
+        until_s = time.monotonic() + 60.0
+        while not campaign.part(out, written, "again").is_file():
+            assert time.monotonic() < until_s
+            time.sleep(0.001)
+        process.kill()
+        process.join()
+        assert process.exitcode == -signal.SIGKILL
+    assert not campaign.part(out, 3, "again").is_file()
+    run_all(loaded, out)
+    for file in (tmp_path / "whole" / "results").iterdir():
+        assert (out / "results" / file.name).read_bytes() == file.read_bytes()
+
+
+def test_plan_json_has_the_largest_deviation_of_the_stops_that_ran_again(plan, tmp_path):
+    loaded = plan(LONG)
+    out = tmp_path / "out"
+    run_all(loaded, out)
+    again, missed = outcome.read(loaded, out).again
+    campaign.write_deviation(loaded, out, again, missed)
+    content = json.loads((out / "plan.json").read_text())
+    assert content["long_step"] == {"ran_again": 1, "largest_deviation": missed}
+    assert missed > 0.0
+    # the folder still holds this plan
+    assert campaign.open_result(loaded, out) == []
+
+
+def test_the_stops_that_run_again_count_as_further_runs(plan):
+    assert campaign.again_count(plan(LONG)) == 1
+    assert campaign.again_count(plan(EXACT)) == 0
 
 
 def test_a_stop_beyond_its_time_is_longer_than_any_other(plan, tmp_path):
