@@ -66,3 +66,7 @@ class PortInUseError(BusError):
 
 class UnitError(RollerrigError):
     """The WSP unit, or another external partner, did not do what the run needs."""
+
+
+class UnitLostError(UnitError):
+    """The WSP unit, or another external partner, failed in a run that had begun."""

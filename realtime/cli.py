@@ -17,7 +17,12 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Any, NamedTuple, NoReturn
 
-from rollerrig.configs.errors import ConfigError, OtherVehicleError, RollerrigError
+from rollerrig.configs.errors import (
+    ConfigError,
+    OtherVehicleError,
+    RollerrigError,
+    UnitLostError,
+)
 from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
 from rollerrig.configs.table import similar
@@ -51,7 +56,8 @@ INVALID = 4
 EXIT_STATUSES = {
     PASS: "pass",
     FAILED: "a verdict failed",
-    USAGE: "the command line, a configuration or a file is wrong, or the machine lacks something",
+    USAGE: "the command line, a configuration or a file is wrong, the machine lacks something, or a "
+    "unit or harness did not come",
     LATE: "deadlines were missed under `--strict`",
     INVALID: "a run is not valid (unit lost, not stopped), or was interrupted",
 }
@@ -397,7 +403,7 @@ def _print_error(options: argparse.Namespace, error: RollerrigError, from_python
         print(f"rollerrig {options.verb}: {_shortened(str(error))}", file=sys.stderr)
     if options.json:
         print(json.dumps(_error_object(error)))
-    return USAGE
+    return INVALID if isinstance(error, UnitLostError) else USAGE
 
 
 if __name__ == "__main__":

@@ -65,8 +65,8 @@ _ID_MASK = 0x1FFFFFFF
 _LAST_SYNCHRONOUS = 240
 _EVENT_DRIVEN = 254
 
-# a unit sends its heartbeat at least so often
-_UNIT_HEARTBEAT_ms = 200
+# A unit is lost 200 ms after its last heartbeat, so it sends one in half of this time.
+_UNIT_HEARTBEAT_ms = 100
 
 # the names of the pairs of magnets in the DBC
 _MAGNET_NAMES = {
@@ -272,7 +272,7 @@ def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Messag
     node = dictionary.node_id or 0
     own_name = _node_name(node)
     partner = signals.WSP_NODES[signals.group_of(node)]
-    if node in signals.WSP_NODES:
+    if node in signals.WSP_NODES or node in signals.DRIVE_NODES:
         partner = signals.BENCH_NODE
     partner_name = _node_name(partner)
     for first, word, sender, receiver in (
@@ -294,6 +294,8 @@ def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Messag
                 cycle_ms = sync_ms  # the magnets: a unit answers every SYNC
             elif word == "TPDO":
                 cycle_ms = _cycle_ms(dictionary, index, sync_ms)
+            if node == signals.BENCH_NODE and word == "RPDO":
+                sender = None  # the harness, which is no node
             yield _message(name, cob_id, sender, carried, cycle_ms)
 
 
@@ -311,7 +313,7 @@ def _cycle_ms(dictionary: ObjectDictionary, index: int, sync_ms: int) -> int:
 
 
 def _message(
-    name: str, cob_id: int, sender: str, carried: list[Signal], cycle_ms: int = 0
+    name: str, cob_id: int, sender: str | None, carried: list[Signal], cycle_ms: int = 0
 ) -> Message:
     bits = max((signal.start + signal.length for signal in carried), default=0)
     return Message(
@@ -319,7 +321,7 @@ def _message(
         name,
         (bits + 7) // 8,
         carried,
-        senders=[sender],
+        senders=[sender] if sender else [],
         is_extended_frame=bool(cob_id & _EXTENDED),
         cycle_time=cycle_ms or None,
         strict=True,

@@ -7,7 +7,7 @@ import asyncio
 import contextlib
 from enum import Enum
 
-from rollerrig.configs.errors import UnitError
+from rollerrig.configs.errors import UnitError, UnitLostError
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus, UnitSeat
 from rollerrig.realtime.loop import clock, mailbox, tick
@@ -46,7 +46,11 @@ class _Answer(Enum):
 
 
 async def run(parts: Parts) -> None:
-    """Run bus cycles until the run is done. Raises UnitError when an answer does not come."""
+    """Run bus cycles until the run is done.
+
+    Raises UnitError when the unit does not come, and UnitLostError when it is there and an answer
+    does not come.
+    """
     # the same as parts.simulated_ns(), faster: the bus calls it for each frame
     tick_ns = clock.SECOND_NS // parts.plan["loop"]["tick_hz"]
     slot = parts.data.control.item
@@ -54,6 +58,13 @@ async def run(parts: Parts) -> None:
     await parts.await_unit(bus)
     bus.start_wire(timed=False)
     bus.take_turns(unit_answers=parts.options.unit != "none")
+    try:
+        await _cycles(parts, bus)
+    except UnitError as error:
+        raise UnitLostError(str(error)) from error
+
+
+async def _cycles(parts: Parts, bus: RigBus) -> None:
     ticks = tick.Ticks(parts.data)
     while not parts.stopping:
         mailbox.fetch(parts.data.published, bus.row)

@@ -120,10 +120,8 @@ def test_a_gateway_reports_a_unit_whose_signals_are_no_numbers_and_its_run_is_no
     assert any(event.code == Code.UNIT_LOST for event in run.events)
 
 
-@pytest.mark.parametrize(("pacing", "status"), [("lockstep", 2), ("wall", 4)])
-def test_an_fmu_whose_output_is_no_number_has_failed_and_its_run_is_not_valid(
-    pacing, status, tmp_path
-):
+@pytest.mark.parametrize("pacing", ["lockstep", "wall"])
+def test_an_fmu_whose_output_is_no_number_has_failed_and_its_run_is_not_valid(pacing, tmp_path):
     fmus = pytest.importorskip("fmus")
     unit = fmus.build(tmp_path, defines=("NAN_AT_S=0.5",))
     bench = BenchProcess(
@@ -135,7 +133,7 @@ def test_an_fmu_whose_output_is_no_number_has_failed_and_its_run_is_not_valid(
         "--set",
         "initial_speed_m_s=4",
     ).finish()
-    assert bench.status == status, bench.stderr
+    assert bench.status == 4, bench.stderr
     assert "Traceback" not in bench.stderr
     summary = records.summary(bench.out)
     assert summary["valid"] is False

@@ -99,7 +99,7 @@ def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version
 def test_an_fmu_that_fails_is_a_unit_that_died_and_the_record_is_kept(defines, said, tmp_path):
     unit = fmus.build(tmp_path, defines=[defines])
     run = bench_process.run(tmp_path / "run", *SHORT, "--wsp", f"fmu:{unit}", "--answer-wait", "2")
-    assert run.status == 2
+    assert run.status == 4
     assert said in run.stderr
     assert "Traceback" not in run.stderr + (run.out / "wsp.log").read_text()
     assert len(run.record.column("time_s")) > 90

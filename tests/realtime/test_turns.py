@@ -154,7 +154,7 @@ def test_a_run_ends_when_the_connection_of_an_outside_unit_closes(tmp_path):
     unit.thread.join()
     unit.close()
     bench.finish()
-    assert bench.status == 2
+    assert bench.status == 4
     assert "the WSP unit has closed its connection" in bench.stderr
 
 
@@ -164,5 +164,5 @@ def test_a_run_ends_when_the_connection_of_its_harness_closes(tmp_path):
     rig.step()
     rig.bus.shutdown()  # without leaving
     bench.finish()
-    assert bench.status == 2
+    assert bench.status == 4
     assert "the harness has closed its connection" in bench.stderr

@@ -250,7 +250,15 @@ def test_the_dbc_has_the_cycle_times_of_messages_that_are_sent_regularly(rig, tm
     assert cycle_ms["node_17_TPDO2"] is None  # after changes only
     heartbeat_ms = rig[0][16].dictionary[0x1017].default
     assert cycle_ms["axle_speed_unit_heartbeat"] == heartbeat_ms > 0
-    assert cycle_ms["wsp_unit_heartbeat"] == 200
+    assert cycle_ms["wsp_unit_heartbeat"] == 100
+
+
+def test_a_unit_sends_only_its_messages_and_those_of_brakes_and_sanders_in_the_dbc(folder):
+    database = cantools.database.load_file(folder / "rig.dbc")
+    sent = {message.name for message in database.messages if "wsp_unit" in message.senders}
+    assert sent == {"node_17_RPDO1", "node_18_RPDO1", "node_32_TPDO1", "wsp_unit_heartbeat"}
+    (drive,) = database.get_message_by_name("node_1_RPDO1").senders
+    assert drive == "bench"
 
 
 def test_the_brake_demand_is_a_signal_of_the_dbc(rig, folder):

@@ -50,7 +50,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--unit",
         default="",
         metavar="COMMAND",
-        help="with --wsp external: command that starts your unit for each run; {address}, {host} "
+        help="command that starts your unit for each run; {address}, {host} "
         "and {port} are replaced by those of the bus",
     )
     parser.add_argument(
@@ -78,6 +78,8 @@ def call(options: argparse.Namespace) -> int:
     from rollerrig.realtime.reports.evidence import programme as report
     from rollerrig.wsp_interface.sequences import programme as programme_file
 
+    if options.unit and not options.wsp:
+        options.wsp = "external"
     programme = programme_file.load(options.programme)
     sequences = sequence.load(list(programme.sequences))
     if options.check:
