@@ -270,7 +270,7 @@ def test_an_fmu_protects_a_last_group_that_has_two_axles(fmu, tmp_path):
 # --- the rig as an FMU ---
 
 
-@pytest.mark.parametrize("scenario", ["bogie_low", "multiple_unit_low"])
+@pytest.mark.parametrize("scenario", ["bogie_low", "tram_low", "multiple_unit_low"])
 def test_the_rig_of_every_vehicle_as_an_fmu_brakes_as_a_free_run(scenario, tmp_path):
     out = tmp_path / "rig.fmu"
     status, _, messages = rollerrig("export-fmu", scenario, "--out", out)
