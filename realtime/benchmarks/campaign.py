@@ -8,12 +8,21 @@ a worker that receives one stop at a time, relative to the time of its stops. Al
 step of the scenario (0.1 ms).
 
 Some stops then run with longer steps, alternately with the same stops at 0.1 ms. The factors are
-ratios of processor time, and the deviations are those of the stopping distance.
+ratios of processor time, and the deviations are those of the stopping distance. With `--beside
+FOLDER` an older checkout runs the same stops at 0.1 ms, alternately too, and the factors are also
+those over this checkout. One more pass has half the step of the scenario. Its deviations are those
+of the bench itself: a WSP unit decides at thresholds, so a small error may change a distance much.
 """
 
 import argparse
+import contextlib
+import hashlib
+import json
 import math
+import os
+import subprocess
 import time
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +44,24 @@ STEPS_S = (2e-4, 5e-4, 1e-3)
 COMPARED = 60
 # the largest deviation of a stopping distance that 99 % of the stops may have
 DEVIATION = 5e-4
+# half the step of the scenario
+HALF_STEP_S = 5e-5
+# the program of an older checkout: for each number of a chunk on standard input it runs the chunk,
+# and prints the processor time in s
+_OLDER = """
+import json, sys, time
+from pathlib import Path
+from rollerrig.realtime.campaign import campaign
+imported = Path(campaign.__file__).resolve()
+if not imported.is_relative_to(Path(sys.argv[3]).resolve()):
+    sys.exit(f"{imported} is not in {sys.argv[3]}")
+plan = campaign.load(sys.argv[1], **json.loads(sys.argv[2]))
+campaign.run_chunk(plan._replace(points=plan.points[:1]), 0)
+for line in sys.stdin:
+    begun_s = time.process_time()
+    campaign.run_chunk(plan, int(line))
+    print(time.process_time() - begun_s, flush=True)
+"""
 # requirements: stops per minute and core, two workers over one, memory of a worker, Dask's overhead
 RATE = 300.0
 SPEED_UP = 1.8
@@ -57,6 +84,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             f"bench campaign has no scenario with {AXLES} axles; allowed are "
             f"{', '.join(map(str, SCENARIOS))} ({AXLES_VARIABLE})"
         )
+    check_checkout(given.beside)
     plan = campaign.load(PLAN, runs=RUNS, chunk=CHUNK, scenario=SCENARIOS[AXLES], step_s=0.0)
     # loads and compiles what the first stop needs
     campaign.run_chunk(plan._replace(points=plan.points[:1]), 0)
@@ -66,7 +94,8 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     cpu_s = spent["cpu_s"]
 
     say(f"{COMPARED} stops with longer steps, alternately with 0.1 ms ...")
-    steps = longer_steps(plan)
+    with older_checkout(given.beside, plan) as older_chunk_s:
+        steps = longer_steps(plan, older_chunk_s)
 
     say(f"{ROUNDS} times {RUNS} stops on one worker, then on two ...")
     one = workers(plan, 1)
@@ -105,10 +134,79 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     }
 
 
-def longer_steps(plan: campaign.Plan) -> list[Result]:
-    """Return, for each of STEPS_S, its factor of time and the deviations of the distances.
+@contextlib.contextmanager
+def older_checkout(
+    folder: Path | None, plan: campaign.Plan
+) -> Iterator[Callable[[int], float] | None]:
+    """Yield a function from the number of a chunk to the processor time in s of a checkout.
 
-    `plan` has the step of the scenario. Each chunk runs with all steps before the next one begins.
+    None without a folder. Raises ConfigError if its stops fail.
+    """
+    if folder is None:
+        yield None
+        return
+    heads = {name: plan.head[name] for name in ("runs", "chunk", "scenario")}
+    program = subprocess.Popen(
+        [children.interpreter(), "-P", "-c", _OLDER, PLAN, json.dumps(heads), str(folder)],
+        env=os.environ | {"PYTHONPATH": str(import_folder(folder))},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert program.stdin is not None
+    assert program.stdout is not None
+    stdin = program.stdin
+    stdout = program.stdout
+
+    def chunk_s(chunk: int) -> float:
+        try:
+            stdin.write(f"{chunk}\n")
+            stdin.flush()
+            return float(stdout.readline())
+        except (BrokenPipeError, ValueError):
+            raise ConfigError(
+                f"--beside {folder}: its stops failed; its message is above"
+            ) from None
+
+    try:
+        yield chunk_s
+    finally:
+        program.kill()
+        program.communicate()
+
+
+def check_checkout(folder: Path | None) -> None:
+    """Raise ConfigError if a folder is given that is no checkout of rollerrig."""
+    if folder is not None and not (folder / "realtime" / "campaign" / "campaign.py").is_file():
+        raise ConfigError(
+            f"--beside {folder}: there is no realtime/campaign/campaign.py; give the folder of a "
+            "checkout of rollerrig"
+        )
+
+
+def import_folder(folder: Path) -> Path:
+    """Return the folder from which a checkout is imported as `rollerrig`.
+
+    A package is found by its name, which the folder of a checkout need not have. Then a link has
+    it. The link stays: compiled kernels are found again by the path of their source.
+    """
+    checkout = folder.resolve()
+    if checkout.name == "rollerrig":
+        return checkout.parent
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    name = hashlib.sha256(str(checkout).encode()).hexdigest()[:16]
+    place = cache / "rollerrig" / f"beside-{name}"
+    place.mkdir(parents=True, exist_ok=True)
+    link = place / "rollerrig"
+    if not link.is_symlink():
+        link.symlink_to(checkout)
+    return place
+
+
+def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None) -> Result:
+    """Return factor of time and deviations of the distances for each of STEPS_S.
+
+    `plan` has the step of the scenario. Each chunk runs in all ways before the next one begins.
     """
     plans = {0.0: plan}
     for step_s in STEPS_S:
@@ -116,29 +214,54 @@ def longer_steps(plan: campaign.Plan) -> list[Result]:
         plans[step_s] = plan._replace(head=plan.head | {campaign.STEP: step_s})
     distances_m: dict[float, list[float]] = {step_s: [] for step_s in plans}
     spent_s = dict.fromkeys(plans, 0.0)
+    half = _with_half_step(plan)
+    half_m: list[float] = []
+    older_s = 0.0
     for chunk in range(COMPARED // CHUNK):
+        if older_chunk_s is not None:
+            older_s += older_chunk_s(chunk)
         for step_s, each in plans.items():
             begun_s = time.process_time()
             rows = campaign.once(campaign.piece(each, chunk)).values()
             spent_s[step_s] += time.process_time() - begun_s
-            distances_m[step_s] += [row["braking_distance_m"] or math.nan for row in rows]
+            distances_m[step_s] += _distances_m(rows)
+        half_m += _distances_m(campaign.once(campaign.piece(half, chunk)).values())
+
     exact_m = np.array(distances_m[0.0])
     found = []
     for step_s in STEPS_S:
-        missed = np.abs(np.array(distances_m[step_s]) / exact_m - 1.0)
-        missed = missed[np.isfinite(missed)]
-        found.append(
-            {
-                "step_s": step_s,
-                "factor": spent_s[0.0] / spent_s[step_s],
-                "stops": missed.size,
-                "median": float(np.quantile(missed, 0.5)),
-                "p99": float(np.quantile(missed, 0.99)),
-                "worst": float(missed.max()),
-                "share_within": float((missed <= DEVIATION).mean()),
-            }
-        )
-    return found
+        figures_of_step: Result = {"step_s": step_s, "factor": spent_s[0.0] / spent_s[step_s]}
+        if older_chunk_s is not None:
+            figures_of_step["factor_over_older"] = older_s / spent_s[step_s]
+        found.append(figures_of_step | _deviations(distances_m[step_s], exact_m))
+    return {
+        "steps": found,
+        "half": _deviations(half_m, exact_m),
+        "factor_over_older": older_s / spent_s[0.0] if older_chunk_s is not None else None,
+    }
+
+
+def _with_half_step(plan: campaign.Plan) -> campaign.Plan:
+    """Return the plan with HALF_STEP_S in all its runs."""
+    points = [(*point, HALF_STEP_S) for point in plan.points]
+    return plan._replace(axes=(*plan.axes, "loop.step_s"), points=points)
+
+
+def _distances_m(rows: Iterable[campaign.Row]) -> list[float]:
+    return [row["braking_distance_m"] or math.nan for row in rows]
+
+
+def _deviations(distances_m: list[float], exact_m: np.ndarray) -> Result:
+    """Return figures of the relative deviations of distances from the exact ones."""
+    missed = np.abs(np.array(distances_m) / exact_m - 1.0)
+    missed = missed[np.isfinite(missed)]
+    return {
+        "stops": missed.size,
+        "median": float(np.quantile(missed, 0.5)),
+        "p99": float(np.quantile(missed, 0.99)),
+        "worst": float(missed.max()),
+        "share_within": float((missed <= DEVIATION).mean()),
+    }
 
 
 def _memory_after_many_stops(one: Result, two: Result) -> float:
@@ -230,16 +353,18 @@ def peak_memory_MB() -> float:
 
 def table(result: Result) -> Table:
     """Return the figures of the campaign."""
+    compared = result["steps"]
     steps = []
-    for step in result["steps"]:
+    if compared["factor_over_older"] is not None:
+        steps.append(("stops in the time of one of --beside", compared["factor_over_older"], ""))
+    for step in compared["steps"]:
         name = f"steps of {1e3 * step['step_s']:g} ms"
-        steps += [
-            (f"{name}: times as many stops as at 0.1 ms", step["factor"], ""),
-            (f"{name}: median deviation of the distance", 100 * step["median"], "%"),
-            (f"{name}: stops within {100 * DEVIATION:g} %", 100 * step["share_within"], "%"),
-            (f"{name}: deviation of 99 % of {step['stops']} stops", 100 * step["p99"], "%"),
-            (f"{name}: worst deviation", 100 * step["worst"], "%"),
-        ]
+        steps.append((f"{name}: times as many stops as at 0.1 ms", step["factor"], ""))
+        if "factor_over_older" in step:
+            over_older = step["factor_over_older"]
+            steps.append((f"{name}: stops in the time of one of --beside", over_older, ""))
+        steps += _rows_of_deviations(name, step)
+    steps += _rows_of_deviations(f"steps of {1e3 * HALF_STEP_S:g} ms", compared["half"])
     one = result["one_worker"]
     two = result["two_workers"]
     dask = result["dask"]
@@ -261,3 +386,12 @@ def table(result: Result) -> Table:
             ("Dask's overhead", dask["overhead"], ""),
         ],
     )
+
+
+def _rows_of_deviations(name: str, found: Result) -> list[tuple[str, float, str]]:
+    return [
+        (f"{name}: median deviation of the distance", 100 * found["median"], "%"),
+        (f"{name}: stops within {100 * DEVIATION:g} %", 100 * found["share_within"], "%"),
+        (f"{name}: deviation of 99 % of {found['stops']} stops", 100 * found["p99"], "%"),
+        (f"{name}: worst deviation", 100 * found["worst"], "%"),
+    ]

@@ -118,6 +118,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--live", action="store_true", help="loop: with the live view")
     parser.add_argument(
+        "--beside",
+        type=Path,
+        metavar="DIR",
+        help="campaign: the checkout of an older commit, whose code runs the same stops alternately",
+    )
+    parser.add_argument(
         "--sets",
         type=int,
         default=0,

@@ -28,6 +28,12 @@ _SHOWN = ("sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_loc
 Channel = Callable[[str], np.ndarray]
 
 
+@functools.cache
+def _version() -> str:
+    """Return the version of this installation, read once: a campaign makes many summaries."""
+    return metadata.version("rollerrig")
+
+
 def of(
     columns: pa.Table | Mapping[str, Any],
     counters: Mapping[str, Any],
@@ -73,7 +79,7 @@ def of(
 
     loop = scenario.get("loop", {})
     found = {
-        "version": counters.get("version") or metadata.version("rollerrig"),
+        "version": counters.get("version") or _version(),
         "config_hash": counters.get("config_hash") or _digest(scenario),
         "scenario": counters.get("scenario"),
         "title": scenario.get("title") or None,

@@ -2,6 +2,8 @@
 
 import argparse
 import json
+import os
+import subprocess
 from typing import Any, NamedTuple
 
 import cantools
@@ -10,9 +12,10 @@ import pytest
 from benchmarks import contact, hunting
 from paper import table8
 
+from rollerrig.configs.processes import children
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.benchmarks import bus, client, figures, references
+from rollerrig.realtime.benchmarks import bus, campaign, client, figures, references
 from rollerrig.realtime.benchmarks import loop as loop_benchmark
 from rollerrig.realtime.commands import bench, clone
 from rollerrig.realtime.loop import loop
@@ -382,3 +385,34 @@ def test_the_row_of_every_benchmark_has_the_place_of_its_module(name):
     module = bench._module(name)
     assert callable(module.run)
     assert callable(module.table)
+
+
+# --- an older checkout ---
+
+
+@pytest.mark.parametrize("name", ["rollerrig", "rollerrig-old"])
+def test_a_checkout_of_any_name_is_imported_as_rollerrig_from_a_place_that_stays(
+    name, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    checkout = tmp_path / name
+    checkout.mkdir()
+    (checkout / "__init__.py").write_text("")
+    place = campaign.import_folder(checkout)
+    assert campaign.import_folder(checkout) == place
+    program = "import rollerrig, os; print(os.path.realpath(rollerrig.__file__))"
+    printed = subprocess.run(
+        [children.interpreter(), "-P", "-c", program],
+        env=os.environ | {"PYTHONPATH": str(place)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert printed.stdout.strip() == str((checkout / "__init__.py").resolve())
+
+
+def test_beside_a_folder_that_is_no_checkout_is_refused_before_any_stop(tmp_path, capsys):
+    assert cli.main(["bench", "campaign", "--beside", str(tmp_path)]) == 2
+    assert (
+        f"--beside {tmp_path}: there is no realtime/campaign/campaign.py" in capsys.readouterr().err
+    )
