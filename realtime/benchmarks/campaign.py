@@ -15,14 +15,9 @@ of the bench itself: a WSP unit decides at thresholds, so a small error may chan
 """
 
 import argparse
-import contextlib
-import hashlib
-import json
 import math
-import os
-import subprocess
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +27,7 @@ from rich.table import Table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
 from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE
-from rollerrig.realtime.benchmarks import figures
+from rollerrig.realtime.benchmarks import figures, older_checkout
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign
 
@@ -46,22 +41,6 @@ COMPARED = 60
 DEVIATION = 5e-4
 # half the step of the scenario
 HALF_STEP_S = 5e-5
-# the program of an older checkout: for each number of a chunk on standard input it runs the chunk,
-# and prints the processor time in s
-_OLDER = """
-import json, sys, time
-from pathlib import Path
-from rollerrig.realtime.campaign import campaign
-imported = Path(campaign.__file__).resolve()
-if not imported.is_relative_to(Path(sys.argv[3]).resolve()):
-    sys.exit(f"{imported} is not in {sys.argv[3]}")
-plan = campaign.load(sys.argv[1], **json.loads(sys.argv[2]))
-campaign.run_chunk(plan._replace(points=plan.points[:1]), 0)
-for line in sys.stdin:
-    begun_s = time.process_time()
-    campaign.run_chunk(plan, int(line))
-    print(time.process_time() - begun_s, flush=True)
-"""
 # requirements: stops per minute and core, two workers over one, memory of a worker, Dask's overhead
 RATE = 300.0
 SPEED_UP = 1.8
@@ -84,7 +63,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             f"bench campaign has no scenario with {AXLES} axles; allowed are "
             f"{', '.join(map(str, SCENARIOS))} ({AXLES_VARIABLE})"
         )
-    check_checkout(given.beside)
+    older_checkout.check(given.beside)
     plan = campaign.load(PLAN, runs=RUNS, chunk=CHUNK, scenario=SCENARIOS[AXLES], step_s=0.0)
     # loads and compiles what the first stop needs
     campaign.run_chunk(plan._replace(points=plan.points[:1]), 0)
@@ -94,7 +73,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     cpu_s = spent["cpu_s"]
 
     say(f"{COMPARED} stops with longer steps, alternately with 0.1 ms ...")
-    with older_checkout(given.beside, plan) as older_chunk_s:
+    with older_checkout.chunks(given.beside, PLAN, plan) as older_chunk_s:
         steps = longer_steps(plan, older_chunk_s)
 
     say(f"{ROUNDS} times {RUNS} stops on one worker, then on two ...")
@@ -132,75 +111,6 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             "and other programs used the rest"
         ],
     }
-
-
-@contextlib.contextmanager
-def older_checkout(
-    folder: Path | None, plan: campaign.Plan
-) -> Iterator[Callable[[int], float] | None]:
-    """Yield a function from the number of a chunk to the processor time in s of a checkout.
-
-    None without a folder. Raises ConfigError if its stops fail.
-    """
-    if folder is None:
-        yield None
-        return
-    heads = {name: plan.head[name] for name in ("runs", "chunk", "scenario")}
-    program = subprocess.Popen(
-        [children.interpreter(), "-P", "-c", _OLDER, PLAN, json.dumps(heads), str(folder)],
-        env=os.environ | {"PYTHONPATH": str(import_folder(folder))},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    assert program.stdin is not None
-    assert program.stdout is not None
-    stdin = program.stdin
-    stdout = program.stdout
-
-    def chunk_s(chunk: int) -> float:
-        try:
-            stdin.write(f"{chunk}\n")
-            stdin.flush()
-            return float(stdout.readline())
-        except (BrokenPipeError, ValueError):
-            raise ConfigError(
-                f"--beside {folder}: its stops failed; its message is above"
-            ) from None
-
-    try:
-        yield chunk_s
-    finally:
-        program.kill()
-        program.communicate()
-
-
-def check_checkout(folder: Path | None) -> None:
-    """Raise ConfigError if a folder is given that is no checkout of rollerrig."""
-    if folder is not None and not (folder / "realtime" / "campaign" / "campaign.py").is_file():
-        raise ConfigError(
-            f"--beside {folder}: there is no realtime/campaign/campaign.py; give the folder of a "
-            "checkout of rollerrig"
-        )
-
-
-def import_folder(folder: Path) -> Path:
-    """Return the folder from which a checkout is imported as `rollerrig`.
-
-    A package is found by its name, which the folder of a checkout need not have. Then a link has
-    it. The link stays: compiled kernels are found again by the path of their source.
-    """
-    checkout = folder.resolve()
-    if checkout.name == "rollerrig":
-        return checkout.parent
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    name = hashlib.sha256(str(checkout).encode()).hexdigest()[:16]
-    place = cache / "rollerrig" / f"beside-{name}"
-    place.mkdir(parents=True, exist_ok=True)
-    link = place / "rollerrig"
-    if not link.is_symlink():
-        link.symlink_to(checkout)
-    return place
 
 
 def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None) -> Result:

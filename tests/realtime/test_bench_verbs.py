@@ -2,7 +2,6 @@
 
 import argparse
 import json
-import os
 import subprocess
 from typing import Any, NamedTuple
 
@@ -15,7 +14,7 @@ from paper import table8
 from rollerrig.configs.processes import children
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.benchmarks import bus, campaign, client, figures, references
+from rollerrig.realtime.benchmarks import bus, client, figures, older_checkout, references
 from rollerrig.realtime.benchmarks import loop as loop_benchmark
 from rollerrig.realtime.commands import bench, clone
 from rollerrig.realtime.loop import loop
@@ -398,12 +397,14 @@ def test_a_checkout_of_any_name_is_imported_as_rollerrig_from_a_place_that_stays
     checkout = tmp_path / name
     checkout.mkdir()
     (checkout / "__init__.py").write_text("")
-    place = campaign.import_folder(checkout)
-    assert campaign.import_folder(checkout) == place
-    program = "import rollerrig, os; print(os.path.realpath(rollerrig.__file__))"
+    place = older_checkout.import_folder(checkout)
+    assert older_checkout.import_folder(checkout) == place
+    program = (
+        "import os, sys; sys.path.insert(0, sys.argv[1]); import rollerrig; "
+        "print(os.path.realpath(rollerrig.__file__))"
+    )
     printed = subprocess.run(
-        [children.interpreter(), "-P", "-c", program],
-        env=os.environ | {"PYTHONPATH": str(place)},
+        [children.interpreter(), "-P", "-c", program, str(place)],
         capture_output=True,
         text=True,
         check=True,
