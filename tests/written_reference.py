@@ -90,7 +90,9 @@ FILES = {
     run_folder.TAIL: "samples of a run that was killed, which the file above does not hold yet",
     run_folder.EVENTS: "one [event](events.md) a line, as JSON",
     run_folder.SUMMARY: "the figures of the stop, the loop and the bus, and whether it is valid",
-    run_folder.CAN_LOG: "every frame, in the format of candump",
+    run_folder.CAN_LOG: "every frame, in the format of `candump -l`: `canplayer -I can.log` replays it, "
+    "python-can's `LogReader` reads it, and `python -m can.logconvert can.log can.blf` "
+    "converts it (`.asc` also)",
     run_folder.RRD: "the recording for the viewer Rerun",
     run_folder.UNIT_LOG: "what the unit printed, where the bench started it",
     run_folder.TRACE: "what a harness read, one line a bus cycle, where a sequence was played",
