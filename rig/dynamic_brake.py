@@ -106,6 +106,7 @@ def demand_motors(state, params, brake):
         rim_m_s = radius_m * state.wheel_speed[j]
         if state.dynamic_failed[j] != 0.0:
             state.dynamic_torque[j] = 0.0
+            state.dynamic_torque_demand[j] = 0.0
             state.dynamic_credit[j] = 0.0
             continue
 
@@ -122,6 +123,7 @@ def demand_motors(state, params, brake):
         )
         driving_N = traction * curve_N(rim_m_s, brake.traction_force_N, brake)
         request_N = braking_N - driving_N
+        state.dynamic_torque_demand[j] = request_N * radius_m
 
         force_N = state.dynamic_torque[j] / radius_m
         force_N = followed(force_N, request_N * state.dynamic_share[j], brake)
@@ -185,9 +187,10 @@ def count_work(state, axle, turned_rad, brake):
 
 @kernel_inlined
 def settle(state, brake):
-    """Leave no torque on the wheelsets of a vehicle that stands."""
+    """Leave no torque on the wheelsets of a vehicle that stands, and demand none."""
     if brake is not None and state.standing[0] != 0.0:
         for j in range(AXLES):
             state.dynamic_before[j] = 0.0
             state.dynamic_torque[j] = 0.0
+            state.dynamic_torque_demand[j] = 0.0
             state.dynamic_credit[j] = 0.0

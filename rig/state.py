@@ -125,6 +125,7 @@ class State(NamedTuple):
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     # dynamic brake and traction; empty in a process whose vehicles have none
     dynamic_torque: np.ndarray  # N m, of the motor on the wheelset, positive brakes; dynamic_brake
+    dynamic_torque_demand: np.ndarray  # N m, before slide control; dynamic_brake
     dynamic_before: np.ndarray  # N m, at the beginning of the step; dynamic_brake
     dynamic_credit: np.ndarray  # N, force that blending counts; dynamic_brake
     dynamic_share: np.ndarray  # -, of the force that slide control permits; dynamic_brake
@@ -172,6 +173,7 @@ PER_VEHICLE = frozenset(
 # the slots of the dynamic brake
 OF_DYNAMIC_BRAKE = (
     "dynamic_torque",
+    "dynamic_torque_demand",
     "dynamic_before",
     "dynamic_credit",
     "dynamic_share",

@@ -1,11 +1,14 @@
 """The Modbus map: every bit and register of the supervisory PLC and of the drives, one row each.
 
-Unit 1 is the rig as the control room of a plant sees it. Units 11 to 14 are the roller drives,
-whose registers are objects of their dictionaries. A unit has one space of bits and one of
-registers: coils and discrete inputs read the same bits, holding and input registers the same
-registers, and the row gives whether a client can write it. A row that carries a signal or an object
-takes its name, unit, scale and meaning from there. A value of two registers has the higher one
-first.
+Unit 1 is the rig as the control room of a plant sees it. Units 11 to 14 are the roller drives under
+axles 1 to 4, whose registers are objects of their dictionaries; the units of further axles follow.
+The registers of a further group of axles have the addresses of the leading group plus
+`REGISTERS_OF_GROUP` for each group, so a vehicle with more axles moves no register.
+
+A unit has one space of bits and one of registers: coils and discrete inputs read the same bits,
+holding and input registers the same registers, and the row gives whether a client can write it. A
+row that carries a signal or an object takes its name, unit, scale and meaning from there. A value
+of two registers has the higher one first.
 """
 
 import csv
@@ -34,6 +37,8 @@ WRITE = "rw"
 NO_DEMAND = -1
 # NMT state of a node that the bench has never heard
 UNHEARD = 0xFFFF
+# the registers of each further group of axles have addresses that are higher by this
+REGISTERS_OF_GROUP = 1000
 
 
 class State(IntEnum):
@@ -43,6 +48,16 @@ class State(IntEnum):
     HELD = 1
     RUNNING = 2
     ENDED = 3
+
+
+class MotorState(IntEnum):
+    """The state of the motor of an axle, registers from 512 of the PLC."""
+
+    NONE = 0
+    PERMITTED = 1
+    REDUCED = 2
+    RELEASED = 3
+    FAILED = 4
 
 
 class Register(NamedTuple):
@@ -151,18 +166,44 @@ _COMMANDS_AND_STATES = (
     ),
     Register(100, "state", "U16", "0 starting, 1 held, 2 running, 3 ended"),
     Register(101, "scenarios", "U16", "number of packaged scenarios"),
-    Register(
-        102,
-        "wsp_unit_state",
-        "U16",
-        "NMT state of node 32: 0 booted, 4 stopped, 5 operational, "
-        "127 pre-operational, 65535 never heard",
-    ),
-    *(
-        Register(103 + at, f"node_{node}_state", "U16", f"NMT state of node {node}, as above")
-        for at, node in enumerate(signals.RIG_NODES)
-    ),
 )
+
+
+def unit_state_name(group: int) -> str:
+    """Return the name of the register with the NMT state of a group's WSP unit (0: leading)."""
+    return "wsp_unit_state" if group == 0 else f"wsp_unit_{group + 1}_state"
+
+
+# the places of the nodes of a group behind the state of its WSP unit: its drives come first
+_FIRST_NODE_STATE = 103
+_NODE_STATES = {
+    signals.SPEED_NODE: _FIRST_NODE_STATE + signals.AXLES_OF_GROUP,
+    signals.BRAKE_NODE: _FIRST_NODE_STATE + signals.AXLES_OF_GROUP + 1,
+}
+
+
+def _node_states(group: int) -> Iterator[Register]:
+    """Yield the rows of the NMT states of the nodes of a group."""
+    offset = REGISTERS_OF_GROUP * group
+    yield Register(
+        102 + offset,
+        unit_state_name(group),
+        "U16",
+        f"NMT state of node {signals.WSP_NODES[group]}: 0 booted, 4 stopped, 5 operational, "
+        "127 pre-operational, 65535 never heard",
+    )
+    for node in signals.RIG_NODES:
+        if signals.group_of(node) == group:
+            leading = signals.in_leading_group(node)
+            address = _NODE_STATES.get(leading, _FIRST_NODE_STATE + leading - 1)
+            yield Register(
+                address + offset,
+                f"node_{node}_state",
+                "U16",
+                f"NMT state of node {node}, as above",
+            )
+
+
 # the state of loop, bus and PLC, behind the measured values
 _HEALTH = (
     Register(300, "ticks", "U32", "number of ticks of the run", wraps=True),
@@ -190,7 +231,7 @@ _HEALTH = (
 
 
 class Measured(NamedTuple):
-    """The first register of a signal, whose axles follow one another.
+    """The first register of a signal; the axles of the leading group follow one another.
 
     A signal without a kind has the kind and the scale of its first place on the CAN bus.
     """
@@ -232,9 +273,36 @@ _MEASURED = (
 )
 
 
-def _measured() -> Iterator[Register]:
-    """Yield the rows of the measured values."""
-    for first_address, name, kind, scale in _MEASURED:
+# motors and magnets, behind the map of a vehicle that has neither
+_OF_MOTORS = (
+    Measured(500, "dynamic_torque_demand", "I16", 1.0),
+    Measured(504, "dynamic_torque"),
+    Measured(508, "dynamic_share"),
+    Measured(516, "friction_demand", "I16", 100.0),
+    Measured(520, "dynamic_work", "I32", 1.0),
+    Measured(528, "traction_demand", "I16", 1e-3),
+)
+_MOTOR_STATE = 512
+_OF_MAGNETS = (
+    Measured(540, "track_brake_demand", "U16", 1.0),
+    Measured(544, "track_brake_lowered"),
+    Measured(548, "track_brake_force"),
+    Measured(552, "track_brake_cleaning", "U32", 1.0),
+    Measured(560, "track_brake_work", "U32", 1.0),
+)
+
+
+def _reference_speed(group: int) -> Measured:
+    """Return the place of the reference speed of the unit of a further group."""
+    leading = next(row for row in _MEASURED if row.signal == "wsp_reference_speed")
+    place = signals.BY_NAME[leading.signal].places[0]
+    name = signals.reference_speed_name(group)
+    return Measured(leading.address, name, place.kind, place.scale)
+
+
+def _values(table: Iterable[Measured], group: int) -> Iterator[Register]:
+    """Yield the rows of measured values of a group; the leading one has those of the vehicle."""
+    for first_address, name, kind, scale in table:
         signal = signals.BY_NAME[name]
         wraps = False
         parameter = ""
@@ -244,9 +312,14 @@ def _measured() -> Iterator[Register]:
             scale = place.scale
             wraps = place.wraps
             parameter = place.of
-        for axle, column in enumerate(signals.columns(signal), start=1):
+        axles = signals.axles_of(group)
+        if signal.axles == 1:
+            of_group = group == 0 or name in signals.REFERENCE_SPEEDS
+            axles = range(1, 2) if of_group else range(0)
+        for axle in axles:
+            column = signals.columns(signal)[axle - 1]
             row = Register(
-                address=first_address,
+                address=first_address + REGISTERS_OF_GROUP * group,
                 name=column.removesuffix(f"_{signal.unit}"),
                 kind=kind,
                 text=signal.text,
@@ -257,10 +330,45 @@ def _measured() -> Iterator[Register]:
                 axle=axle,
                 of=parameter,
             )
-            yield row._replace(address=first_address + (axle - 1) * row.width)
+            yield row._replace(address=row.address + (axle - axles[0]) * row.width)
 
 
-WORDS: tuple[Register, ...] = (*_COMMANDS_AND_STATES, *_measured(), *_HEALTH)
+def _motors_and_magnets(group: int) -> Iterator[Register]:
+    """Yield the rows of the motors and magnets of a group; none where the vehicle has none."""
+    if signals.HAS_DYNAMIC_BRAKE:
+        yield from _values(_OF_MOTORS, group)
+        for place, axle in enumerate(signals.axles_of(group)):
+            yield Register(
+                _MOTOR_STATE + REGISTERS_OF_GROUP * group + place,
+                motor_state_name(axle),
+                "U16",
+                "motor of the axle: 0 none, 1 slide control permits its whole force, 2 a share, "
+                "3 it is released, 4 it has failed",
+                axle=axle,
+            )
+    if signals.HAS_MAGNETIC_TRACK_BRAKE:
+        yield from _values(_OF_MAGNETS, group)
+
+
+def motor_state_name(axle: int) -> str:
+    """Return the name of the register with the state of an axle's motor."""
+    return f"motor_state_{axle}"
+
+
+def _words() -> Iterator[Register]:
+    """Yield all registers of the PLC, the leading group first."""
+    yield from _COMMANDS_AND_STATES
+    yield from _node_states(0)
+    yield from _values(_MEASURED, 0)
+    yield from _HEALTH
+    yield from _motors_and_magnets(0)
+    for group in range(1, signals.GROUPS):
+        yield from _node_states(group)
+        yield from _values((_reference_speed(group), *_MEASURED), group)
+        yield from _motors_and_magnets(group)
+
+
+WORDS: tuple[Register, ...] = tuple(_words())
 
 
 class _DriveObject(NamedTuple):

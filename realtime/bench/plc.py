@@ -1,21 +1,30 @@
 """The supervisory PLC: the registers of the bench over Modbus, and what writing them does.
 
 Unit 1 reads the live row, the health of the loop and the events of the run. It writes run, stop,
-emergency stop, scenario, speed and brake demand. Units 11 to 14 are the drives. A held rig can be
-given another scenario or speed. `brake_demand` decides how the demands of this PLC rank among the
-others. Everything happens in the bus thread.
+emergency stop, scenario, speed and brake demand. The units from 11 are the drives. A held rig can
+be given another scenario or speed. `brake_demand` decides how the demands of this PLC rank among
+the others. Everything happens in the bus thread.
 """
 
 import math
 import time
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import BusError, RollerrigError
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
 from rollerrig.firmware_sim.modbus.access import tls_context
-from rollerrig.firmware_sim.modbus.map import BITS, NO_DEMAND, UNHEARD, WORDS, Register, State
+from rollerrig.firmware_sim.modbus.map import (
+    BITS,
+    NO_DEMAND,
+    UNHEARD,
+    WORDS,
+    MotorState,
+    Register,
+    State,
+)
 from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
 from rollerrig.firmware_sim.modbus.server import Server
@@ -180,11 +189,26 @@ class Plc:
             "scenario": self._scenario_number,
             "speed_set_point": lambda: round(rig.speed_m_s / _SPEED.scale),
             "brake_demand_set_point": self._demand_count,
-            "wsp_unit_state": _nmt_state(master, signals.WSP_NODE),
         }
+        for group, node in enumerate(signals.WSP_NODES):
+            readers[map.unit_state_name(group)] = _nmt_state(master, node)
         for node in signals.RIG_NODES:
             readers[f"node_{node}_state"] = _nmt_state(master, node)
+        if signals.HAS_DYNAMIC_BRAKE:
+            for axle in range(1, signals.AXLES + 1):
+                readers[map.motor_state_name(axle)] = partial(self._motor_state, axle)
         return readers
+
+    def _motor_state(self, axle: int) -> MotorState:
+        """Return the state of the motor of an axle (from 1)."""
+        if axle not in self.rig.plan["dynamic_brake"]["axles"]:
+            return MotorState.NONE
+        if self.rig.data.state.dynamic_failed[axle - 1] != 0.0:
+            return MotorState.FAILED
+        share = self.bus.row[signals.column("dynamic_share", axle)]
+        if share <= 0.0:
+            return MotorState.RELEASED
+        return MotorState.PERMITTED if share >= 1.0 else MotorState.REDUCED
 
     def _is_at_set_speed(self) -> bool:
         # not by the row of the last SYNC: a client that has just changed the set speed would

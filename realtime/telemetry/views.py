@@ -69,6 +69,8 @@ _WIDTHS = {
     "vehicle_speed": 2.5,
     **dict.fromkeys(signals.REFERENCE_SPEEDS, 1.0),
     "motor_torque_demand": 0.8,
+    "dynamic_torque_demand": 0.8,
+    "track_brake_demand": 0.8,
 }
 # Signals with a fixed colour. The others have the colours of the axles, or that of the vehicle.
 COLOUR_OF_SIGNAL = {
@@ -86,6 +88,13 @@ _LEGENDS = {
     "wsp_reference_speed": "WSP reference",
     "vehicle_speed": "vehicle",
     "brake_demand": "demand",
+    "friction_demand": "friction brake's part",
+    "dynamic_torque": "motor",
+    "dynamic_torque_demand": "demand",
+    "dynamic_share": "share",
+    "traction_demand": "traction",
+    "track_brake_lowered": "magnets",
+    "track_brake_demand": "demand",
     "reservoir_pressure": "reservoir",
 }
 
@@ -96,7 +105,7 @@ _FAINT_WIDTH = 0.6
 
 # --- where a group is drawn ---
 
-# groups that the two large tabs show ("Axle by axle" and "All axles")
+# groups that the large tabs show ("Axle by axle" and "All axles")
 _IN_LARGE_TABS = (
     "speeds",
     "sliding",
@@ -106,6 +115,15 @@ _IN_LARGE_TABS = (
     "transition",
     "acceleration",
 )
+# groups that the tab "Motors and magnets" shows, with the titles of their plots; a vehicle that has
+# none of them has no such tab
+_OF_MOTORS_AND_MAGNETS = {
+    "dynamic_torques": "Motors: torque, and thin its demand (Nm)",
+    "dynamic_share": "Motors: share that slide control permits, demand of traction",
+    "track_brake": "Magnets: force, half a bogie for each axle (N)",
+    "track_brake_lowered": "Magnets: 0 raised, 1 on the rail; thin: demanded",
+    "track_brake_cleaning": "Magnets: work on a metre of rail ahead of the axle (J/m)",
+}
 # Groups in the small tabs ("More"), with the titles of their tabs. A group that is in neither table
 # gets a small tab too, with its name as the title.
 _IN_SMALL_TABS = {
@@ -408,7 +426,9 @@ def blueprint(
         runs=("", *(f"{REFERENCES}/{name}" for name in references)),
         ends=ends,
     )
-    plots = rrb.Tabs(_axle_by_axle(page), _all_axles(page), active_tab=0)
+    by_axle = [_axle_by_axle(page, group) for group in range(signals.GROUPS)]
+    equipment = _motors_and_magnets(page)
+    plots = rrb.Tabs(*by_axle, _all_axles(page), *equipment, active_tab=0)
     panels: Literal["hidden", "collapsed"] = "hidden" if bare else "collapsed"
     return rrb.Blueprint(
         rrb.Horizontal(plots, _right_column(page, eye), column_shares=[8, 2.6]),
@@ -498,8 +518,15 @@ def _valve_lanes(page: _Page, name: str, *axles: int) -> rrb.StateTimelineView:
     )
 
 
-def _axle_by_axle(page: _Page) -> rrb.Vertical:
-    """Return the tab with the vehicle above and a column for each axle below, on equal scales."""
+def _axle_by_axle(page: _Page, group: int) -> rrb.Vertical:
+    """Return the tab with the vehicle above and a column for each axle of a group below.
+
+    Their scales are equal. A vehicle with several groups has a tab for each of them.
+    """
+    numbers = signals.axles_of(group)
+    name = "Axle by axle"
+    if signals.GROUPS > 1:
+        name = f"Axles {numbers[0]} to {numbers[-1]}"
     vehicle = rrb.Horizontal(
         _plot_of_group(page, _SPEEDS_TITLE, "speeds"),
         _plot_of_group(
@@ -509,8 +536,23 @@ def _axle_by_axle(page: _Page) -> rrb.Vertical:
             legend=True,
         ),
     )
-    axles = rrb.Horizontal(*(_axle(page, axle) for axle in range(1, signals.AXLES + 1)))
-    return rrb.Vertical(vehicle, axles, row_shares=[1, 4], name="Axle by axle")
+    axles = rrb.Horizontal(*(_axle(page, axle) for axle in numbers))
+    return rrb.Vertical(vehicle, axles, row_shares=[1, 4], name=name)
+
+
+def _motors_and_magnets(page: _Page) -> list[rrb.Horizontal]:
+    """Return the tab with the motors beside the magnets; no tab for a vehicle without them."""
+    present = {signal.group for signal in SIGNALS}
+    columns = []
+    for prefix in ("dynamic_", "track_brake"):
+        plots = [
+            _plot_of_group(page, title, group, legend=group.startswith("dynamic_"))
+            for group, title in _OF_MOTORS_AND_MAGNETS.items()
+            if group in present and group.startswith(prefix)
+        ]
+        if plots:
+            columns.append(rrb.Vertical(*plots))
+    return [rrb.Horizontal(*columns, name="Motors and magnets")] if columns else []
 
 
 def _axle(page: _Page, axle: int) -> rrb.Vertical:
@@ -542,11 +584,10 @@ def _axle(page: _Page, axle: int) -> rrb.Vertical:
         ],
         span=(0.0, page.ends.adhesion),
     )
-    cylinder = _plot(
-        page,
-        f"Axle {axle}: cylinder (bar)",
-        ["/pressures/brake_demand", f"/pressures/cylinder_pressure_{axle}"],
-    )
+    pressures = ["/pressures/brake_demand", f"/pressures/cylinder_pressure_{axle}"]
+    if signals.HAS_DYNAMIC_BRAKE:
+        pressures.append(f"/pressures/friction_demand_{axle}")
+    cylinder = _plot(page, f"Axle {axle}: cylinder (bar)", pressures)
     lanes = _valve_lanes(page, f"Axle {axle}: dump valve", axle)
     # every run has a lane, so more runs need more height
     lanes_share = 0.8 + 0.8 * len(page.runs)
@@ -608,7 +649,7 @@ def _right_column(page: _Page, eye: rrb.EyeControls3D | None) -> rrb.Vertical:
 def _further_plots(page: _Page) -> rrb.Tabs:
     """Return a tab for each group that no other view shows."""
     all_groups = {signal.group for signal in SIGNALS if signal.group}
-    without_place = sorted(all_groups - {*_IN_SMALL_TABS, *_IN_LARGE_TABS})
+    without_place = sorted(all_groups - {*_IN_SMALL_TABS, *_IN_LARGE_TABS, *_OF_MOTORS_AND_MAGNETS})
     plots = []
     for group in [*_IN_SMALL_TABS, *without_place]:
         title = _IN_SMALL_TABS.get(group, group.capitalize())
