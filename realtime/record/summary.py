@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from rollerrig.realtime.record import channels, validity
+from rollerrig.realtime.record import brake_work, channels, validity
 from rollerrig.wsp_interface import braking
 from rollerrig.wsp_interface.events import Event
 from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
@@ -107,6 +107,8 @@ def of(
         "modbus": _counted(counters, "modbus", {"requests": None}),
         "recorder": _counted(counters, "recorder", {"lost": 0}),
     }
+    if brake_work.brakes() and "vehicle" in scenario:
+        found["brakes"] = _brakes(channel, scenario["vehicle"]["wheel_radius_m"])
     judgement = validity.judge(found, scenario, events)
     return found | {"valid": not judgement.invalid_because, **judgement._asdict()}
 
@@ -150,6 +152,16 @@ def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
         "active_s": float(np.sum(durations_s[acting])),
         "vents": sum(known) if len(known) == len(counts) else None,
     }
+
+
+def _brakes(channel: Channel, radius_m: float) -> dict[str, Any]:
+    """Return work, share and largest force of each brake; null where channels were not recorded."""
+    found = {}
+    for brake, figures in brake_work.of(channel, radius_m).items():
+        found[brake] = {
+            name: None if value is None else finite(value) for name, value in figures.items()
+        }
+    return found
 
 
 def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
@@ -225,10 +237,13 @@ def table(summary: Mapping[str, Any]) -> Any:
     from rich.table import Table
 
     name = summary["scenario"] or summary.get("title") or "run"
+    lines = [_wsp_line(summary), _loop_line(summary["loop"]), _bus_line(summary)]
+    if summary.get("brakes"):
+        lines.insert(1, _brakes_line(summary["brakes"]))
     shown = Table(
         title=f"{name}: {_stop_line(summary)}",
         title_justify="left",
-        caption="\n".join((_wsp_line(summary), _loop_line(summary["loop"]), _bus_line(summary))),
+        caption="\n".join(lines),
         caption_justify="left",
     )
     for name in ("axle", "sliding m/s", "std", "max", "lock s", "energy MJ", "adhesion", "vents"):
@@ -267,6 +282,17 @@ def _wsp_line(summary: Mapping[str, Any]) -> str:
     vents = _show(wsp["vents"], 0)
     air_NL = _show(summary["air_consumption_NL"], 1)
     return f"WSP {unit}: active {active_s} s, {vents} vents, air {air_NL} NL"
+
+
+def _brakes_line(brakes: Mapping[str, Any]) -> str:
+    words = []
+    for brake, figures in brakes.items():
+        work_J = figures["work_J"]
+        text = f"{brake_work.TITLES[brake]} {_show(None if work_J is None else 1e-6 * work_J)} MJ"
+        if figures["share"] is not None:
+            text += f" ({100.0 * figures['share']:.0f} %)"
+        words.append(text)
+    return f"work of the brakes: {', '.join(words)}"
 
 
 def _loop_line(loop: Mapping[str, Any]) -> str:

@@ -22,6 +22,7 @@ from rollerrig.configs import user_files
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.output_files import make_folder, write_text
 from rollerrig.configs.printable import printable
+from rollerrig.realtime.record import records
 from rollerrig.realtime.record.summary import finite
 from rollerrig.realtime.reports import page, pdf, stop
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
@@ -402,6 +403,7 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
         radius_m = record.scenario["vehicle"]["wheel_radius_m"]
         parts.append(table(*stop.axles(record)))
         parts.append(stop.picture(record.columns.__getitem__, radius_m, marks(outcome)))
+        parts += _brakes(outcome, radius_m)
 
     if outcome.events:
         rows = [(f"{event.time_s:.3f}", event.who, event.text) for event in outcome.events]
@@ -414,6 +416,15 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
             text = user_files.read_text(path, user_files.TOML)
             parts.append(folded(f"{title}: {path.name}", element("pre", text)))
     return parts
+
+
+def _brakes(outcome: Outcome, radius_m: float) -> list[Markup]:
+    """Return what friction brake, motors and magnets did; nothing for friction brakes only."""
+    head, rows = stop.brakes(outcome.summary)
+    if not rows:
+        return []
+    run = records.load(outcome.folder)
+    return [table(head, rows), stop.brakes_picture(run.column, radius_m)]
 
 
 def _verdict_row(verdict: Verdict) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from matplotlib.textpath import TextPath
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, write_bytes, write_text, writing
 from rollerrig.realtime.pictures import colours
-from rollerrig.realtime.record import run_folder
+from rollerrig.realtime.record import brake_work, run_folder
 from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.page import Markup
@@ -45,6 +45,9 @@ _SCREEN_DPI = 100
 
 # m/s. A sound sensor differs less from its wheel: a count on the bus, and the lag of a pole wheel.
 _MEASURED_DIFFERS_M_S = 0.5
+
+# share of the largest braking force; below it the shares of the brakes are not shown
+_LEAST_FORCE_SHARE = 0.02
 
 # s. The time axis is at least so long.
 _LEAST_S = 0.1
@@ -79,6 +82,22 @@ _AXLES_HEAD = (
 )
 
 
+_BRAKES_HEAD = ("brake", "work, MJ", "share of the work, %", "largest force, kN")
+# colour and kind of line of each brake: they are those of no axle
+_BRAKE_LINES = {
+    brake_work.FRICTION: (colours.VERMILION, "-"),
+    brake_work.MOTORS: (colours.BLUE, "--"),
+    brake_work.MAGNETS: (colours.BROWN, "-."),
+}
+
+# height in inches of the picture of a stop with four axles; of each further axle, and of the plot
+# of brakes
+_HEIGHT_IN = 9.5
+_HEIGHT_OF_AXLE_IN = 0.25
+_HEIGHT_OF_BRAKES_IN = 1.6
+_AXLES_OF_HEIGHT = 4
+
+
 class Mark(NamedTuple):
     """A vertical line in the picture."""
 
@@ -97,7 +116,37 @@ def write(run: Run, out: Path) -> list[Path]:
 
 def picture(column: Column, radius_m: float, marks: Sequence[Mark]) -> Markup:
     """Return speeds, slip, pressures, adhesion and valves over time, as SVG."""
-    return page.picture(lambda figure: draw(figure, column, radius_m, marks), (11.0, 9.5))
+    height_in = _HEIGHT_IN + _HEIGHT_OF_AXLE_IN * max(AXLES - _AXLES_OF_HEIGHT, 0)
+    if _has_brakes(column):
+        height_in += _HEIGHT_OF_BRAKES_IN
+    return page.picture(lambda figure: draw(figure, column, radius_m, marks), (11.0, height_in))
+
+
+def brakes(summary: Mapping[str, Any]) -> tuple[tuple[str, ...], list[list[str]]]:
+    """Return head and rows of what each brake of a summary did.
+
+    There are no rows for a vehicle that has friction brakes only.
+    """
+    rows = []
+    for brake, figures in (summary.get("brakes") or {}).items():
+        rows.append(
+            [
+                brake_work.TITLES[brake],
+                _scaled(figures["work_J"], 1e-6, 2),
+                _scaled(figures["share"], 100.0, 0),
+                _scaled(figures["force_max_N"], 1e-3, 1),
+            ]
+        )
+    return _BRAKES_HEAD, rows
+
+
+def brakes_picture(column: Column, radius_m: float) -> Markup:
+    """Return the force and the share of each brake over time, as SVG."""
+    return page.picture(lambda figure: _draw_brakes_alone(figure, column, radius_m), (11.0, 4.5))
+
+
+def _scaled(value: float | None, factor: float, places: int) -> str:
+    return "-" if value is None else f"{factor * value:.{places}f}"
 
 
 def slip_percent(sliding_m_s: np.ndarray, vehicle_m_s: np.ndarray) -> np.ndarray:
@@ -210,7 +259,8 @@ def write_runs(runs: Sequence[Run], out: Path, size: tuple[int, int]) -> Path:
 
 def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw one run or several over one another, with a legend that names each."""
-    plots = _plots(figure)
+    with_brakes = all(_has_brakes(run.column) for run in runs)
+    plots = _plots(figure, with_brakes)
     looks = _looks(len(runs))
     for run, look in zip(runs, looks, strict=True):
         _draw_run(plots, run.column, run.scenario["vehicle"]["wheel_radius_m"], look)
@@ -274,7 +324,7 @@ def _run_names(runs: Sequence[Run]) -> list[str]:
 
 def draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]) -> None:
     """Draw speeds, slip, pressures, adhesion and valves over time."""
-    plots = _plots(figure)
+    plots = _plots(figure, _has_brakes(column))
     _draw_run(plots, column, radius_m, _ALONE)
     for mark in marks:
         colour = page.VERMILION if mark.kind == FAULT else page.GREY
@@ -284,14 +334,81 @@ def draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark])
     figure.legend(handles=_handles(plots), loc="outside upper center", ncols=8)
 
 
-def _plots(figure: Figure) -> Any:
-    """Return the empty plots: speeds, slip, pressures, adhesion, valves."""
-    return figure.subplots(5, 1, sharex=True, height_ratios=(3, 2.4, 3, 3, 2))
+def _plots(figure: Figure, with_brakes: bool) -> list[Axes]:
+    """Return the empty plots: speeds, slip, pressures, adhesion, valves, and that of the brakes."""
+    valves_share = 2.0 * max(AXLES / _AXLES_OF_HEIGHT, 1.0)
+    ratios = [3.0, 2.4, 3.0, 3.0, valves_share]
+    if not with_brakes:
+        return list(figure.subplots(5, 1, sharex=True, height_ratios=ratios))
+    # the forces of the brakes are below the pressures
+    ratios.insert(3, 3.0)
+    speed, slip, pressure, brakes_plot, adhesion, valves = figure.subplots(
+        6, 1, sharex=True, height_ratios=ratios
+    )
+    return [speed, slip, pressure, adhesion, valves, brakes_plot]
+
+
+def _has_brakes(column: Column) -> bool:
+    """Return whether these channels have the forces of motors or magnets."""
+    if not brake_work.brakes():
+        return False
+    try:
+        brake_work.forces_N(column, 1.0)
+    except (KeyError, ConfigError):
+        return False  # a harness does not receive these channels
+    return True
+
+
+def _draw_brakes_alone(figure: Figure, column: Column, radius_m: float) -> None:
+    """Draw the force of each brake, and below it the share of each."""
+    forces, shares = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    time_s = column("time_s")
+    _draw_brakes(forces, column, radius_m, _ALONE)
+    found = brake_work.forces_N(column, radius_m)
+    total_N = np.sum(list(found.values()), axis=0)
+    braking = total_N > _LEAST_FORCE_SHARE * np.max(total_N, initial=0.0)
+    for brake, force_N in found.items():
+        colour, kind = _BRAKE_LINES[brake]
+        share_percent = np.full(len(time_s), np.nan)
+        share_percent[braking] = 100.0 * force_N[braking] / total_N[braking]
+        shares.plot(time_s, share_percent, kind, color=colours.as_hex(colour), lw=_ALONE.width)
+    forces.set_ylabel("brake forces, kN")
+    shares.set(ylabel="share, %", ylim=(-5.0, 105.0), xlabel="time, s")
+    figure.align_ylabels()
+    figure.legend(handles=_handles_of_brakes(forces), loc="outside upper center", ncols=4)
+
+
+def _draw_brakes(plot: Axes, column: Column, radius_m: float, look: _Look) -> None:
+    """Draw the force of each brake on the vehicle."""
+    time_s = column("time_s")
+    every = max(len(time_s) // _MARKS_ON_A_LINE, 1)
+    for brake, force_N in brake_work.forces_N(column, radius_m).items():
+        colour, kind = _BRAKE_LINES[brake]
+        plot.plot(
+            time_s,
+            1e-3 * force_N,
+            kind,
+            color=colours.as_hex(colour),
+            label=brake_work.TITLES[brake],
+            lw=look.width,
+            marker=look.marker,
+            ms=4,
+            markevery=every,
+        )
+
+
+def _handles_of_brakes(plot: Axes) -> list[Any]:
+    """Return the entries of the legend for the brakes, one for each."""
+    lines, labels = plot.get_legend_handles_labels()
+    first = {label: line for line, label in zip(reversed(lines), reversed(labels), strict=True)}
+    return [first[label] for label in dict.fromkeys(labels)]
 
 
 def _draw_run(plots: Any, column: Column, radius_m: float, look: _Look) -> None:
     """Draw what the axles did in one run; each axle has a colour and a kind of line."""
-    speed, slip, pressure, adhesion, valves = plots
+    speed, slip, pressure, adhesion, valves, *brakes_plots = plots
+    for plot in brakes_plots:
+        _draw_brakes(plot, column, radius_m, look)
     time_s = column("time_s")
     vehicle_m_s = column("vehicle_speed_m_s")
     every = max(len(time_s) // _MARKS_ON_A_LINE, 1)
@@ -324,9 +441,13 @@ def _draw_run(plots: Any, column: Column, radius_m: float, look: _Look) -> None:
 
 def _finish(plots: Any, time_s: np.ndarray, marks: Sequence[Mark]) -> None:
     """Name the axes, set their ranges and write the names of the marks."""
-    speed, slip, _, adhesion, valves = plots
-    titles = ("speeds, km/h", "slip, %", "brake cylinders, bar", "adhesion used", "valve of axle")
-    for plot, title in zip(plots, titles, strict=True):
+    speed, slip, _, adhesion, valves, *_ = plots
+    titles = (
+        *("speeds, km/h", "slip, %", "brake cylinders, bar", "adhesion used", "valve of axle"),
+        "brake forces, kN",
+    )
+    # the last plot is there only if the vehicle has motors or magnets
+    for plot, title in zip(plots, titles, strict=False):
         plot.set_ylabel(title)
     if len(time_s):
         speed.set_xlim(time_s[0], max(time_s[-1], time_s[0] + _LEAST_S))
@@ -343,6 +464,8 @@ def _handles(plots: Any) -> list[Any]:
     first = {label: line for line, label in zip(reversed(lines), reversed(labels), strict=True)}
     names = list(dict.fromkeys(labels))
     shown: list[Any] = [first[name] for name in names]
+    for plot in plots[5:]:
+        shown += _handles_of_brakes(plot)
     states = colours.VALVE_STATES[1:]
     return shown + [Patch(color=colours.as_hex(shade), label=name) for name, shade in states]
 

@@ -1,0 +1,117 @@
+"""Work and forces of the brakes of vehicles with motors or magnets, in summary, report and picture.
+
+A process simulates one kind of vehicle, so each run is a process.
+"""
+
+import json
+import re
+import subprocess
+import sys
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+from rollerrig.realtime.record import brake_work
+
+LONGEST_S = 900
+WITHIN = 1e-3
+AXLES = range(1, 7)
+# the brakes that each scenario has besides the friction brake
+OTHER_BRAKE = {"tram_low_dynamic": "motors", "tram_emergency_magnetic": "magnets"}
+
+SEQUENCE = """
+title = "A tram stops"
+criteria = "none"
+scenario = "{scenario}"
+
+[start]
+speed = "40 km/h"
+
+[[step]]
+title = "full brake"
+set = {{ brake_demand = "{demand}" }}
+until = "vehicle_speed < 0.01 m/s"
+timeout = "60 s"
+"""
+
+
+def rollerrig(*words):
+    """Run the program; return what it prints."""
+    done = subprocess.run(
+        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module", params=OTHER_BRAKE)
+def stop(request, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("brakes") / "run"
+    printed = rollerrig(
+        *("run", request.param, "--pacing", "free", "--set", "loop.record_hz=1000"),
+        *("--out", folder),
+    )
+    return request.param, folder, printed
+
+
+def test_the_work_of_all_brakes_is_that_of_their_recorded_forces(stop):
+    scenario, folder, printed = stop
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    brakes = summary["brakes"]
+    assert list(brakes) == ["friction", OTHER_BRAKE[scenario]]
+    assert sum(brake["share"] for brake in brakes.values()) == pytest.approx(1.0)
+    assert "work of the brakes: friction brake" in printed
+
+    table = pyarrow.parquet.read_table(folder / "channels.parquet")
+    time_s = table["time_s"].to_numpy()
+    names = {"friction": "brake_torque", "motors": "dynamic_torque"}
+    for brake, figures in brakes.items():
+        if brake == "magnets":
+            force_N = sum(table[f"track_brake_force_{axle}_N"].to_numpy() for axle in AXLES)
+            power_W = force_N * table["vehicle_speed_m_s"].to_numpy()
+            assert figures["force_max_N"] == pytest.approx(force_N.max())
+        else:
+            power_W = sum(
+                table[f"{names[brake]}_{axle}_Nm"].to_numpy()
+                * table[f"wheel_speed_{axle}_rad_s"].to_numpy()
+                for axle in AXLES
+            )
+        assert figures["work_J"] == pytest.approx(np.trapezoid(power_W, time_s), rel=WITHIN)
+
+
+def test_the_picture_of_a_stop_has_a_plot_of_the_brakes_and_a_lane_for_each_axle(stop, tmp_path):
+    scenario, folder, _ = stop
+    picture = tmp_path / "stop.svg"
+    rollerrig("view", folder, "--png", picture)
+    text = picture.read_text(encoding="utf-8")
+    # matplotlib writes each text of a picture as a comment or as an element
+    assert "brake forces, kN" in text
+    assert f"{brake_work.TITLES[OTHER_BRAKE[scenario]]}" in text
+    for axle in AXLES:
+        assert re.search(rf"axle {axle}\b", text)
+
+
+def test_the_report_of_a_sequence_has_a_row_for_each_brake_with_its_work(stop, tmp_path):
+    scenario, _, _ = stop
+    demand = "3.8 bar"
+    sequence = tmp_path / "tram.toml"
+    sequence.write_text(SEQUENCE.format(scenario=scenario, demand=demand), encoding="utf-8")
+    rollerrig("sequence", sequence, "--out", tmp_path / "report")
+    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
+    (summary_path,) = (tmp_path / "report").glob("*/summary.json")
+    brakes = json.loads(summary_path.read_text(encoding="utf-8"))["brakes"]
+    for brake, figures in brakes.items():
+        work_MJ = f"{1e-6 * figures['work_J']:.2f}"
+        assert re.search(
+            rf"<td[^>]*>{brake_work.TITLES[brake]}</td>\s*<td[^>]*>{work_MJ}</td>", page
+        )
+    assert "share, %" in page
+
+
+def test_a_vehicle_with_friction_brakes_only_has_no_figures_of_brakes():
+    assert brake_work.brakes() == ()
