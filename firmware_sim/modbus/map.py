@@ -314,7 +314,7 @@ def _values(table: Iterable[Measured], group: int) -> Iterator[Register]:
             parameter = place.of
         axles = signals.axles_of(group)
         if signal.axles == 1:
-            of_group = group == 0 or name in signals.REFERENCE_SPEEDS
+            of_group = group == 0 or name == signals.reference_speed_name(group)
             axles = range(1, 2) if of_group else range(0)
         for axle in axles:
             column = signals.columns(signal)[axle - 1]

@@ -3,7 +3,7 @@
 import pytest
 from bench_process import until
 from chromium import browsing
-from desk_process import Page, served
+from desk_process import FREE_PORTS, Page, served
 
 pytest.importorskip("nicegui", reason="the desk needs nicegui")
 
@@ -25,16 +25,16 @@ new MutationObserver(note).observe(document.getElementById("desk-rig"), {
 
 
 def brake(browser, address, values):
-    """Open the page of a desk, prepare its bench, start it, and brake with 3.8 bar."""
+    """Open the page of a desk, prepare its bench, and start it; the scenario brakes."""
     browser.get(address)
     desk_page = Page(browser)
     desk_page.shows("This page has no safety function")
-    desk_page.prepare(values)
+    desk_page.put("further values, as in adhesion.mu_cd=0.05", f"{FREE_PORTS} {values}")
+    desk_page.click("Prepare")
+    desk_page.shows(": held")
     browser.execute_script(OBSERVE)
     desk_page.click("Start")
     desk_page.shows(": running")
-    desk_page.put("brake demand, bar", "3.8")
-    desk_page.click("Set")
     return desk_page
 
 
