@@ -4,6 +4,7 @@ A process simulates one kind of vehicle, so each run is a process.
 """
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -20,19 +21,15 @@ AXLES = range(1, 7)
 # the brakes that each scenario has besides the friction brake
 OTHER_BRAKE = {"tram_low_dynamic": "motors", "tram_emergency_magnetic": "magnets"}
 
-SEQUENCE = """
-title = "A tram stops"
-criteria = "none"
-scenario = "{scenario}"
+# run in a process with the vehicle of the run: the table and the picture of its brakes
+REPORT = """
+import sys
+from rollerrig.realtime.record import records
+from rollerrig.realtime.reports import page, stop
 
-[start]
-speed = "40 km/h"
-
-[[step]]
-title = "full brake"
-set = {{ brake_demand = "{demand}" }}
-until = "vehicle_speed < 0.01 m/s"
-timeout = "60 s"
+run = records.load(sys.argv[1])
+print(page.table(*stop.brakes(run.summary)))
+print(stop.brakes_picture(run.column, run.scenario["vehicle"]["wheel_radius_m"]))
 """
 
 
@@ -96,21 +93,23 @@ def test_the_picture_of_a_stop_has_a_plot_of_the_brakes_and_a_lane_for_each_axle
         assert re.search(rf"axle {axle}\b", text)
 
 
-def test_the_report_of_a_sequence_has_a_row_for_each_brake_with_its_work(stop, tmp_path):
-    scenario, _, _ = stop
-    demand = "3.8 bar"
-    sequence = tmp_path / "tram.toml"
-    sequence.write_text(SEQUENCE.format(scenario=scenario, demand=demand), encoding="utf-8")
-    rollerrig("sequence", sequence, "--out", tmp_path / "report")
-    page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
-    (summary_path,) = (tmp_path / "report").glob("*/summary.json")
-    brakes = json.loads(summary_path.read_text(encoding="utf-8"))["brakes"]
+def test_the_table_of_the_brakes_has_a_row_for_each_with_its_work_beside_a_picture(stop):
+    scenario, folder, _ = stop
+    brakes = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["brakes"]
+    equipment = "dynamic_brake" if OTHER_BRAKE[scenario] == "motors" else "magnetic_track_brake"
+    done = subprocess.run(
+        [sys.executable, "-c", REPORT, folder],
+        env=os.environ | {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": equipment},
+        capture_output=True,
+        text=True,
+        timeout=LONGEST_S,
+        check=True,
+    )
     for brake, figures in brakes.items():
         work_MJ = f"{1e-6 * figures['work_J']:.2f}"
-        assert re.search(
-            rf"<td[^>]*>{brake_work.TITLES[brake]}</td>\s*<td[^>]*>{work_MJ}</td>", page
-        )
-    assert "share, %" in page
+        row = rf"<td[^>]*>{brake_work.TITLES[brake]}</td><td[^>]*>{work_MJ}</td>"
+        assert re.search(row, done.stdout)
+    assert "share, %" in done.stdout
 
 
 def test_a_vehicle_with_friction_brakes_only_has_no_figures_of_brakes():
