@@ -294,9 +294,10 @@ def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Messag
                 cycle_ms = sync_ms  # the magnets: a unit answers every SYNC
             elif word == "TPDO":
                 cycle_ms = _cycle_ms(dictionary, index, sync_ms)
-            if node == signals.BENCH_NODE and word == "RPDO":
-                sender = None  # the harness, which is no node
-            yield _message(name, cob_id, sender, carried, cycle_ms)
+            # the harness commands the bench, and is no node
+            from_harness = node == signals.BENCH_NODE and word == "RPDO"
+            source = None if from_harness else sender
+            yield _message(name, cob_id, source, carried, cycle_ms)
 
 
 def _cycle_ms(dictionary: ObjectDictionary, index: int, sync_ms: int) -> int:
