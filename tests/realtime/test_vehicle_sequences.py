@@ -124,7 +124,8 @@ def test_a_vehicle_passes_its_sequences_and_fails_those_with_a_flaw(played, requ
     names = packaged(prefix)
     assert {name: played.results[name] for name in names} == dict.fromkeys(names, "pass")
     flaws = FLAWS[prefix]
-    assert {name: played.results[name] for name in flaws} == dict.fromkeys(flaws, "fail")
+    # a stop that does not end fails, and its distance is an error
+    assert {name for name in flaws if played.results[name] not in ("fail", "error")} == set()
 
 
 @pytest.mark.parametrize("played", ["tram_"], indirect=True)
