@@ -25,6 +25,7 @@ from rollerrig.rig.identify.train_recorder.findings import (
     SharedPlace,
     Sliding,
     Slipping,
+    SpeedFactor,
     SpeedLine,
     SpeedOffset,
     SpeedScatter,
@@ -240,6 +241,11 @@ def sentence(finding: Finding) -> str:
         case SpeedOffset() as offset:
             direction = "faster" if offset.faster else "slower"
             return f"{direction} than the vehicle, which is not braked hard there"
+        case SpeedFactor() as factor:
+            return (
+                f"shows {factor.factor:.3f} times the speed while the speed changes: another wheel "
+                "radius, or the wheel slips; record steady rolling to distinguish them"
+            )
         case SpeedScatter() as scatter:
             return (
                 f"scatters by {finding.size:.2f} m/s from sample to sample, "

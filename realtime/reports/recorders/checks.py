@@ -23,7 +23,8 @@ _REASONS = {
     "reference_speed_m_s",
     judged.SHORT: "the recording is too short",
     judged.ON_CHANGE: "the recorder logs only changes, so missing samples and held values are normal",
-    judged.FEW_CHANGES: "the speed changes too little, or the wheel slips; record starts and stops",
+    judged.FEW_CHANGES: "the speed changes too little, the wheel slips, or a factor of its speed fits "
+    "better; record starts, stops and steady rolling",
     judged.FEW_BLOCKS: "{0:.0f} blocks of {1:.0f} s above {2:.2g} m/s without hard braking are "
     "needed, the recording has {3:.0f} s; record steady driving",
     judged.UNSTEADY: "the ratio to the vehicle varies by {0:.1f} % between blocks: the wheel slips "

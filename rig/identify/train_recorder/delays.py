@@ -1,7 +1,9 @@
 """Decides which channels are late. The delay minimises the capped absolute error.
 
 Its interval comes from a bootstrap over blocks. With two channels only it cannot be decided which
-of them is wrong: the later one is reported, with the other. A wheel that slips has no delay.
+of them is wrong: the later one is reported, with the other. A wheel that slips has no delay, and
+neither has a channel whose speed differs by a factor: a delay adds the same speed at all speeds
+while the vehicle brakes steadily, a wrong radius adds a share of the speed.
 """
 
 from typing import NamedTuple
@@ -17,7 +19,7 @@ from rollerrig.rig.identify.train_recorder.alignment import (
     align,
     slope,
 )
-from rollerrig.rig.identify.train_recorder.findings import Delay, Finding
+from rollerrig.rig.identify.train_recorder.findings import Delay, Finding, SpeedFactor
 from rollerrig.rig.identify.train_recorder.recording import Run
 
 # s. Delays are tried in these steps.
@@ -33,6 +35,9 @@ _LEAST_SAMPLES = 50
 # m/s^2. Below this change of speed a delay does not show.
 _CHANGING_M_S2 = 0.15
 
+# Factors that are the rivals of a delay: as far as wheel radii and speedometers deviate.
+_FACTORS = np.linspace(0.9, 1.1, 81)
+
 # samples of the bootstrap of a delay
 _REPLICATES = 300
 
@@ -44,6 +49,8 @@ class Lag(NamedTuple):
     low_s: float
     high_s: float
     share_left: float = 0.0  # error that is left, over the error without a delay
+    # factor of the speed that fits better than any delay, and the error that it leaves
+    factor: float | None = None
 
     def reversed(self) -> "Lag":
         """The lag of the other side of the comparison."""
@@ -71,6 +78,7 @@ class _DelaySearch:
         self.delays: dict[str, float] = {}
         self.found: list[Finding] = []
         self.lags: dict[str, Lag] = {}
+        self.unknown: list[Finding] = []
         self._rng = np.random.default_rng(1)
 
     def search(self) -> None:
@@ -120,7 +128,30 @@ class _DelaySearch:
             self._decide(reference, lag, "")
 
     def _estimate(self, name: str, against: list[str]) -> Lag | None:
-        return _lag(self.aligned, self.scales, name, against, self._rng)
+        """Return the lag of a channel; None, and a finding, if a factor fits better."""
+        lag = _lag(self.aligned, self.scales, name, against, self._rng)
+        if lag is None or lag.factor is None:
+            return lag
+        is_large = abs(lag.factor - 1.0) > limit.LATE_FACTOR
+        if is_large and lag.share_left < limit.LATE_SHARE and name != self.reference:
+            self.unknown.append(self._factor_finding(name, lag.factor))
+        return None
+
+    def _factor_finding(self, name: str, factor: float) -> Finding:
+        percent = 100.0 * (factor - 1.0)
+        step = 100.0 * float(_FACTORS[1] - _FACTORS[0])
+        return Finding(
+            name="unknown",
+            channels=(name,),
+            run="",
+            start_s=0.0,
+            end_s=0.0,
+            size=percent,
+            low=percent - step,
+            high=percent + step,
+            unit="%",
+            details=SpeedFactor(factor),
+        )
 
     def _decide(self, name: str, lag: Lag, against: str) -> None:
         """Report a lag beyond the delay that is normal for the channel; else only corrects it."""
@@ -156,18 +187,22 @@ class _DelaySearch:
 
 
 class Delays(NamedTuple):
-    """Delays to correct, s, by channel; the findings; and the estimates by channel."""
+    """Delays to correct, s, by channel; the findings; and the estimates by channel.
+
+    `unknown` are channels whose speed differs by a factor that may have several causes.
+    """
 
     delay_s: dict[str, float]
     found: list[Finding]
     lags: dict[str, Lag]
+    unknown: list[Finding]
 
 
 def fit(runs: list[Run], scales: list[dict[str, Scale]], block_s: float) -> Delays:
     """Return the delay of each late channel and the findings."""
     search = _DelaySearch(runs, scales, block_s)
     search.search()
-    return Delays(search.delays, search.found, search.lags)
+    return Delays(search.delays, search.found, search.lags, search.unknown)
 
 
 def _lag(
@@ -180,9 +215,11 @@ def _lag(
     """Return how late a channel is against the median of others.
 
     The result is None where nothing changes, where the wheel slips, and where the best delay is at
-    the edge of the search.
+    the edge of the search. It has a factor and no delay where a factor fits better than any delay.
     """
     block_costs: list[np.ndarray] = []
+    factor_cost = np.zeros(_FACTORS.size)
+    no_delay = int(np.argmin(np.abs(_GRID_S)))
     capped = np.zeros(_GRID_S.size, int)
     samples = 0
     total = sum(a.time_s.size for a in aligned)
@@ -201,7 +238,8 @@ def _lag(
         # capped error (delays, samples) of the channel for each delay of the grid
         t = a.time_s[picked]
         shifted = faults.at(a.run.channels[name], t + _GRID_S[:, None])
-        error = np.abs(scale.get(name, AS_RECORDED).corrected(shifted) - base[picked])
+        corrected = scale.get(name, AS_RECORDED).corrected(shifted)
+        error = np.abs(corrected - base[picked])
         error = np.where(np.isfinite(error), np.minimum(error, limit.CAP_M_S), np.nan)
 
         # only samples that have a value for every delay compare the delays fairly
@@ -211,6 +249,10 @@ def _lag(
             continue
         _, block_number = np.unique(block, return_inverse=True)
         cost = np.array([np.bincount(block_number, row[complete]) for row in error])
+        undelayed = corrected[no_delay, complete]
+        for k, factor in enumerate(_FACTORS):
+            by_factor = np.abs(factor * undelayed - base[picked][complete])
+            factor_cost[k] += np.minimum(by_factor, limit.CAP_M_S).sum()
         block_costs += list(cost.T)
         capped += np.count_nonzero(error[:, complete] >= limit.CAP_M_S, axis=1)
         samples += block.size
@@ -224,7 +266,12 @@ def _lag(
     at_edge = not 2 <= best < _GRID_S.size - 2
     if slips or at_edge:
         return None
-    without_delay = float(total_cost[int(np.argmin(np.abs(_GRID_S)))])
+    without_delay = float(total_cost[no_delay])
+    if factor_cost.min() < total_cost[best]:
+        # the recorded speed times this factor fits, so the channel shows 1 / factor of the speed
+        factor = 1.0 / float(_FACTORS[int(np.argmin(factor_cost))])
+        left = float(factor_cost.min()) / max(without_delay, 1e-9)
+        return Lag(0.0, 0.0, 0.0, left, factor)
     drawn = rng.integers(0, len(costs), (_REPLICATES, len(costs)))
     best_s = _least_cost(costs.sum(axis=0)[None])[0]
     low_s, high_s = np.quantile(_least_cost(costs[drawn].sum(axis=1)), (0.025, 0.975))

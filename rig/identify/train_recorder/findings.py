@@ -145,6 +145,12 @@ class SpeedOffset(NamedTuple):
     faster: bool
 
 
+class SpeedFactor(NamedTuple):
+    """`unknown`: a speed differs by a factor from the others while the vehicle brakes."""
+
+    factor: float
+
+
 class SpeedScatter(NamedTuple):
     """`unknown`: a speed scatters from sample to sample."""
 
@@ -165,6 +171,7 @@ Details = (
     | Slipping
     | SharedPlace
     | SpeedOffset
+    | SpeedFactor
     | SpeedScatter
 )
 

@@ -40,7 +40,7 @@ def fit(runs: list[Run]) -> Rolling:
         found += more
 
     block_s = block_length_s(corrected_runs) if corrected_runs else 0.0
-    late = Delays({}, [], {})
+    late = Delays({}, [], {}, [])
     for _ in range(2):
         scale = scales.fit(corrected_runs, late.delay_s, block_s)
         if corrected_runs:

@@ -168,6 +168,10 @@ CREEPAGE_S2_M = 0.005
 # share of the error without a delay. A delay that is reported must leave less. Chosen.
 LATE_SHARE = 0.7
 
+# share. A speed that differs by a larger factor while it changes is reported as unknown. Creepage
+# in braking stays below. Chosen.
+LATE_FACTOR = 0.02
+
 # share of samples with an error above CAP_M_S. With more the wheel slips. Chosen.
 LATE_CAPPED = 0.2
 

@@ -80,7 +80,7 @@ def explain(recording: Recording) -> Account:
     slips, slipping_flags = driving.find(aligned, sliding_flags)
     found += slips
 
-    unknown = []
+    unknown = list(fit.delays.unknown)
     for a, sliding, slipping in zip(aligned, sliding_flags, slipping_flags, strict=True):
         unknown += _unexplained_blocks(a, sliding | slipping)
 
