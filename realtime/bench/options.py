@@ -168,7 +168,8 @@ def check(options: Options, modbus: bool) -> None:
         )
     if options.unit_map and not options.fmus:
         raise ConfigError(
-            f"--unit-map is for an FMU, and the unit is {options.unit}: use --wsp fmu:FILE"
+            f"--unit-map is for an FMU, and the unit is {options.unit}: use --wsp fmu:FILE, or "
+            "'rollerrig sequence' for a unit with its CAN messages"
         )
     if options.hold and not options.live:
         raise ConfigError("--hold waits for a viewer of the live view: give --live as well")
