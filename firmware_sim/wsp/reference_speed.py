@@ -80,6 +80,8 @@ def advance(state, params):
             fastest = max(fastest, state.speed_m_s[j])
     if state.cycles[0] == 0.0:
         state.reference_m_s[0] = fastest
+        # wheels may slide before they have been calm for long enough to be an anchor
+        state.anchor_m_s[0] = fastest
         state.deceleration_m_s2[0] = params.first_deceleration_m_s2
         state.runner[0] = NOBODY
     fall = params.reference_fall_m_s2

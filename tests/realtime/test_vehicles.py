@@ -88,6 +88,15 @@ def test_the_loads_of_all_axles_are_the_weight_of_the_vehicle(record):
     assert (braking[0::2] > braking[1::2]).all()
 
 
+@pytest.mark.parametrize("record", ["tram_low"], indirect=True)
+def test_a_reference_unit_whose_axles_slide_in_the_first_second_learns_the_deceleration(record):
+    reference_m_s = record.table["wsp_reference_speed_m_s"].to_numpy()
+    late_and_fast = (record.time_s > 1.0) & (record.speed_m_s > 3.0)
+    assert np.abs(reference_m_s - record.speed_m_s)[late_and_fast].max() < 1.2
+    events = {event["code"] for event in record.summary["events"]}
+    assert not events & {"wsp.reference_drifts", "wsp.vents_without_sliding"}
+
+
 def test_a_vehicle_loses_the_momentum_and_energy_that_contacts_and_air_resistance_take(record):
     vehicle = record.plan["vehicle"]
     mass_kg = vehicle["mass_kg"]
