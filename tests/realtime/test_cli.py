@@ -90,7 +90,8 @@ def test_a_list_names_everything_of_a_kind_with_its_title(kind, capsys):
     named = json.loads(capsys.readouterr().out)[kind]
     assert all(one["name"] and one["title"] for one in named)
     if kind not in ("faults", "signals", "datasets"):
-        assert [one["name"] for one in named] == store.names(kind)
+        packaged = [*store.names(kind), *store.names_of_vehicles(kind)]
+        assert [one["name"] for one in named] == packaged
 
 
 def test_a_list_without_a_kind_lists_the_kinds(capsys):
