@@ -224,12 +224,20 @@ SIGNALS: tuple[Signal, ...] = (
     ),
     Signal("adhesion_degraded", "", AXLES, "lower limit f_d at this sliding", group="adhesion"),
     Signal("adhesion_recovered", "", AXLES, "upper limit f_r at this sliding", group="adhesion"),
-    Signal("transition", "", AXLES, "lambda: 0 degraded, 1 recovered", group="transition"),
+    Signal(
+        "transition",
+        "",
+        AXLES,
+        "lambda: 0 degraded, 1 recovered; where cleaning fades at large sliding, it is less than "
+        "1 - exp(-tau W_sp)",
+        group="transition",
+    ),
     Signal(
         "dissipated_energy",
         "J_m",
         AXLES,
-        "W_sp: energy dissipated per metre, one wheel",
+        "W_sp: energy dissipated per metre, one wheel; also that which cleans nothing, at large "
+        "sliding",
         group="energy",
     ),
     Signal(
