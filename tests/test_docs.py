@@ -119,7 +119,7 @@ def test_the_rates_that_the_page_of_explain_quotes_are_those_of_its_page_of_rate
     third = {}
     for row in re.findall(r"^\| (.+) \|$", text_of("docs/explain_rates.md"), re.MULTILINE):
         cells = row.split(" | ")
-        if len(cells) == 5:
+        if len(cells) == 6:
             third[cells[0]] = cells[3]
     assert quoted == [
         third["nothing hidden: consistent"],

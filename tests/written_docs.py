@@ -183,7 +183,34 @@ def rates():
         by_generator.append(explain.judge(folder, folder / "explain.json")["rows"])
     for rows in zip(*by_generator, strict=True):
         cells = [_rate(row) for row in rows]
-        yield f"| {rows[0]['measure']} | {' | '.join(cells)} | {rows[0]['wanted']} |"
+        first = rows[0]
+        yield f"| {first['measure']} | {' | '.join(cells)} | {first['wanted']} | {_met(rows)} |"
+
+
+def _met(rows):
+    """Return whether a measure is as wanted, and the generators on which it is not."""
+    if not rows[0]["wanted"]:
+        return ""
+    missed = []
+    for generator, row in zip(GENERATORS, rows, strict=True):
+        if not _is_as_wanted(row):
+            missed.append(generator)
+    return f"no: {', '.join(missed)}" if missed else "yes"
+
+
+def _is_as_wanted(row):
+    """Return whether a measure is within its wanted bound or bounds."""
+    share = row["share"]
+    words = row["wanted"].split()
+    if words == ["all"]:
+        return row["yes"] == row["of"]
+    if words[0] == ">=":
+        return share >= float(words[1])
+    if words[0] == "<=":
+        return share <= float(words[1])
+    low, to, high = words
+    assert to == "to", row["wanted"]
+    return float(low) <= share <= float(high)
 
 
 def _rate(row):
@@ -243,7 +270,7 @@ TABLES = {
         "| threshold of creep curves | value | where | reason |": thresholds_of_creep_curves,
     },
     "explain_rates.md": {
-        "| measure | first | second | third | wanted |": rates,
+        "| measure | first | second | third | wanted | met |": rates,
         thresholds.HEAD: thresholds.rows,
         thresholds.FORM_HEAD: thresholds.form_rows,
     },

@@ -7,6 +7,7 @@ import argparse
 import math
 import re
 
+from rollerrig.configs import store
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
@@ -197,6 +198,8 @@ def scenario_keys():
             lines += mechanism_table()
         else:
             lines += key_table(rows)
+        if section == "adhesion":
+            lines += ["", *adhesion_sets()]
     lines += [
         "",
         "## [[demand]]",
@@ -226,6 +229,35 @@ def scenario_keys():
         *key_table(catalogue.WHEN),
     ]
     return "\n".join(lines) + "\n"
+
+
+def adhesion_sets():
+    """Return the lines on the packaged sets of adhesion: a table of their values, and its use."""
+    sets = {name: store.load("adhesion", name)[0] for name in store.names("adhesion")}
+    lines = [
+        "**Which value wins.** `initial_adhesion` and `mu_cd` exclude each other, because `mu_cd` follows "
+        "from `initial_adhesion`. Of two layers the later one wins: a `mu_cd` in the scenario or with "
+        "`--set` replaces the initial adhesion of a set such as `low`, and a later `initial_adhesion` "
+        "replaces a `mu_cd`. If one layer has both, `initial_adhesion` wins and `mu_cd` is ignored; all "
+        "`--set` options together are one layer. `scenario.toml` in the folder of the run has the values "
+        "that were used.",
+        "",
+        "**The packaged sets** (`configs/adhesion`, with the sources and assumptions). An empty cell is "
+        "the default of the table above; of `[mechanisms]` it is 0, no effect. In `low` and `very_low` "
+        "`mu_cd` follows from `initial_adhesion`. The defaults are the paper's law at every sliding, and "
+        "a dataset without `[adhesion]` has them. With the sets cleaning fades at large sliding "
+        "([why](paper.md#adhesion-at-large-sliding)).",
+        "",
+        f"| key | {' | '.join(f'`{name}`' for name in sets)} |",
+        "|---" * (len(sets) + 1) + "|",
+    ]
+    for section in ("adhesion", "mechanisms"):
+        keys = dict.fromkeys(key for content in sets.values() for key in content.get(section, {}))
+        for key in keys:
+            values = [value(content.get(section, {}).get(key)) for content in sets.values()]
+            shown = f"`{key}`" if section == "adhesion" else f"`[{section}] {key}`"
+            lines.append(f"| {shown} | {' | '.join(values)} |")
+    return lines
 
 
 def mechanism_table():
