@@ -37,6 +37,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="follow only benches that this desk has started, and no others on this machine",
     )
+    parser.add_argument(
+        "--scenario",
+        metavar="NAME",
+        help="scenario of a vehicle with motors, magnets or another number of axles: the desk shows "
+        "benches of such vehicles (default: four axles and friction brakes only)",
+    )
     wsp.allow_argument(parser, "a user of the page")
     parser.add_argument(
         "--allow-folder",
@@ -58,6 +64,12 @@ def call(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"the desk needs nicegui ({error}): pip install 'rollerrig[desk]'"
         ) from None
+
+    if options.scenario:
+        from rollerrig.realtime.bench import scenario
+
+        # a vehicle of another kind starts the command again for it
+        scenario.load(options.scenario)
 
     if not options.folder.is_dir():
         raise ConfigError(
@@ -84,9 +96,12 @@ def call(options: argparse.Namespace) -> int:
         # flushed, because a program that reads the address waits for it
         print(line, flush=True)
 
+    shared = desk.Desk(options.folder.resolve(), options.own, allowed, options.allow_folder)
+    if options.scenario:
+        shared.prepared["scenario"] = options.scenario
     with contextlib.suppress(KeyboardInterrupt):
         server.serve(
-            desk.Desk(options.folder.resolve(), options.own, allowed, options.allow_folder),
+            shared,
             options.host,
             options.port,
             options.open,

@@ -6,8 +6,6 @@
 // `live.py` calls `begin` and `show`. A row is an array with one number a column; a missing number
 // is null.
 
-const AXLES = 4;
-
 // pauses between two requests for rows
 const PAUSE_MS = 100;
 const PAUSE_WHOLE_RUN_MS = 1000;
@@ -33,9 +31,21 @@ const MARK_ROW_PX = 14;
 // the height of a lane by the state of its valve: fill, hold, vent
 const LANE_SHARES = [0.25, 0.6, 1];
 
-// the picture of the coach, in units of its view box
-const WHEEL_X = [90, 190, 510, 610];
+// the picture of the vehicle, in units of its view box: a coach with two bogies is 700 wide
+const LEAST_WIDTH = 700;
+const WIDTH_OF_BOGIE = 270;
+const FIRST_BOGIE_X = 140;
+const HEIGHT = 170;
+const HEIGHT_OF_MOTOR_TEXT = 16;
+const PX_FOR_EACH_UNIT = 150 / HEIGHT;
+const HALF_WHEELBASE = 50;
 const WHEEL_Y = 76;
+// the magnets of a bogie are between its wheels, so much lower when they are on the rail
+const MAGNET_Y = 84;
+const MAGNET_DROP = 12;
+const ON_RAIL = 0.999;
+// a motor without a demand has no text below this torque
+const LEAST_TORQUE_Nm = 50;
 const SPOKES_DEG = [0, 60, 120];
 
 // Returns a number with some decimals, or a dash where there is no number.
@@ -48,6 +58,19 @@ function numberText(value, decimals) {
 function kilometresPerHour(speed_m_s) {
   if (speed_m_s === null || speed_m_s === undefined) return null;
   return 3.6 * speed_m_s;
+}
+
+// Returns the width of the picture of a vehicle with these bogies.
+function pictureWidth(bogies) {
+  return Math.max(LEAST_WIDTH, WIDTH_OF_BOGIE * bogies);
+}
+
+// Returns the places of the bogies in the picture.
+function bogiePlaces(bogies) {
+  const width = pictureWidth(bogies);
+  if (bogies === 1) return [width / 2];
+  const gap = (width - 2 * FIRST_BOGIE_X) / (bogies - 1);
+  return Array.from({ length: bogies }, (_, index) => FIRST_BOGIE_X + gap * index);
 }
 
 // Returns a round number that is not less.
@@ -85,17 +108,20 @@ window.desk = {
   heldSpeed: null, // m/s while the rig is held, otherwise null
   whole: false, // whether the whole run is drawn, or only its last seconds
   axle: 0, // the axle that is drawn; 0: all
-  angles: [0, 0, 0, 0], // of the drawn wheels, rad
+  axles: 0, // number of axles of the vehicle
+  angles: [], // of the drawn wheels, rad
   lastFrame: 0, // time of the last picture of the wheels, ms
 
   // Starts to draw. `settings` has the keys that `live.py` writes.
   begin(settings) {
     this.settings = settings;
+    this.axles = settings.axles.length;
+    this.angles = Array(this.axles).fill(0);
     this.columnIndex = {};
     settings.columns.forEach((name, index) => {
       this.columnIndex[name] = index;
     });
-    this.drawCoach();
+    this.drawVehicle();
     this.update();
     requestAnimationFrame((now) => this.turnWheels(now));
   },
@@ -180,6 +206,34 @@ window.desk = {
     this.settings.plots.forEach((plot, index) => this.drawPlot(plot, begin, end, index === 0));
     this.drawValves(begin, end);
     this.drawFigures();
+    if (this.settings.motors) this.drawMotors();
+    if (this.settings.magnets) this.drawMagnets();
+  },
+
+  // Writes the torque of each motor below its axle, or that slide control has released it.
+  drawMotors() {
+    for (let axle = 1; axle <= this.axles; axle++) {
+      const place = document.getElementById(`desk-motor-${axle}`);
+      const demand_Nm = this.newestValue(`dynamic_torque_demand_${axle}_Nm`);
+      const torque_Nm = this.newestValue(`dynamic_torque_${axle}_Nm`);
+      const share = this.newestValue(`dynamic_share_${axle}`);
+      const acts = demand_Nm || Math.abs(torque_Nm) > LEAST_TORQUE_Nm;
+      let text = "";
+      if (demand_Nm && share === 0) text = "motor released";
+      else if (acts) text = `motor ${numberText(torque_Nm / 1000, 1)} kN m`;
+      place.textContent = text;
+      place.classList.toggle("desk-released", text === "motor released");
+    }
+  },
+
+  // Lowers the drawn magnets of each bogie; on the rail they have another colour.
+  drawMagnets() {
+    for (let axle = 1; axle <= this.axles; axle += 2) {
+      const lowered = this.newestValue(`track_brake_lowered_${axle}`) ?? 0;
+      const magnet = document.getElementById(`desk-magnet-${axle}`);
+      magnet.setAttribute("y", MAGNET_Y + MAGNET_DROP * lowered);
+      magnet.classList.toggle("desk-on-rail", lowered > ON_RAIL);
+    }
   },
 
   // Draws one plot. Only the first plot has the names of the faults at their marks.
@@ -260,7 +314,7 @@ window.desk = {
   // Returns the largest newest sliding speed of all axles in m/s.
   largestSliding() {
     const slidings = [];
-    for (let axle = 1; axle <= AXLES; axle++) slidings.push(this.newestValue(`sliding_${axle}_m_s`));
+    for (let axle = 1; axle <= this.axles; axle++) slidings.push(this.newestValue(`sliding_${axle}_m_s`));
     return Math.max(...slidings);
   },
 
@@ -271,13 +325,13 @@ window.desk = {
     // a new width clears the canvas, and keeps it sharp when the window changes
     canvas.width = canvas.clientWidth;
     const pen = canvas.getContext("2d");
-    const laneHeight = canvas.height / AXLES;
+    const laneHeight = canvas.height / this.axles;
     const laneWidth = canvas.width - LANES_LEFT - LANES_RIGHT;
     const toX = (time) => LANES_LEFT + ((time - begin) / (end - begin)) * laneWidth;
 
     pen.clearRect(0, 0, canvas.width, canvas.height);
     pen.font = "11px sans-serif";
-    for (let axle = 1; axle <= AXLES; axle++) {
+    for (let axle = 1; axle <= this.axles; axle++) {
       const top = (axle - 1) * laneHeight;
       pen.fillStyle = this.settings.axles[axle - 1];
       pen.fillText(`axle ${axle}`, 6, top + laneHeight / 2 + 4);
@@ -305,18 +359,36 @@ window.desk = {
     }
   },
 
-  // Draws the coach with two bogies and four wheels on rollers.
-  drawCoach() {
-    const frames = WHEEL_X.map((x) => `<line x1="${x}" y1="50" x2="${x}" y2="${WHEEL_Y}" class="desk-frame"/>`);
-    const wheels = WHEEL_X.map((x, index) => this.wheelPicture(x, index + 1));
+  // Draws the vehicle on its bogies, with its wheels on rollers.
+  drawVehicle() {
+    const bogies = bogiePlaces(this.axles / 2);
+    const width = pictureWidth(bogies.length);
+    const height = HEIGHT + (this.settings.motors ? HEIGHT_OF_MOTOR_TEXT : 0);
+    const pictures = bogies.map((x, index) => this.bogiePicture(x, index));
     document.getElementById("desk-rig").innerHTML = `
-      <svg viewBox="0 0 700 170" width="100%" height="150">
-        <rect x="30" y="6" width="640" height="40" rx="9" class="desk-coach"/>
-        ${frames.join("")}
-        <rect x="64" y="46" width="152" height="7" class="desk-bogie"/>
-        <rect x="484" y="46" width="152" height="7" class="desk-bogie"/>
-        ${wheels.join("")}
+      <svg viewBox="0 0 ${width} ${height}" width="100%" height="${height * PX_FOR_EACH_UNIT}">
+        <rect x="30" y="6" width="${width - 60}" height="40" rx="9" class="desk-coach"/>
+        ${pictures.join("")}
       </svg>`;
+  },
+
+  // Returns the picture of a bogie at a place: frame, magnets and two wheels.
+  bogiePicture(x, index) {
+    const wheels = [x - HALF_WHEELBASE, x + HALF_WHEELBASE];
+    const frames = wheels.map(
+      (place) => `<line x1="${place}" y1="50" x2="${place}" y2="${WHEEL_Y}" class="desk-frame"/>`,
+    );
+    const pictures = wheels.map((place, at) => this.wheelPicture(place, 2 * index + at + 1));
+    let magnets = "";
+    if (this.settings.magnets) {
+      magnets = `<rect id="desk-magnet-${2 * index + 1}" x="${x - 20}" y="${MAGNET_Y}" width="40"
+        height="8" class="desk-magnet"/>`;
+    }
+    return `
+      ${frames.join("")}
+      <rect x="${x - 76}" y="46" width="152" height="7" class="desk-bogie"/>
+      ${magnets}
+      ${pictures.join("")}`;
   },
 
   // Returns the picture of a roller, the wheel on it, and the number of its axle.
@@ -327,20 +399,25 @@ window.desk = {
         <line x1="${x - 24}" y1="${WHEEL_Y}" x2="${x + 24}" y2="${WHEEL_Y}"
           transform="rotate(${angle} ${x} ${WHEEL_Y})" class="desk-spoke"/>`,
     );
+    let motorText = "";
+    if (this.settings.motors) {
+      motorText = `<text x="${x}" y="180" class="desk-text" id="desk-motor-${axle}"></text>`;
+    }
     return `
       <circle cx="${x}" cy="126" r="24" class="desk-roller"/>
       <g id="desk-wheel-${axle}" style="transform-origin:${x}px ${WHEEL_Y}px">
         <circle cx="${x}" cy="${WHEEL_Y}" r="26" class="desk-wheel" style="stroke:${colour}"/>
         ${spokes.join("")}
       </g>
-      <text x="${x}" y="164" class="desk-text" id="desk-lock-${axle}">${axle}</text>`;
+      <text x="${x}" y="164" class="desk-text" id="desk-lock-${axle}">${axle}</text>
+      ${motorText}`;
   },
 
   // Turns the drawn wheels by the time since the last picture, and requests the next picture.
   turnWheels(now) {
     const elapsed_s = Math.min(LONGEST_FRAME_S, (now - this.lastFrame) / 1000);
     this.lastFrame = now;
-    for (let axle = 1; axle <= AXLES; axle++) this.turnWheel(axle, elapsed_s);
+    for (let axle = 1; axle <= this.axles; axle++) this.turnWheel(axle, elapsed_s);
     requestAnimationFrame((next) => this.turnWheels(next));
   },
 

@@ -23,7 +23,7 @@ from rollerrig.wsp_interface import harness_client, signals
 from rollerrig.wsp_interface.events import Code
 
 _REGISTERS = {row.name: row for row in (*BITS, *WORDS)}
-_FIRST_UNREAD_WORD = 404  # the page shows none of the registers from here on
+_FIRST_UNREAD_WORD = 404  # from here on the page shows only the states of further nodes
 _REFUSAL_EVENT_S = 1.0  # how long to wait for the event with the reason of a refusal
 _POLL_S = 0.1
 # Modbus exception code -> what it means on this bench
@@ -49,7 +49,12 @@ def _blocks(rows: tuple[Register, ...]) -> list[list[Register]]:
     return blocks
 
 
-_WORDS_READ = tuple(row for row in WORDS if row.address < _FIRST_UNREAD_WORD)
+def _is_read(row: Register) -> bool:
+    """Whether the page shows a register."""
+    return row.address < _FIRST_UNREAD_WORD or row.name.startswith("node_")
+
+
+_WORDS_READ = tuple(row for row in WORDS if _is_read(row))
 _BLOCKS = _blocks(BITS) + _blocks(_WORDS_READ)
 
 

@@ -14,7 +14,7 @@ from rollerrig.firmware_sim.modbus.map import UNHEARD, State
 from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.reader import COLUMNS, Bench
 from rollerrig.realtime.loop import ring
-from rollerrig.wsp_interface.signals import BRAKE_NODE, DRIVE_NODES, SPEED_NODE, WSP_NODE
+from rollerrig.wsp_interface.signals import BRAKE_NODE, DRIVE_NODES, SPEED_NODE, WSP_NODE, nodes
 
 GREEN, YELLOW, RED, GREY = "green", "yellow", "red", "grey"
 NAMES = ("loop", "bus", "unit", "drives", "brake I/O", "Modbus", "recorder", "disk")
@@ -57,7 +57,7 @@ def line(bench: Bench | None, doors: Doors | None, folder: Path) -> list[Light]:
         _bus(bench, registers),
         _unit(bench, registers),
         _drives(registers, doors),
-        _nodes("brake I/O", (SPEED_NODE, BRAKE_NODE), registers, doors),
+        _nodes("brake I/O", (*nodes(SPEED_NODE), *nodes(BRAKE_NODE)), registers, doors),
         _modbus(bench, doors),
         _recorder(bench),
         _disk(folder),
@@ -123,14 +123,14 @@ def _drives(registers: dict[str, float], doors: Doors) -> Light:
     return _nodes("drives", DRIVE_NODES, registers, doors)
 
 
-def _nodes(name: str, nodes: tuple[int, ...], registers: dict[str, float], doors: Doors) -> Light:
+def _nodes(name: str, numbers: tuple[int, ...], registers: dict[str, float], doors: Doors) -> Light:
     """One light for some nodes of the rig, by their NMT states."""
     if not registers:
         return Light(name, GREY, f"no Modbus: {doors.no_modbus_because}")
-    states = {node: int(registers[f"node_{node}_state"]) for node in nodes}
+    states = {node: int(registers[f"node_{node}_state"]) for node in numbers}
     wrong = {node: state for node, state in states.items() if state != _OPERATIONAL}
     if not wrong:
-        return Light(name, GREEN, f"nodes {', '.join(map(str, nodes))} operational")
+        return Light(name, GREEN, f"nodes {', '.join(map(str, numbers))} operational")
     why = ", ".join(
         f"node {node} {_STATES.get(state, 'not heard')}" for node, state in wrong.items()
     )

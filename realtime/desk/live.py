@@ -65,6 +65,9 @@ def _columns(name: str) -> tuple[str, ...]:
     return tuple(signals.columns(signals.BY_NAME[name]))
 
 
+# height of the lane of a valve in pixels
+_LANE_PX = 21
+
 _DOTS = (1.0, 2.0)
 _DASHES = (6.0, 3.0)
 # the reference speeds of the units of all groups
@@ -72,7 +75,7 @@ _OF_UNITS = tuple(
     _Line(_columns(name), "WSP reference", colours.REFERENCE, _DASHES)
     for name in signals.REFERENCE_SPEEDS
 )
-_PLOTS = (
+_PLOTS: tuple[_Plot, ...] = (
     _Plot(
         "Speeds",
         "km/h",
@@ -108,6 +111,37 @@ _PLOTS = (
         ),
     ),
 )
+# further plots of vehicles with motors or magnets
+if signals.HAS_DYNAMIC_BRAKE:
+    _PLOTS += (
+        _Plot(
+            "Motors: torque, positive when they brake",
+            "kN m",
+            1e-3,
+            1.0,
+            (
+                _Line(_columns("dynamic_torque"), "", width=2.0),
+                _Line(_columns("dynamic_torque_demand"), "demand", dashes=_DOTS, width=0.8),
+            ),
+        ),
+        _Plot(
+            "Motors: share that slide control permits",
+            "%",
+            100.0,
+            100.0,
+            (_Line(_columns("dynamic_share"), ""),),
+        ),
+    )
+if signals.HAS_MAGNETIC_TRACK_BRAKE:
+    _PLOTS += (
+        _Plot(
+            "Magnets: force, half a bogie for each axle",
+            "kN",
+            1e-3,
+            1.0,
+            (_Line(_columns("track_brake_force"), ""),),
+        ),
+    )
 # deadline misses and the latest cycle are at the light of the loop
 _FIGURES = (
     _Figure("time", "", "simulated time"),
@@ -187,6 +221,8 @@ def build() -> None:
         "valves": [colours.as_hex(colour) for _, colour in colours.VALVE_STATES],
         "locked_m_s": LOCKED_M_S,
         "moving_m_s": MOVING_M_S,
+        "motors": signals.HAS_DYNAMIC_BRAKE,
+        "magnets": signals.HAS_MAGNETIC_TRACK_BRAKE,
     }
     start = f"desk.begin({json.dumps(settings)})"
     ui.timer(0.2, lambda: ui.run_javascript(start), once=True)
@@ -219,7 +255,8 @@ def _valves() -> None:
     )
     ui.html(
         f'<div class="desk-title">Dump valves: {names}</div>'
-        '<canvas id="desk-valves" height="84" style="width:100%"></canvas>',
+        f'<canvas id="desk-valves" height="{_LANE_PX * signals.AXLES}" style="width:100%">'
+        "</canvas>",
         sanitize=False,
     ).classes("w-full")
 

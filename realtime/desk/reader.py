@@ -24,6 +24,9 @@ from rollerrig.wsp_interface.events import Code, Event
 
 PERIOD_S = 0.1  # of the pairs
 SPAN_S = 60.0  # of the part that a page shows in full
+# the signals of motors and of magnets that a page draws, where the vehicle has them
+OF_MOTORS = ("dynamic_torque", "dynamic_torque_demand", "dynamic_share")
+OF_MAGNETS = ("track_brake_force", "track_brake_lowered")
 # the signals that a page draws; `time` must be the first
 SHOWN = (
     "time",
@@ -41,6 +44,8 @@ SHOWN = (
     "cylinder_pressure",
     "valve",
     "friction_degraded",
+    *(OF_MOTORS if signals.HAS_DYNAMIC_BRAKE else ()),
+    *(OF_MAGNETS if signals.HAS_MAGNETIC_TRACK_BRAKE else ()),
 )
 _COLUMNS = np.concatenate([np.arange(len(signals.COLUMNS))[signals.span(name)] for name in SHOWN])
 # behind the signals: the speed in m/s that the sensor of each axle shows, at the rim of its wheel
