@@ -10,12 +10,13 @@ import subprocess
 import sys
 
 import numpy as np
+import program
 import pyarrow.parquet
 import pytest
+from program import LONGEST_S
 
 from rollerrig.realtime.record import brake_work
 
-LONGEST_S = 900
 WITHIN = 1e-3
 AXLES = range(1, 7)
 # the brakes that each scenario has besides the friction brake
@@ -34,16 +35,10 @@ print(stop.brakes_picture(run.column, run.scenario["vehicle"]["wheel_radius_m"])
 
 
 def rollerrig(*words):
-    """Run the program; return what it prints."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return done.stdout
+    """Run the program; return what it prints. Its exit status must be 0."""
+    status, printed, messages = program.rollerrig(*words)
+    assert status == 0, messages
+    return printed
 
 
 @pytest.fixture(scope="module", params=OTHER_BRAKE)

@@ -4,8 +4,6 @@ A process simulates one number of axles, so each of these runs is a process.
 """
 
 import json
-import subprocess
-import sys
 from binascii import crc32
 
 import fmpy
@@ -13,22 +11,9 @@ import fmus
 import numpy as np
 import pyarrow.parquet
 import pytest
+from program import rollerrig
 
-# these processes compile kernels for their number of axles
-LONGEST_S = 900
 ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
-
-
-def rollerrig(*words):
-    """Run the program; return its exit status, what it prints, and its messages."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
 
 
 # --- identifiers ---

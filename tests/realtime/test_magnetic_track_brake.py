@@ -12,6 +12,7 @@ import tomllib
 import numpy as np
 import pyarrow.parquet
 import pytest
+from program import rollerrig
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params, track_brake_params
@@ -22,8 +23,6 @@ WITHIN = 1e-3  # relative difference of two balances
 AXLES = range(1, 7)
 EQUIPPED = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": "magnetic_track_brake"}
 RAISED = "magnetic_track_brake.emergency_pressure_Pa=inf"
-# these processes compile kernels for their vehicle
-LONGEST_S = 900
 
 # run in a process with the equipment: the objects of node 17, and a command over the bus
 NODE_PROGRAM = """
@@ -40,18 +39,6 @@ print(magnets.tolist())
 node.device.fail_safe("a test")
 print(magnets.tolist())
 """
-
-
-def rollerrig(*words):
-    """Run the program; return its exit status, what it prints, and its messages."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
 
 
 def run(folder, *words):

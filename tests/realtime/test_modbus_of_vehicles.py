@@ -12,14 +12,14 @@ import sys
 import time
 
 import numpy as np
+import program
 import pyarrow.parquet
 import pytest
+from program import LONGEST_S
 from pymodbus.client import ModbusTcpClient
 
 from rollerrig.firmware_sim.modbus.map import WORDS, MotorState
 
-# these processes compile kernels for their vehicle
-LONGEST_S = 900
 ILLEGAL_ADDRESS = 2
 MOST_REGISTERS = 125
 # the fault of motors, and how many counts a rounded value may differ from a channel
@@ -37,12 +37,8 @@ OF_MAGNETS = (
 
 def rollerrig(*words):
     """Run the program; its exit status must be 0."""
-    subprocess.run(
-        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
-        capture_output=True,
-        timeout=LONGEST_S,
-        check=True,
-    )
+    status, _, messages = program.rollerrig(*words)
+    assert status == 0, messages
 
 
 def rows_of(scenario, folder):

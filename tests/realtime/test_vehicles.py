@@ -14,6 +14,7 @@ import cantools
 import numpy as np
 import pyarrow.parquet
 import pytest
+from program import LONGEST_S, rollerrig
 
 from rollerrig.configs import vehicle as constants
 from rollerrig.configs.errors import ConfigError, OtherAxlesError, OtherEquipmentError
@@ -22,20 +23,6 @@ from rollerrig.realtime.bench import scenario
 AXLES = {"bogie_low": 2, "tram_low": 6, "multiple_unit_low": 8, "tram_low_dynamic": 6}
 GRAVITY_M_S2 = 9.80665
 WITHIN = 1e-3  # relative difference of two balances
-# these processes compile kernels for their number of axles
-LONGEST_S = 900
-
-
-def rollerrig(*words):
-    """Run the program; return its exit status, what it prints, and its messages."""
-    done = subprocess.run(
-        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, words)],
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=False,
-    )
-    return done.returncode, done.stdout, done.stderr
 
 
 class Record:
