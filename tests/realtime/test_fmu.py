@@ -3,7 +3,10 @@ over the bus.
 """
 
 import json
+import os
+import subprocess
 import sys
+from pathlib import Path
 
 import bench_process
 import fmus
@@ -105,6 +108,19 @@ def test_an_fmu_that_fails_is_a_unit_that_died_and_the_record_is_kept(defines, s
     assert len(run.record.column("time_s")) > 90
     (failed,) = run.reported(Code.RUN_FAILED)
     assert "the WSP unit wsp.fmu " in failed.fields["reason"]
+
+
+def test_the_unit_in_c_of_the_documents_becomes_an_fmu_that_prevents_locked_wheels(docs, tmp_path):
+    # the script takes the headers of the Python that it finds first
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    script = docs / "examples" / "fmu" / "build.sh"
+    subprocess.run(["sh", script], cwd=tmp_path, check=True, env={**os.environ, "PATH": path})
+    unit = tmp_path / "unit.fmu"
+    run = bench_process.run(tmp_path / "run", "--pacing", "lockstep", "--wsp", f"fmu:{unit}")
+    assert run.status == 0, run.stderr
+    axles = json.loads((run.out / "summary.json").read_text())["axles"]
+    assert all(axle["vents"] > 0 for axle in axles)
+    assert all(axle["longest_lock_s"] == 0.0 for axle in axles)
 
 
 def test_the_brakes_apply_when_an_fmu_dies_in_real_time(tmp_path):

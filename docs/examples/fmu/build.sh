@@ -1,0 +1,14 @@
+#!/bin/sh
+# Compiles unit.c as an FMU of FMI 2.0 for this machine: unit.fmu in the current folder.
+# The headers of the standard are those of the package fmpy (pip install 'rollerrig[fmu]').
+set -e
+here=$(cd "$(dirname "$0")" && pwd)
+work=$(mktemp -d)
+trap 'rm -r "$work"' EXIT
+headers=$(python -c 'import fmpy, pathlib; print(pathlib.Path(fmpy.__file__).parent / "c-code")')
+
+mkdir -p "$work/binaries/linux64"
+cc -shared -fPIC -O2 "-I$headers" -o "$work/binaries/linux64/unit.so" "$here/unit.c" "$here/fmi2_unit.c"
+cp "$here/modelDescription.xml" "$work"
+(cd "$work" && python -m zipfile -c unit.fmu modelDescription.xml binaries)
+mv "$work/unit.fmu" unit.fmu
