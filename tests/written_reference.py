@@ -16,7 +16,7 @@ from rollerrig.realtime.campaign import campaign, design, speed_steps
 from rollerrig.realtime.record import run_folder
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.sequences import sequence
+from rollerrig.wsp_interface.sequences import conditions, measures, sequence, verdict
 
 WRITTEN = "`make docs` writes this page from the code."
 # units at the ends of names of keys and signals
@@ -310,15 +310,34 @@ def other_keys():
         "",
         "## Sequence",
         "",
-        "Their meaning: [sequences](sequences.md).",
-        "",
-        "| place | keys |",
-        "|---|---|",
+        "An example is on the page [Test sequences](sequences.md#a-sequence). A quantity is a text with its unit, as "
+        '`"36 km/h"`.',
     ]
-    places = {"top": sequence.HEAD, "`[start]`": sequence.START, "`[[step]]`": sequence.STEP}
+    places = {
+        "At the top": sequence.HEAD,
+        "`[start]`": sequence.START,
+        "`[[step]]`": sequence.STEP,
+        "`[[measure]]`": verdict.LIMIT,
+    }
     for place, keys in places.items():
-        names = ", ".join(f"`{key}`" for key in keys)
-        lines.append(f"| {place} | {names} |")
+        lines += ["", f"{place}:", "", "| key | value |", "|---|---|"]
+        lines += [f"| `{key}` | {value} |" for key, value in keys.items()]
+    units = ", ".join(f"`{unit}`" for unit in conditions.UNITS if unit)
+    lines += [
+        "",
+        f"Units: {units}.",
+        "",
+        "## Measures of a sequence",
+        "",
+        "A measure without a unit is a ratio, a number or an index.",
+        "",
+        "| measure | unit | meaning | not applicable |",
+        "|---|---|---|---|",
+    ]
+    lines += [
+        f"| `{measure.name}` | {measure.unit} | {measure.text} | {measure.absent} |"
+        for measure in measures.MEASURES
+    ]
     return "\n".join(lines) + "\n"
 
 

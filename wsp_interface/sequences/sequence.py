@@ -44,35 +44,47 @@ LEAST_MU = 0.0005
 HIGHEST_MU = 1.0
 _TINY_S = 1e-9
 _SETTABLE = ("brake_demand", "sand")
-HEAD = (
-    "title",
-    "criteria",
-    "scenario",
-    "notes",
-    "start",
-    "friction",
-    "before",
-    "after",
-    "step",
+# the keys of a sequence and of its tables, each with its value
+HEAD = {
+    "title": "text: a sentence that states what is tested, of at least three words",
+    "criteria": 'name in configs/criteria, or a path; "none": only the limits of [[measure]] '
+    "(default)",
+    "scenario": "name in configs/scenarios, or a path: what the bench starts from "
+    "(default: velim_a1)",
+    "notes": "text or list of texts, written into the events of the run",
+    "start": "table: speed, load, gradient and adhesion at the beginning",
+    "friction": "tables: friction over time or place, as in a scenario",
+    "before": "condition or list of conditions that must hold before the first step",
+    "after": "condition or list of conditions that must hold after the last step",
+    "step": "tables: the steps, in their order; at least one",
+    "measure": "tables: limits of this sequence; each replaces that of the criteria for its "
     "measure",
-    "wsp",
-)
-START = ("speed", "adhesion", "mass", "gradient", "tables")
-STEP = (
-    "title",
-    "at",
-    "for",
-    "until",
-    "hold",
-    "timeout",
-    "set",
-    "ramp",
-    "friction",
-    "fault",
-    "lift",
-    "note",
-    "expect",
-)
+    "wsp": 'the unit, as --wsp of `rollerrig run` (default: "reference")',
+}
+START = {
+    "speed": "m/s or km/h: initial speed",
+    "adhesion": "name in configs/adhesion",
+    "mass": "kg or t: mass of the vehicle with its load",
+    "gradient": "% or a number; positive uphill; the same for the whole run",
+    "tables": "tables and keys of a scenario, for everything else",
+}
+STEP = {
+    "title": "text, for the report and the events",
+    "at": "s, ms or min after the beginning of the run: the step begins then; without it, when "
+    "the step before is done",
+    "for": "s, ms or min: how long the step lasts",
+    "until": "condition: the step lasts until it holds; either `for` or `until`",
+    "hold": "s: how long the condition of `until` must hold (default: 0)",
+    "timeout": "s: longest wait for `until`; if it ends, the sequence fails (default: 300 s)",
+    "set": "table: brake_demand, 0 to 10 bar; sand, true or false",
+    "ramp": "table: brake_demand, and `in`, the time until it is reached",
+    "friction": "table: mu, the kinematic friction of the contaminant (mu_cd), 0.0005 to 1, or 0 "
+    "for that of the scenario; axles, a list (default: all)",
+    "fault": "fault or list of faults that begin with the step, as in --fault",
+    "lift": "name or list of names of faults that end",
+    "note": "text or list of texts, written into the events",
+    "expect": "condition or list of conditions that must hold at the end of the step",
+}
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,14 @@ UNVERIFIED = "recollection, to be checked against ..."
 _REMEMBERED = re.compile(r"recollection([^,]*), to be checked against ([^:;,]+)[:;,]?\s*(.*)")
 _VOID = "void: "  # begins the text of a void verdict
 _STANDARD = re.compile(r"(?:prEN|EN|UIC|ISO|IEC) ?\d[\d-]*|[Pp]aper[^:;,]*")
-_KEYS = ("measure", "unit", "max", "min", "source")
+# the keys of a limit, each with its value
+LIMIT = {
+    "measure": "name of a measure",
+    "unit": "unit of `max` and `min`, which is that of the measure",
+    "max": "largest value that passes",
+    "min": "least value that passes",
+    "source": "text: where the limit comes from",
+}
 
 
 class Result(StrEnum):
@@ -133,7 +140,7 @@ def limits(tables: Any, where: Callable[[int, str], str]) -> tuple[Limit, ...]:
 
 
 def _limit(table: Any, where: Callable[[str], str]) -> Limit:
-    known(table, _KEYS, where)
+    known(table, LIMIT, where)
     name = table.get("measure")
     if not isinstance(name, str) or name not in measures.BY_NAME:
         raise ConfigError(
