@@ -14,6 +14,7 @@ from typing import Any
 from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.nmt import Command, State
+from rollerrig.firmware_sim.unit_answers import UnitAnswers
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import Frame
@@ -45,7 +46,8 @@ class NmtMaster:
     """Node 127. Its owner calls `on_frame`, `poll` and `sync`.
 
     `master`: whether it starts the nodes. `sync_overflow`: highest value of the SYNC counter (0: no
-    counter). `on_event(code, **fields)` takes the events of the run.
+    counter). `unit_silent_after`: SYNCs without an answer after which a WSP unit is silent (0: it
+    is not judged). `on_event(code, **fields)` takes the events of the run.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class NmtMaster:
         heartbeat_ms: int = 100,
         unit_lost_after_ms: int = UNIT_LOST_AFTER_MS,
         nodes: Sequence[int] = RIG_NODES,
+        unit_silent_after: int = 0,
     ) -> None:
         self.patience_ms = dict.fromkeys(nodes, LOST_AFTER_MS)
         self.patience_ms |= dict.fromkeys(WSP_NODES, unit_lost_after_ms)
@@ -65,6 +68,9 @@ class NmtMaster:
         # the WSP units, the one of the leading group first
         self.units = tuple(self.health[node] for node in WSP_NODES)
         self.unit = self.units[0]
+        self.answers: dict[int, UnitAnswers] = {}
+        if unit_silent_after:
+            self.answers = {node: UnitAnswers(unit_silent_after) for node in WSP_NODES}
         # the reference speeds that the units send, NaN: none
         self.reference_speeds_m_s = [math.nan] * GROUPS
         self.now_ns = 0
@@ -98,6 +104,10 @@ class NmtMaster:
         for group in range(GROUPS):
             layout = unit_frames(group).reference_speed
             self.handlers[layout.can_id] = partial(self._on_reference_speed, group, layout)
+        if self.answers and not self.master:
+            self.handlers[SYNC] = self._on_sync
+        for group, node in enumerate(self.answers):
+            self.handlers[unit_frames(group).magnets_id] = partial(self._on_answer, node)
         self.on_rewired()
         self._beat(State.INITIALISING)
 
@@ -120,6 +130,7 @@ class NmtMaster:
 
     def sync(self) -> None:
         """Send SYNC, with the counter if there is one."""
+        self._count_sync()
         if not self.sync_overflow:
             self.send(Frame(SYNC, b""))
             return
@@ -159,6 +170,8 @@ class NmtMaster:
 
         if state is State.INITIALISING:
             health.started = False
+            if node in self.answers:
+                self.answers[node].start_anew(self.now_ns)
         can_be_started = state in (State.INITIALISING, State.PRE_OPERATIONAL)
         if self.master and can_be_started and not health.started:
             health.started = True
@@ -171,6 +184,26 @@ class NmtMaster:
         self.on_event(lost, node=node, silent_s=self.patience_ms[node] / 1e3)
         if node in WSP_NODES:
             self.reference_speeds_m_s[WSP_NODES.index(node)] = math.nan
+
+    def _on_sync(self, _: Frame) -> None:
+        """Another node has sent SYNC, and produces it."""
+        self._count_sync()
+
+    def _count_sync(self) -> None:
+        """Count a SYNC, and report the units that are alive and no longer answer."""
+        for node, answers in self.answers.items():
+            if self.health[node].lost:
+                # its loss is reported, and its silence is not judged until it is back
+                answers.wait_again(self.now_ns)
+                continue
+            unanswered = answers.unanswered
+            if answers.sync():
+                silent_s = (self.now_ns - answers.since_ns) / 1e9
+                self.on_event(Code.UNIT_SILENT, node=node, syncs=unanswered, silent_s=silent_s)
+
+    def _on_answer(self, node: int, _: Frame) -> None:
+        if self.answers[node].answer(self.now_ns):
+            self.on_event(Code.UNIT_ANSWERS, node=node)
 
     def _on_emergency(self, frame: Frame) -> None:
         # SYNC has the identifier of an EMCY of node 0, which does not exist

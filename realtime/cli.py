@@ -59,7 +59,7 @@ EXIT_STATUSES = {
     USAGE: "the command line, a configuration or a file is wrong, the machine lacks something, or a "
     "unit or harness did not come",
     LATE: "deadlines were missed under `--strict`",
-    INVALID: "a run is not valid (unit lost, not stopped), or was interrupted",
+    INVALID: "a run is not valid (unit lost or silent, not stopped), or was interrupted",
 }
 
 # characters of a message that are printed

@@ -57,7 +57,7 @@ FLOORS = {
         "harness",
     ),
     "firmware_sim": (
-        "cia301 rig_control",
+        "cia301 rig_control unit_answers",
         "identifiers nmt_master process_image rack wsp",
         "bench_node drive402 encoder406 faults fmu io401 sander401 traction401",
         "modbus pole_wheel",

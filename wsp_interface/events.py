@@ -57,6 +57,8 @@ class Code(StrEnum):
     UNIT_READY = "unit.ready"
     UNIT_LOST = "unit.lost"
     UNIT_BACK = "unit.back"
+    UNIT_SILENT = "unit.silent"
+    UNIT_ANSWERS = "unit.answers"
     UNIT_EMERGENCY = "unit.emergency"
     UNIT_FAILED = "unit.failed"
     UNIT_UNANSWERED = "unit.unanswered"
@@ -151,7 +153,7 @@ class OnEvent(Protocol):
 
 _NODE = {"node": int}
 _REASON = {"reason": str}
-_FAULT = {"fault": str, "kind": str, "reaches_unit": bool}
+_FAULT = {"fault": str, "kind": str, "reaches_unit": bool, "units": list}
 _EMERGENCY = {"node": int, "error_code": int, "error_register": int}
 
 TABLE: dict[Code, Row] = {
@@ -271,6 +273,14 @@ TABLE: dict[Code, Row] = {
     Code.UNIT_BACK: Row(
         INFO, _NODE | {"state": str}, "the WSP unit (node {node}) is back: {state}"
     ),
+    Code.UNIT_SILENT: Row(
+        ERROR,
+        _NODE | {"syncs": int, "silent_s": float},
+        "the WSP unit (node {node}) is silent: it sends its heartbeat, but no command of the valves "
+        "for {silent_s:ms}, after it has answered each SYNC; {syncs} SYNCs have no answer",
+        "the magnets stay as they are; check what stops the control of the unit",
+    ),
+    Code.UNIT_ANSWERS: Row(INFO, _NODE, "the WSP unit (node {node}) commands the valves again"),
     Code.UNIT_EMERGENCY: Row(
         WARNING,
         _EMERGENCY,

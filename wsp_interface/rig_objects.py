@@ -9,7 +9,6 @@ next to it, so a search for 211h or 2010h finds this file. Objects that carry si
 import struct
 from dataclasses import dataclass, replace
 
-from rollerrig.configs.vehicle import GROUPS
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import (
     EMERGENCY,
@@ -153,23 +152,25 @@ def unit_frames(group: int) -> UnitFrames:
     )
 
 
-def _frames_of_units() -> frozenset[int]:
-    """Return the identifiers that a unit of any group needs."""
-    found = {NMT, SYNC}
-    for group in range(GROUPS):
+def _units_by_frame() -> dict[int, tuple[int, ...]]:
+    """Return the nodes of the units that need the frames of an identifier, or send them."""
+    found: dict[int, tuple[int, ...]] = {NMT: signals.WSP_NODES, SYNC: signals.WSP_NODES}
+    for group, node in enumerate(signals.WSP_NODES):
         frames = unit_frames(group)
-        found |= {
+        for can_id in (
             frames.speeds.can_id,
+            frames.pressures.can_id,
             frames.reference_speed.can_id,
             frames.magnets_id,
             frames.heartbeat_id,
             frames.emergency_id,
-        }
-    return frozenset(found)
+        ):
+            found[can_id] = (node,)
+    return found
 
 
-# every frame that the unit of a group receives or sends
-UNIT_FRAMES = _frames_of_units()
+# the units of every frame that the unit of a group receives or sends, by identifier
+UNITS_BY_FRAME = _units_by_frame()
 
 
 def emergency_event(node: int, error_code: int) -> Code:

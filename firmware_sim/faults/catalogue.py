@@ -22,8 +22,16 @@ from rollerrig.configs.vehicle import (
     GROUPS,
     MAGNETIC_TRACK_BRAKE,
 )
-from rollerrig.wsp_interface.rig_objects import SPEEDS, UNIT_FRAMES
-from rollerrig.wsp_interface.signals import AXLES, BRAKE_NODE, RIG_NODES, WSP_NODES
+from rollerrig.wsp_interface.rig_objects import SPEEDS, UNITS_BY_FRAME
+from rollerrig.wsp_interface.signals import (
+    AXLES,
+    BRAKE_NODE,
+    RIG_NODES,
+    SPEED_NODE,
+    WSP_NODES,
+    group_of,
+    nodes,
+)
 
 # where a fault acts
 TICK = "tick"
@@ -40,6 +48,9 @@ ALL_GROUPS = 0
 _GROUP = integer("group", ALL_GROUPS, 0, GROUPS, "group of axles of the unit; 0: all units")
 _OF_GROUP = (_GROUP,) if GROUPS > 1 else ()
 _LOSES_UNIT = ("wsp_frozen", "node_babbling", "error_frame", "receive_error")
+_SILENCES_NODE = ("node_off", "bus_off")
+# the nodes with which a unit exchanges its frames
+_PARTNERS_OF_UNITS = (*nodes(SPEED_NODE), *nodes(BRAKE_NODE))
 WHEN = (
     number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
     number("for_s", LASTS, 1e-3, LASTS, "how long it lasts; inf: to the end"),
@@ -83,13 +94,32 @@ class Fault:
 
     @property
     def reaches_unit(self) -> bool:
-        """Whether the rig may lose the WSP unit by it.
+        """Whether the rig may lose a WSP unit by it.
 
         That is a fault of the unit, of frames from or to the unit, or of the whole bus.
         """
         if self.kind.name in _LOSES_UNIT:
             return True
-        return self.values.get("node") in WSP_NODES or self.values.get("can_id") in UNIT_FRAMES
+        return self.values.get("node") in WSP_NODES or self.values.get("can_id") in UNITS_BY_FRAME
+
+    @property
+    def units(self) -> list[int]:
+        """The nodes of the WSP units that may be lost by it, or have nothing to answer.
+
+        The latter are the units whose speed unit or brake I/O is off.
+        """
+        if self.kind.name == "wsp_frozen" and self.values.get("group", ALL_GROUPS) != ALL_GROUPS:
+            return [WSP_NODES[self.values["group"] - 1]]
+        if self.kind.name in _LOSES_UNIT or self.kind.name == "power_dip":
+            return [*WSP_NODES]
+        node = self.values.get("node")
+        if node in WSP_NODES:
+            return [node]
+        if self.kind.name in _SILENCES_NODE and node in _PARTNERS_OF_UNITS:
+            return [WSP_NODES[group_of(node)]]
+        if "can_id" in self.values:
+            return [*UNITS_BY_FRAME.get(self.values["can_id"], ())]
+        return []
 
     @property
     def title(self) -> str:
@@ -102,7 +132,12 @@ class Fault:
     @property
     def event_fields(self) -> dict[str, Any]:
         """The fields of the events of this fault."""
-        return {"fault": self.title, "kind": self.kind.name, "reaches_unit": self.reaches_unit}
+        return {
+            "fault": self.title,
+            "kind": self.kind.name,
+            "reaches_unit": self.reaches_unit,
+            "units": self.units,
+        }
 
 
 CATALOGUE: tuple[Kind, ...] = (

@@ -30,6 +30,7 @@ from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.faults.panel import Site
 from rollerrig.firmware_sim.nmt_master import NmtMaster
 from rollerrig.firmware_sim.rack import Rack
+from rollerrig.firmware_sim.unit_answers import silent_after_syncs
 from rollerrig.realtime.bench.scenario import AUTOMATIC_PORT, Scenario
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
@@ -264,7 +265,7 @@ class RigBus:
         self._alarm: Alarm | None = None
         self._armed_ns = NEVER
 
-        self.master = _build_master(scenario)
+        self.master = _build_master(scenario, pacing)
         self.nodes = _build_nodes(scenario, row, self.command, self.post)
         self._numbers = {id(node): number for number, node in self.nodes.items()}
         friction = self.command[tick.FRICTION : tick.SAND]
@@ -540,13 +541,18 @@ def _node_numbers(scenario: Scenario) -> tuple[int, ...]:
     return numbers
 
 
-def _build_master(scenario: Scenario) -> NmtMaster:
+def _build_master(scenario: Scenario, pacing: str) -> NmtMaster:
     bus = scenario["bus"]
+    # in lockstep the bench waits for each answer, and a run without one ends
+    silent_after = 0
+    if pacing == "wall":
+        silent_after = silent_after_syncs(bus["sync_period_s"])
     return NmtMaster(
         master=bus["master"],
         heartbeat_ms=_heartbeat_ms(scenario),
         unit_lost_after_ms=unit_lost_after_ms(bus["sync_period_s"]),
         nodes=_node_numbers(scenario),
+        unit_silent_after=silent_after,
     )
 
 

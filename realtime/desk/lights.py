@@ -108,6 +108,8 @@ def _unit(bench: Bench, registers: dict[str, float]) -> Light:
     name = f"node {WSP_NODE}"
     if bench.unit_lost:
         return Light("unit", RED, f"{name} lost: no heartbeat")
+    if bench.unit_silent:
+        return Light("unit", RED, f"{name} silent: heartbeat, but no command of the valves")
     if "wsp_unit_state" not in registers:
         return Light("unit", GREY, f"{name}: only Modbus reports its state")
     state = int(registers["wsp_unit_state"])

@@ -87,6 +87,7 @@ class Bench:
         self.faults: list[str] = []
         self.harness = False  # whether a harness has joined
         self.unit_lost = False
+        self.unit_silent = False
         # samples
         self.newest = np.full(len(COLUMNS), np.nan)
         self._radius_m = np.full(signals.AXLES, USUAL_RADIUS_M)
@@ -226,6 +227,8 @@ class Bench:
                 self.harness = event.code == Code.HARNESS_JOINED
             case Code.UNIT_LOST | Code.UNIT_BACK:
                 self.unit_lost = event.code == Code.UNIT_LOST
+            case Code.UNIT_SILENT | Code.UNIT_ANSWERS:
+                self.unit_silent = event.code == Code.UNIT_SILENT
 
     def _forget_fault(self, fault: str) -> None:
         self.faults = [active for active in self.faults if active != fault]

@@ -25,7 +25,7 @@ _SPOILS = (
     Code.BENCH_KILLED,
 )
 _FAULTS = (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
-_UNIT = (Code.UNIT_LOST, Code.UNIT_BACK)
+_UNIT = (Code.UNIT_LOST, Code.UNIT_BACK, Code.UNIT_SILENT, Code.UNIT_ANSWERS)
 _EMERGENCY_STOP = (Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET)
 _RELEVANT = (
     *_SPOILS,
@@ -66,6 +66,13 @@ def judge(
         found.append(
             f"the WSP unit was lost {len(lost_s)} {times} (no heartbeat), first at "
             f"{lost_s[0]:.2f} s, and no fault was aimed at it or its bus"
+        )
+    silent_s = silences(relevant, summary["stop_time_s"])
+    if silent_s:
+        times = "time" if len(silent_s) == 1 else "times"
+        found.append(
+            f"the WSP unit was silent {len(silent_s)} {times} (heartbeat, but no command of the "
+            f"valves), first at {silent_s[0]:.2f} s, and no fault was aimed at it or its bus"
         )
     found += _spoiled_by(relevant)
     emergency_stop = _emergency_stop(summary, relevant)
@@ -147,23 +154,49 @@ def _ending(
 
 
 def losses(events: Iterable[Event]) -> list[float]:
-    """Return when the WSP unit was lost although no fault aimed at it, in s.
+    """Return when a WSP unit was lost although no fault aimed at it, in s.
 
     A loss before the start does not count if the unit is back while the rig is still held.
     """
-    disturbed_until_s: dict[str, float] = {}
-    lost_s: list[float] = []
+    may_lose = [event for event in events if event.fields.get("reaches_unit", True)]
+    return [event.time_s for event in _undisturbed(may_lose, Code.UNIT_LOST, Code.UNIT_BACK)]
+
+
+def silences(events: Iterable[Event], stop_time_s: float | None) -> list[float]:
+    """Return when a WSP unit was silent although no fault aimed at it, in s.
+
+    A silence before the start does not count if the unit answers while the rig is still held. One
+    that begins after standstill does not change the stop.
+    """
+    found = _undisturbed(events, Code.UNIT_SILENT, Code.UNIT_ANSWERS)
+    end_s = math.inf if stop_time_s is None else stop_time_s
+    return [event.time_s for event in found if event.time_s - event.fields["silent_s"] < end_s]
+
+
+def _undisturbed(events: Iterable[Event], begins: Code, ends: Code) -> list[Event]:
+    """Return the events of a unit with the code `begins` that no fault explains.
+
+    An event of the same unit with the code `ends` before the start cancels those before it.
+    """
+    # the units that each fault reaches, and until when
+    disturbed: dict[str, tuple[list[int] | None, float]] = {}
+    found: list[Event] = []
     for event in events:
-        if event.code in _FAULTS and event.fields["reaches_unit"]:
-            begins = event.code == Code.FAULT_BEGINS
-            until_s = math.inf if begins else event.time_s + RECOVERY_S
-            disturbed_until_s[event.fields["fault"]] = until_s
-        elif event.code == Code.UNIT_LOST:
-            if event.time_s > max(disturbed_until_s.values(), default=-math.inf):
-                lost_s.append(event.time_s)
-        elif event.code == Code.UNIT_BACK and event.time_s == 0.0:
-            lost_s.clear()
-    return lost_s
+        if event.code in _FAULTS:
+            fault_begins = event.code == Code.FAULT_BEGINS
+            until_s = math.inf if fault_begins else event.time_s + RECOVERY_S
+            # a record of an older version does not have the units: all of them
+            disturbed[event.fields["fault"]] = (event.fields.get("units"), until_s)
+        elif event.code == begins:
+            node = event.fields["node"]
+            reached = (
+                until_s for units, until_s in disturbed.values() if units is None or node in units
+            )
+            if event.time_s > max(reached, default=-math.inf):
+                found.append(event)
+        elif event.code == ends and event.time_s == 0.0:
+            found = [one for one in found if one.fields["node"] != event.fields["node"]]
+    return found
 
 
 def because(summary: Mapping[str, Any]) -> Sequence[str]:

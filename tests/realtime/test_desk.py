@@ -118,8 +118,8 @@ def test_the_distance_since_a_brake_demand_that_nobody_has_seen_is_not_known(rin
 
 def test_the_reader_knows_where_a_bench_listens_which_faults_act_and_how_it_ended(rings):
     rows, events = rings
-    stuck = {"fault": "speed_sensor_stuck axle=2", "kind": "speed_sensor_stuck"}
-    off = {"fault": "node_off node=1", "kind": "node_off", "reaches_unit": False}
+    stuck = {"fault": "speed_sensor_stuck axle=2", "kind": "speed_sensor_stuck", "units": []}
+    off = {"fault": "node_off node=1", "kind": "node_off", "reaches_unit": False, "units": []}
     for event in (
         make(0.0, Code.BUS_PLACE, address="socketcand://127.0.0.1:4711/rig0"),
         make(0.0, Code.MODBUS_SERVED, transport="TCP", host="127.0.0.1", port=5021),
@@ -161,7 +161,7 @@ def test_the_reader_has_the_speed_that_a_sensor_shows_at_the_rim_of_its_wheel(ri
 
 def test_the_plots_receive_when_faults_began_and_were_lifted(rings, tmp_path):
     rows, events = rings
-    stuck = {"fault": "speed_sensor_stuck axle=2", "kind": "speed_sensor_stuck"}
+    stuck = {"fault": "speed_sensor_stuck axle=2", "kind": "speed_sensor_stuck", "units": []}
     ring.push_event(events, make(1.5, Code.FAULT_BEGINS, reaches_unit=False, **stuck))
     ring.push_event(
         events, make(4.0, Code.FAULT_LIFTED, reaches_unit=False, frames_met=None, **stuck)
@@ -492,7 +492,7 @@ def test_the_library_lists_the_faults_of_a_run_once_each(runs):
     path = runs / "runs/with/summary.json"
     summary = json.loads(path.read_text())
     for fault in ("node_off node=1", "speed_sensor_stuck axle=2", "node_off node=1"):
-        fields = {"fault": fault, "kind": fault.split()[0], "reaches_unit": False}
+        fields = {"fault": fault, "kind": fault.split()[0], "reaches_unit": False, "units": []}
         event = {"time_s": 1.0, "level": "warning", "text": "", "fields": fields}
         summary["events"].append(event | {"code": Code.FAULT_BEGINS})
     path.write_text(json.dumps(summary))

@@ -17,7 +17,7 @@ from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.rig_objects import UNIT_HEARTBEAT_ID
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, UNIT_HEARTBEAT_ID
 
 SAVE = b"save"  # the signature in 1010h that stores the parameters
 # requests of SDO as they are on the bus: command specifier, index, sub-index
@@ -75,17 +75,24 @@ def test_a_parameter_that_a_master_stores_is_kept_in_the_next_run_with_the_same_
 class WatchedRig:
     """A rig in real time on a hub: its clock, the heartbeats of a unit, what the rig reports."""
 
-    def __init__(self):
+    def __init__(self, pacing="wall"):
         self.now_ns = 0
         self.reported = []
+        self.fields = {}
         hub = Hub(lambda: self.now_ns)
+
+        def report(code, **fields):
+            self.reported.append(code)
+            self.fields[code] = fields
+
         self.bus = rig_bus.RigBus(
             hub,
             scenario.load("dry_stop"),
             np.zeros(len(signals.COLUMNS)),
             lambda row: None,
-            lambda code, **fields: self.reported.append(code),
+            report,
             lambda: self.now_ns,
+            pacing,
         )
         self.bus.keep_time()
         self.unit = hub.attach(lambda frame: None, "unit")
@@ -100,6 +107,21 @@ class WatchedRig:
             if with_heartbeats and step % 5 == 0:
                 self.heartbeat()
             self.bus.poll()
+
+    def cycles(self, answers):
+        """Let a SYNC go out every 10 ms; `answers` has for each the number of frames 211h."""
+        for cycle, frames in enumerate(answers):
+            self.now_ns += 10_000_000
+            if cycle % 5 == 0:
+                self.heartbeat()
+            self.bus.sync()
+            self.bus.poll()
+            for _ in range(frames):
+                self.unit.send(Frame(MAGNETS_ID, b"\0"))
+
+    def silences(self):
+        of_silence = (Code.UNIT_SILENT, Code.UNIT_ANSWERS)
+        return [code for code in self.reported if code in of_silence]
 
     def losses(self):
         lost = (Code.UNIT_LOST, Code.NODE_LOST, Code.HEARTBEAT_LOST)
@@ -137,6 +159,75 @@ async def test_a_unit_that_is_silent_after_the_bench_stood_still_is_lost():
     rig.run(100, with_heartbeats=False)
     assert Code.UNIT_LOST in rig.losses()
     assert Code.NODE_LOST not in rig.losses()
+    rig.bus.close()
+
+
+# --- a unit that is alive and no longer commands the valves ---
+
+EACH = [1] * 150  # it answers each SYNC
+NONE = [0] * 50  # the next SYNC finds so many without an answer
+
+
+@in_event_loop
+async def test_a_unit_that_answered_each_sync_and_sends_only_its_heartbeat_is_reported_as_silent():
+    rig = WatchedRig()
+    rig.cycles([*EACH, *NONE])
+    assert rig.silences() == []
+    rig.cycles([0])
+    assert rig.silences() == [Code.UNIT_SILENT]
+    assert rig.fields[Code.UNIT_SILENT] == {"node": 32, "syncs": 50, "silent_s": 0.51}
+    assert not rig.losses()
+    # it is reported once, until it answers again
+    rig.cycles([0] * 100)
+    rig.cycles(EACH)
+    assert rig.silences() == [Code.UNIT_SILENT, Code.UNIT_ANSWERS]
+    rig.bus.close()
+
+
+@pytest.mark.parametrize(
+    ("answers", "pacing"),
+    [
+        ([*EACH, *NONE[1:]] * 3, "wall"),  # pauses that are short enough
+        ([*[0, 0, 3] * 60, *NONE], "wall"),  # late answers: each SYNC has one in the end
+        ([*[1, 0] * 100, *NONE, 0, *NONE], "wall"),  # a unit that sends commands that change
+        ([*NONE, *NONE, 1, *NONE, *NONE], "wall"),
+        ([*EACH, *NONE, *NONE], "lockstep"),  # the bench waits for the answer instead
+    ],
+    ids=["pauses", "late", "on change", "hardly ever", "lockstep"],
+)
+def test_no_other_unit_is_reported_as_silent(answers, pacing):
+    @in_event_loop
+    async def run():
+        rig = WatchedRig(pacing)
+        rig.cycles(answers)
+        assert rig.silences() == []
+        rig.bus.close()
+
+    run()
+
+
+@in_event_loop
+async def test_a_unit_that_is_dead_is_lost_and_not_silent_until_it_is_back_without_commands():
+    rig = WatchedRig()
+    rig.cycles(EACH)
+    for _ in range(200):
+        rig.now_ns += 10_000_000
+        rig.bus.sync()
+        rig.bus.poll()
+    assert Code.UNIT_LOST in rig.losses()
+    assert rig.silences() == []
+    rig.cycles([*NONE, 0])
+    assert rig.silences() == [Code.UNIT_SILENT]
+    rig.bus.close()
+
+
+@in_event_loop
+async def test_a_unit_that_boots_again_is_judged_anew():
+    rig = WatchedRig()
+    rig.cycles(EACH)
+    rig.unit.send(Frame(UNIT_HEARTBEAT_ID, b"\0"))
+    rig.cycles([*NONE, *NONE])
+    assert rig.silences() == []
     rig.bus.close()
 
 

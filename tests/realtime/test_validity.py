@@ -133,6 +133,53 @@ def test_a_unit_that_is_lost_repeatedly_makes_the_run_not_valid_and_the_losses_a
     not_valid(bench, f"the WSP unit was lost {losses} times (no heartbeat), first at ")
 
 
+def test_a_unit_that_keeps_its_heartbeat_but_commands_no_valve_makes_the_run_not_valid(tmp_path):
+    def answer(n):
+        return [(MAGNETS, b"\0")] if n <= 150 else []
+
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "wall", "--wsp", "external", "--set", "initial_speed_m_s=5"
+    )
+    unit = SimpleUnit(bench.address(), answer)
+    bench.finish()
+    unit.close()
+
+    (silent,) = bench.reported(Code.UNIT_SILENT, node=32)
+    assert silent.fields["syncs"] == 50
+    not_valid(bench, "the WSP unit was silent 1 time", f"first at {silent.time_s:.2f} s")
+
+
+SILENT = make(1.0, Code.UNIT_SILENT, node=32, syncs=50, silent_s=0.5)
+
+
+def test_a_silence_does_not_count_if_a_fault_causes_it_or_it_begins_after_standstill():
+    assert validity.silences([SILENT], None) == [1.0]
+    assert validity.silences([SILENT], 0.6) == [1.0]
+    assert validity.silences([SILENT], 0.4) == []
+    for fault, excused in (
+        ("wsp_frozen", True),
+        ("frame_lost can_id=0x190", True),
+        ("node_off node=16", True),
+        ("power_dip", True),
+        ("node_off node=2", False),
+        ("cylinder_leak axle=1", False),
+    ):
+        fields = catalogue.parse(fault).event_fields
+        begins = make(0.5, Code.FAULT_BEGINS, **fields)
+        assert (validity.silences([begins, SILENT], None) == []) == excused, fault
+
+
+def test_a_fault_of_one_unit_excuses_no_other_unit():
+    fields = catalogue.parse("wsp_frozen").event_fields | {"units": [64]}
+    begins = make(0.5, Code.FAULT_BEGINS, **fields)
+    assert validity.silences([begins, SILENT], None) == [1.0]
+    assert validity.losses([begins, LOST]) == [1.0]
+    for event in (SILENT, LOST):
+        of_the_other = event._replace(fields=event.fields | {"node": 64})
+        assert validity.silences([begins, of_the_other], None) == []
+        assert validity.losses([begins, of_the_other]) == []
+
+
 def test_a_run_stays_valid_if_one_of_its_faults_freezes_the_unit(tmp_path):
     bench = bench_process.run(
         tmp_path / "run",
