@@ -309,6 +309,33 @@ def initial_mu_cd(sections: Mapping[str, Mapping[str, Any]], where: str) -> floa
     )
 
 
+# mu_cd beside an initial adhesion may differ from the one that follows by this share: a file of an
+# earlier run has both
+_AGREES = 0.01
+
+
+def check_initial_adhesion(sections: Mapping[str, Mapping[str, Any]], where: str) -> None:
+    """Raise ConfigError where [adhesion] gives a mu_cd and another initial adhesion.
+
+    The other values, of the wheel, its load and the law, are those of `sections` or the defaults.
+    """
+    given = sections.get("adhesion", {})
+    stated = given.get("initial_adhesion", 0.0)
+    if not stated or "mu_cd" not in given:
+        return
+    checked = {
+        name: read(ROWS[name], sections.get(name, {}), f"{where} [{name}]")
+        for name in ("adhesion", "contact", "vehicle")
+    }
+    follows = initial_mu_cd(checked, f"{where} [adhesion]")
+    if abs(given["mu_cd"] - follows) > _AGREES * follows:
+        raise ConfigError(
+            f"{where} [adhesion]: initial_adhesion = {stated:g} and mu_cd = {given['mu_cd']:g} "
+            f"contradict each other, because mu_cd follows from the initial adhesion ({follows:.4g}); "
+            "allowed is one of them: remove the other"
+        )
+
+
 def check_recovery(law: Mapping[str, Any], where: str) -> None:
     """Raise ConfigError where an adhesion law's recovered friction is below its degraded one."""
     recovered = law["mu_cr"] / law["A_r"]

@@ -237,10 +237,10 @@ def adhesion_sets():
     lines = [
         "**Which value wins.** `initial_adhesion` and `mu_cd` exclude each other, because `mu_cd` follows "
         "from `initial_adhesion`. Of two layers the later one wins: a `mu_cd` in the scenario or with "
-        "`--set` replaces the initial adhesion of a set such as `low`, and a later `initial_adhesion` "
-        "replaces a `mu_cd`. If one layer has both, `initial_adhesion` wins and `mu_cd` is ignored; all "
-        "`--set` options together are one layer. `scenario.toml` in the folder of the run has the values "
-        "that were used.",
+        "`--set` replaces the initial adhesion of a set such as `low` (the run prints it, event "
+        "`scenario.adhesion_replaced`), and a later `initial_adhesion` replaces a `mu_cd`. One layer that "
+        "has both is refused, unless the two agree within 1 %; all `--set` options together are one "
+        "layer. `scenario.toml` in the folder of the run has the values that were used.",
         "",
         "**The packaged sets** (`configs/adhesion`, with the sources and assumptions). An empty cell is "
         "the default of the table above; of `[mechanisms]` it is 0, no effect. In `low` and `very_low` "

@@ -39,6 +39,7 @@ class Code(StrEnum):
     EVENTS_LEFT_OUT = "events.left_out"
     SCENARIO_CHOSEN = "scenario.chosen"
     SCENARIO_REFUSED = "scenario.refused"
+    SCENARIO_ADHESION_REPLACED = "scenario.adhesion_replaced"
     EMERGENCY_STOP_SET = "emergency_stop.set"
     EMERGENCY_STOP_RESET = "emergency_stop.reset"
     COACH_DERAILED = "coach.derailed"
@@ -199,6 +200,13 @@ TABLE: dict[Code, Row] = {
     ),
     Code.SCENARIO_REFUSED: Row(
         WARNING, _REASON, "a scenario requested over Modbus is refused: {reason}"
+    ),
+    Code.SCENARIO_ADHESION_REPLACED: Row(
+        WARNING,
+        {"mu_cd": float, "given_by": str, "initial_adhesion": float, "stated_by": str},
+        "adhesion.mu_cd = {mu_cd:g} ({given_by}) replaces initial_adhesion = {initial_adhesion:g} "
+        "({stated_by})",
+        "to keep an initial adhesion, leave mu_cd out, or set adhesion.initial_adhesion instead",
     ),
     Code.EMERGENCY_STOP_SET: Row(WARNING, {}, "emergency stop over Modbus: set"),
     Code.EMERGENCY_STOP_RESET: Row(WARNING, {}, "emergency stop over Modbus: reset"),

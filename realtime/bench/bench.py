@@ -132,6 +132,7 @@ class Bench:
         parts = self.parts
         given = parts.options
         parts.processes.start_recorder(*parts.rings, parts.identity())
+        parts.report_scenario()
         tick_data.warm_up(parts.data, given.pacing, given.unit)
         if given.hold:
             parts.report("held until a viewer has joined the live view")

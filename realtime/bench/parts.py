@@ -218,6 +218,12 @@ class Parts:
         """Return the wall time since the real-time thread began; 0 before."""
         return time.monotonic_ns() - self.begun_ns if self.begun_ns else 0
 
+    def report_scenario(self) -> None:
+        """Record a value of the scenario that does not act, although a file states it."""
+        replaced = self.plan.replaced
+        if replaced is not None:
+            self.event(Code.SCENARIO_ADHESION_REPLACED, **replaced._asdict())
+
     def poll_faults(self) -> None:
         """Begin and lift the faults that are due; check for a derailed coach and for the master."""
         self.faults.poll(self.simulated_ns() / clock.SECOND_NS)

@@ -144,12 +144,21 @@ PYTHON = Sources(settings="rollerrig.run(...)", faults="rollerrig.run(faults=...
 Layer = tuple[str, Mapping[str, Any]]
 
 
+class ReplacedAdhesion(NamedTuple):
+    """A mu_cd that replaces the initial adhesion of an earlier layer, and what gave the two."""
+
+    mu_cd: float
+    given_by: str
+    initial_adhesion: float
+    stated_by: str
+
+
 @dataclass(frozen=True)
 class Scenario:
     """A checked scenario. `resolved` is the whole as plain data, `name` the file's stem.
 
     `rollers` are the parameters of the plant on dry rollers that runs in parallel to a virtual
-    track.
+    track. `replaced` is an initial adhesion that does not act, for a message.
     """
 
     name: str
@@ -159,6 +168,7 @@ class Scenario:
     sync_ticks: int
     record_ticks: int
     faults: tuple[catalogue.Fault, ...]
+    replaced: ReplacedAdhesion | None = None
 
     def __getitem__(self, key: str) -> Any:
         return self.resolved[key]
@@ -289,6 +299,7 @@ def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
         sync_ticks=ratios.sync_ticks,
         record_ticks=ratios.record_ticks,
         faults=merged.faults + hidden_faults,
+        replaced=merged.replaced,
     )
 
 
@@ -309,6 +320,9 @@ class Merged:
     traction: list[dict[str, Any]]
     faults: tuple[catalogue.Fault, ...]
     programme_from: str
+    # what gave the initial adhesion that acts, and the one that no longer does
+    initial_adhesion_from: str = ""
+    replaced: ReplacedAdhesion | None = None
 
 
 def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
@@ -325,6 +339,9 @@ def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
     for where, layer in layers:
         for key, content in layer.items():
             _merge_key(merged, where, key, content)
+        given = layer.get("adhesion", {})
+        if "mu_cd" in given and "initial_adhesion" in given:
+            physics.check_initial_adhesion(merged.sections, where)
     return merged
 
 
@@ -367,9 +384,8 @@ def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
     if key in merged.sections:
         _require(isinstance(content, Mapping), where, key, content, f"a table [{key}]")
         table.read(SECTIONS[key], content, f"{where} [{key}]")
-        if key == "adhesion" and "mu_cd" in content:
-            # a later mu_cd wins over the initial adhesion from which an earlier one followed
-            merged.sections[key].pop("initial_adhesion", None)
+        if key == "adhesion":
+            _replace_adhesion(merged, where, content)
         merged.sections[key].update(content)
     elif key in ("demand", "friction", "traction"):
         is_programme = isinstance(content, list) and all(isinstance(c, Mapping) for c in content)
@@ -388,6 +404,19 @@ def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
         in_tables = [f"{section}.{row.name}" for section in SECTIONS for row in SECTIONS[section]]
         hint = table.nearest(key, allowed, others=in_tables)
         raise ConfigError(f"{where}: unknown table or key '{key}'{hint}")
+
+
+def _replace_adhesion(merged: Merged, where: str, content: Mapping[str, Any]) -> None:
+    """Let a later mu_cd win over an initial adhesion, and note that."""
+    if "mu_cd" in content:
+        stated = merged.sections["adhesion"].pop("initial_adhesion", 0.0)
+        if stated:
+            merged.replaced = ReplacedAdhesion(
+                content["mu_cd"], where, stated, merged.initial_adhesion_from
+            )
+    if "initial_adhesion" in content:
+        merged.initial_adhesion_from = where
+        merged.replaced = None
 
 
 def _require(right: bool, where: str, key: str, content: Any, form: str) -> None:

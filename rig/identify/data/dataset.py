@@ -240,6 +240,7 @@ def base_sections(vehicle: str, tables: Mapping[str, Any], where: str) -> dict[s
         # checks keys and bounds only; the overrides themselves have no defaults filled in
         table.read(params.ROWS[key], overrides, f"{where} [{key}]")
         sections.setdefault(key, {}).update(overrides)
+    params.check_initial_adhesion(sections, where)
     return params.check(sections, f"{where} with {vehicle_file.name}")
 
 
