@@ -4,6 +4,8 @@
 
     `wsp.vents_without_sliding`   a dump valve begins to vent, and its axle has not slid by
                                   `SLIDES_M_S` within the last `MEMORY_S`
+    `wsp.vents_on`                a dump valve has vented for `OPEN_S` without a break while its
+                                  axle slides by less than `SLIDES_M_S`, however the vent began
     `wsp.axles_swapped`           a dump valve vents although its axle does not slide, while another
                                   axle slides by more than `SLIDES_FAR_M_S` and more than
                                   `SLIDES_FAR_SHARE` of the speed, which no protection allows, and
@@ -23,6 +25,7 @@ wheels that slip in traction turn faster than the vehicle, so their speed is no 
 valve that vents releases no brake.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -36,6 +39,7 @@ VENTS = 1.5  # a valve above this value vents
 SLOWEST_M_S = 2.0
 SLIDES_M_S = 0.4
 MEMORY_S = 0.5
+OPEN_S = 0.5  # the reference unit ends a vent within 0.3 s after its axle has run up
 SLIDES_FAR_M_S = 1.0
 SLIDES_FAR_SHARE = 0.35  # a unit may let wheels slide by a fifth of the speed on purpose
 SWAPPED_S = 1.0
@@ -72,6 +76,8 @@ class Diagnosis:
     """Looks at one sample after another, in the order of their times.
 
     vents_without_sliding: how often a valve began to vent although its axle had not slid.
+    open_without_sliding_s: the longest time for which a valve vented without a break while its
+        axle did not slide.
     beside_s: shape (axles, axles): for how long the valve of the first axle vented although this
         axle did not slide, while the second axle slid far and its valve filled.
     drift_s: the longest time for which the reference speed was off; NaN if the unit sends none.
@@ -80,10 +86,13 @@ class Diagnosis:
     def __init__(self, on_event: OnEvent) -> None:
         self._on_event = on_event
         self.vents_without_sliding = 0
+        self.open_without_sliding_s = 0.0
         self.beside_s = np.zeros((AXLES, AXLES))
         self.drift_s = float("nan")
         self._before: Sample | None = None
         self._slid_at_s = [_NEVER_S] * AXLES
+        self._open_since_s = [math.inf] * AXLES  # inf: it does not vent, or the axle slides
+        self._reported_open = [False] * AXLES
         self._reported_vents = [False] * AXLES
         self._reported_swaps: set[frozenset[int]] = set()
         self._drifts_since_s: float | None = None
@@ -108,8 +117,10 @@ class Diagnosis:
                 self._slid_at_s[axle] = sample.time_s
         if sample.speed_m_s < SLOWEST_M_S or sample.may_drive:
             self._drifts_since_s = None
+            self._open_since_s = [math.inf] * AXLES
             return
         for axle in range(AXLES):
+            self._look_at_open_valve(axle, sample)
             vents = sample.valves[axle] > VENTS
             has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
             if vents and has_not_slid:
@@ -117,6 +128,24 @@ class Diagnosis:
                     self._count_vent(axle, sample)
                 self._compare_with_others(axle, sample, sample.time_s - before.time_s)
         self._look_at_reference(sample)
+
+    def _look_at_open_valve(self, axle: int, sample: Sample) -> None:
+        """Count for how long a valve vents while its axle rolls, however the vent began."""
+        slides = abs(sample.sliding_m_s[axle]) > SLIDES_M_S
+        if slides or sample.valves[axle] <= VENTS:
+            self._open_since_s[axle] = math.inf
+            return
+        self._open_since_s[axle] = min(self._open_since_s[axle], sample.time_s)
+        lasts_s = sample.time_s - self._open_since_s[axle]
+        self.open_without_sliding_s = max(self.open_without_sliding_s, lasts_s)
+        if lasts_s >= OPEN_S and not self._reported_open[axle]:
+            self._reported_open[axle] = True
+            self._on_event(
+                Code.WSP_VENTS_ON,
+                axle=axle + 1,
+                for_s=lasts_s,
+                speed_m_s=float(sample.speed_m_s),
+            )
 
     def _count_vent(self, axle: int, sample: Sample) -> None:
         self.vents_without_sliding += 1

@@ -47,6 +47,7 @@ class Code(StrEnum):
     SAND_EMPTY = "sand.empty"
     WHEEL_FLAT = "wheel.flat"
     WSP_VENTS_WITHOUT_SLIDING = "wsp.vents_without_sliding"
+    WSP_VENTS_ON = "wsp.vents_on"
     WSP_AXLES_SWAPPED = "wsp.axles_swapped"
     WSP_REFERENCE_DRIFTS = "wsp.reference_drifts"
     FAULT_BEGINS = "fault.begins"
@@ -241,6 +242,14 @@ TABLE: dict[Code, Row] = {
         "(sliding {sliding_m_s:.2f} m/s)",
         "check the sensor of the axle, and diameters and thresholds in the unit; further vents are "
         "only counted (vents_without_sliding)",
+    ),
+    Code.WSP_VENTS_ON: Row(
+        WARNING,
+        {"axle": int, "for_s": float, "speed_m_s": float},
+        "the dump valve of axle {axle} has vented for {for_s:.1f} s at {speed_m_s:km/h} while the axle "
+        "does not slide",
+        "check when the unit ends a vent; further ones are only measured "
+        "(longest_vent_without_sliding)",
     ),
     Code.WSP_AXLES_SWAPPED: Row(
         WARNING,

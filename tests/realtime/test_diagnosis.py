@@ -23,6 +23,7 @@ STOPS = ("velim_a1", "velim_a2", "velim_a3", "velim_b1", "velim_b2", "velim_b3")
 VENT_AXLE_2 = 0b1100  # hold and vent magnet of axle 2
 WSP_CODES = (
     Code.WSP_VENTS_WITHOUT_SLIDING,
+    Code.WSP_VENTS_ON,
     Code.WSP_AXLES_SWAPPED,
     Code.WSP_REFERENCE_DRIFTS,
 )
@@ -54,6 +55,7 @@ def test_the_reference_unit_gives_no_finding_in_the_stops_of_the_paper(name):
     one, found = diagnosed(free.simulate(scenario.load(name)))
     assert found == []
     assert one.vents_without_sliding == 0
+    assert one.open_without_sliding_s < diagnosis.OPEN_S / 1.5
     assert one.wrong_axle_s < diagnosis.SWAPPED_S / 1.5
     assert one.drift_s == 0.0
 
@@ -66,29 +68,63 @@ def test_a_unit_that_vents_a_rolling_axle_is_found_and_its_vents_are_counted():
 
     rows = free.simulate(scenario.load("dry_stop"), vents_every_two_seconds)
     one, found = diagnosed(free.moving(rows))
+    # each vent lasts for 0.5 s less the dead time of the valve
     assert codes(found) == [Code.WSP_VENTS_WITHOUT_SLIDING]
     assert found[0][1]["axle"] == 2
     assert one.vents_without_sliding > 5
 
 
-def vent_of_axle_1(sliding_m_s):
-    """Return the findings when the valve of axle 1 vents while the axle slides so much."""
+def test_a_unit_that_keeps_a_vent_open_after_the_slide_is_found_and_the_time_is_measured():
+    """The unit vents a sliding axle as it should, and closes the valve two seconds later."""
+    usual = logic.load("reference")
+    keeps = usual._replace(run_up_shortest_s=2.0)
+    one, found = diagnosed(free.moving(free.simulate(scenario.load("velim_a1"), keeps)))
+    assert Code.WSP_VENTS_ON in codes(found)
+    assert Code.WSP_VENTS_WITHOUT_SLIDING not in codes(found)
+    fields = dict(found)[Code.WSP_VENTS_ON]
+    assert fields["for_s"] == pytest.approx(diagnosis.OPEN_S, abs=0.011)
+    assert 1.0 < one.open_without_sliding_s < 2.0
+
+
+def findings_of_axle_1(sliding_m_s, valves):
+    """Return the findings when the valve of axle 1 does this and the axle slides so much."""
     found = []
     one = Diagnosis(lambda code, /, **fields: found.append(code))
     still = [0.0] * (signals.AXLES - 1)
-    for cycle in range(200):
-        vents = 2.0 if cycle == 150 else 0.0
+    for cycle, (sliding, valve) in enumerate(zip(sliding_m_s, valves, strict=True)):
         one.look(
             Sample(
                 time_s=0.01 * cycle,
                 speed_m_s=10.0,
-                sliding_m_s=[sliding_m_s, *still],
-                valves=[vents, *still],
+                sliding_m_s=[sliding, *still],
+                valves=[valve, *still],
                 reference_m_s=10.0,
                 brake_demand_Pa=3.8e5,
             )
         )
     return found
+
+
+def vent_of_axle_1(sliding_m_s):
+    """Return the findings when the valve of axle 1 vents once while the axle slides so much."""
+    return findings_of_axle_1([sliding_m_s] * 200, [0.0] * 150 + [2.0] + [0.0] * 49)
+
+
+SLIDES_FIRST = [1.0] * 100 + [0.0] * 100
+
+
+@pytest.mark.parametrize(
+    ("valves", "found"),
+    [
+        ([2.0] * 200, [Code.WSP_VENTS_ON]),
+        ([2.0] * 148 + [0.0] * 52, []),  # it closes in time
+        ([2.0] * 145 + [1.0] + [2.0] * 4 + [0.0] * 50, []),  # holds in between
+        ([0.0] * 200, []),
+    ],
+    ids=["stays open", "closes", "holds", "fills"],
+)
+def test_a_vent_that_began_in_a_slide_may_stay_open_for_half_a_second_after_it(valves, found):
+    assert findings_of_axle_1(SLIDES_FIRST, valves) == found
 
 
 @pytest.mark.parametrize("sliding_m_s", [1.0, -1.0])

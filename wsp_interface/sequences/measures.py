@@ -475,6 +475,13 @@ MEASURES: tuple[Measure, ...] = (
         lambda r: float(r.diagnosis.vents_without_sliding),
     ),
     Measure(
+        "longest_vent_without_sliding",
+        "s",
+        0.0,
+        "longest time for which a dump valve vented without a break while its axle did not slide",
+        lambda r: r.diagnosis.open_without_sliding_s,
+    ),
+    Measure(
         "vented_wrong_axle",
         "s",
         0.0,
