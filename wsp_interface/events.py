@@ -28,6 +28,7 @@ class Code(StrEnum):
     RUN_DERAILED = "run.derailed"
     RUN_BUS_LOST = "run.bus_lost"
     RUN_STARTED = "run.started"
+    RUN_STARTED_EARLY = "run.started_early"
     RUN_ENDED_BY_HARNESS = "run.ended_by_harness"
     BENCH_KILLED = "bench.killed"
     BENCH_EXCEPTION = "bench.exception"
@@ -166,6 +167,13 @@ TABLE: dict[Code, Row] = {
     Code.RUN_DERAILED: Row(WARNING, {}, "the run ends: the coach is derailed"),
     Code.RUN_BUS_LOST: Row(WARNING, {}, "the run ends: its bus is lost"),
     Code.RUN_STARTED: Row(INFO, {}, "the run is started over Modbus"),
+    Code.RUN_STARTED_EARLY: Row(
+        WARNING,
+        {"speed_m_s": float, "set_speed_m_s": float},
+        "the run is started at {speed_m_s:km/h}, before the rollers have settled at the set speed of "
+        "{set_speed_m_s:km/h}",
+        "start it when discrete input 4 is 1",
+    ),
     Code.RUN_ENDED_BY_HARNESS: Row(INFO, {}, "the harness ends the run"),
     Code.BENCH_KILLED: Row(ERROR, {}, "the bench was killed", "the recorder completed the files"),
     Code.BENCH_EXCEPTION: Row(ERROR, {"message": str, "exception": str}, "{message}: {exception}"),

@@ -98,7 +98,12 @@ BITS: tuple[Register, ...] = (
         access=WRITE,
     ),
     Register(3, "held", BIT, "1 while the rig rolls at its set speed and waits for run"),
-    Register(4, "at_set_speed", BIT, "1 when a held rig rolls at its speed set-point"),
+    Register(
+        4,
+        "at_set_speed",
+        BIT,
+        "1 when a held rig has rolled at its speed set-point for 2 s, so that a unit has its speed",
+    ),
     Register(5, "standing", BIT, "1 while the vehicle stands"),
     Register(6, "wsp_unit_operational", BIT, "1 while the WSP unit reports OPERATIONAL"),
     Register(

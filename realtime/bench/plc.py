@@ -34,7 +34,16 @@ from rollerrig.realtime.bench.fault_registers import FaultRegisters
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.loop import loop
-from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
+from rollerrig.realtime.loop.held_rig import (
+    APPROACH_M_S2,
+    EMERGENCY_RATE_M_S2,
+    HOLDING,
+    RATE_M_S2,
+    RELEASED,
+    RUNNING,
+    SET_M_S,
+    has_settled,
+)
 from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, STOP, TICK, WORST_NS
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
@@ -47,8 +56,6 @@ _NOT_PACKAGED = 0xFFFF
 # how old percentiles of lateness may be: counting them takes long
 _STATISTICS_S = 0.5
 _HIGHEST_DEMAND_Pa = 1e6
-# a held rig whose speed is as near as this to the set speed has reached it
-_AT_SET_SPEED_M_S = 1e-6
 
 
 def _register(name: str) -> Register:
@@ -135,8 +142,14 @@ class Plc:
     # -- the state of the rig
 
     def roll(self) -> None:
-        """Set the speed at which a held rig rolls."""
-        self.rig.data.hold[0] = 0.0 if self.demand.emergency_stop else self.rig.speed_m_s
+        """Set the speed at which a held rig rolls, and how fast it approaches this speed."""
+        hold = self.rig.data.hold
+        if self.demand.emergency_stop:
+            hold[APPROACH_M_S2] = EMERGENCY_RATE_M_S2
+            hold[SET_M_S] = 0.0
+        else:
+            hold[APPROACH_M_S2] = RATE_M_S2
+            hold[SET_M_S] = self.rig.speed_m_s
 
     @property
     def state(self) -> State:
@@ -215,8 +228,7 @@ class Plc:
         # read the old answer
         if self.state is not State.HELD:
             return False
-        data = self.rig.data
-        return bool(abs(data.state.vehicle_speed[0] - data.hold[0]) < _AT_SET_SPEED_M_S)
+        return has_settled(self.rig.data)
 
     def _scenario_number(self) -> int:
         name = (self.rig.next_plan or self.rig.plan).name
@@ -269,10 +281,18 @@ class Plc:
         if check_only:
             return
         data = self.rig.data
+        settled = has_settled(data)
+        set_speed_m_s = self.rig.speed_m_s
         self.rig.speed_m_s = round(float(data.state.vehicle_speed[0]), 6)
         self.roll()
         data.control[HOLD] = RELEASED
         self.rig.event(Code.RUN_STARTED)
+        if not settled:
+            self.rig.event(
+                Code.RUN_STARTED_EARLY,
+                speed_m_s=self.rig.speed_m_s,
+                set_speed_m_s=set_speed_m_s,
+            )
 
     def _stop(self, raw: int, check_only: bool) -> None:
         if raw and not check_only:

@@ -8,7 +8,7 @@ from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.wsp import logic, node
 from rollerrig.realtime.bench import wire_delay
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import clock, loop, mailbox, tick
+from rollerrig.realtime.loop import clock, held_rig, loop, mailbox, tick
 from rollerrig.realtime.loop.ring import Memory, Ring
 from rollerrig.realtime.loop.tick import STOP, TickData
 from rollerrig.rig.compiled import compile_progress
@@ -59,7 +59,7 @@ def build(
         record_ticks=plan.record_ticks,
         end_tick=round(plan["duration_max_s"] * tick_hz),
         stand_ticks=round(plan["stand_s"] * tick_hz),
-        hold=np.array([speed_m_s]),
+        hold=held_rig.steady(speed_m_s),
         answer=np.array(wire_delay.answer_ticks(plan) or _IMMEDIATE_ANSWER),
         pulses=pole_wheel.memory(seed),
         sensor=_sensor(plan),

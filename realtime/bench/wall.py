@@ -201,6 +201,7 @@ def _take_scenario(parts: Parts, plan: Scenario) -> None:
     speed_m_s = float(before.state.vehicle_speed[0])
     after = tick_data.build(plan, parts.rows, speed_m_s, parts.options.seed)
     after.control[HELD] = before.control[HELD]
+    after.hold[:] = before.hold
     for old, new in ((before.state, after.state), (before.roller_state, after.roller_state)):
         new.wheel_angle[:] = old.wheel_angle
         new.roller_angle[:] = old.roller_angle

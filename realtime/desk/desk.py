@@ -248,6 +248,11 @@ class Desk:
         """Whether the bench is held, so that it waits for its start."""
         return bool(self.doors and self.doors.state is State.HELD)
 
+    @property
+    def at_set_speed(self) -> bool:
+        """Whether a held bench has rolled at its set speed for a while."""
+        return bool(self.doors and self.doors.values.get("at_set_speed"))
+
     def running(self) -> bool:
         """Whether there is a bench that has not ended."""
         return bool(self.bench and not self.bench.ended)

@@ -284,7 +284,8 @@ def _speed(desk: Desk) -> None:
         if km_h is None:
             in_force.text = "in force: not known"
         elif desk.held():
-            in_force.text = f"in force: {km_h:.1f} km/h"
+            reached = "reached" if desk.at_set_speed else "the rollers change their speed"
+            in_force.text = f"in force: {km_h:.1f} km/h, {reached}"
         else:
             in_force.text = f"the run began at {km_h:.1f} km/h"
 

@@ -10,6 +10,7 @@ import pytest
 from bench_process import Forked
 from pymodbus.client import AsyncModbusTcpClient
 
+import rollerrig
 from rollerrig.firmware_sim.modbus.map import BITS, WORDS, State
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
@@ -36,14 +37,14 @@ SWITCH_ON_DISABLED = 0x40
 class Rig:
     """`rollerrig run` as a separate process, and a client of its PLC."""
 
-    def __init__(self, out, *more):
+    def __init__(self, out, *more, unit="none"):
         self.out = out
         self.runner = asyncio.Runner()
         words = [
             "run",
             "dry_stop",
             "--wsp",
-            "none",
+            unit,
             "--set",
             "bus.interface=hub",
             "--set",
@@ -123,8 +124,8 @@ HELD = ("--start", "modbus", "--set", "modbus.port=0")
 def rig(tmp_path):
     started = []
 
-    def start(*more):
-        started.append(Rig(tmp_path / "run", *more))
+    def start(*more, **unit):
+        started.append(Rig(tmp_path / "run", *more, **unit))
         return started[-1]
 
     yield start
@@ -220,6 +221,49 @@ def check_record(folder, summary):
     assert stamps[0] >= 0.0
     # it is 0.01 s where no other program delays the bus
     assert syncs[0] < 0.5
+
+
+def test_a_plc_that_follows_the_documented_steps_gets_the_dry_stop_of_the_scenario(rig):
+    # docs/howto_plc.md, with the reference unit, which hears the rollers change their speed
+    more = ("--set", "initial_speed_m_s=14", "--set", "stand_s=60")
+    one = rig(*HELD, *more, unit="reference")
+    one.connect()
+    one.until("state", lambda state: state == State.HELD)
+    assert one.write("speed_set_point", 1000) == 0
+    one.until("at_set_speed", bool)
+    assert one.set("run") == 0
+    one.until("state", lambda state: state == State.RUNNING)
+    assert one.write("brake_demand_set_point", 3800) == 0
+    one.until("standing", bool)
+    assert one.set("stop") == 0
+    status, summary = one.result()
+    assert status == 0
+    assert summary["wsp"]["vents"] == 0
+    codes = {event["code"] for event in summary["events"]}
+    assert not codes & {
+        Code.WSP_VENTS_WITHOUT_SLIDING,
+        Code.WSP_REFERENCE_DRIFTS,
+        Code.RUN_STARTED_EARLY,
+    }
+
+    packaged = rollerrig.run("dry_stop", initial_speed_m_s=10.0)
+    assert summary["stop_distance_m"] == pytest.approx(
+        packaged.summary["stop_distance_m"], rel=0.01
+    )
+
+
+def test_a_run_that_starts_before_the_rollers_have_settled_is_a_warning(rig):
+    one = rig(*HELD, "--set", "initial_speed_m_s=5", "--set", "duration_max_s=1")
+    one.connect()
+    one.until("at_set_speed", bool)
+    assert one.write("speed_set_point", 2000) == 0
+    assert not one.bit("at_set_speed")
+    assert one.set("run") == 0
+    _, summary = one.result()
+    (early,) = [event for event in summary["events"] if event["code"] == Code.RUN_STARTED_EARLY]
+    assert early["fields"]["set_speed_m_s"] == pytest.approx(20.0)
+    assert early["fields"]["speed_m_s"] == pytest.approx(summary["initial_speed_m_s"])
+    assert "discrete input 4" in early["text"]
 
 
 @pytest.mark.conformance("Modbus", "emergency stop: brakes and a quick stop of every drive")
