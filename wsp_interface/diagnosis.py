@@ -14,8 +14,12 @@
     `wsp.reference_drifts`        the reference speed of the unit is off by more than `DRIFT_M_S`
                                   and by more than `DRIFT_SHARE` of the speed, for `DRIFT_S`
 
-The last one needs the reference speed that the unit sends (TPDO 1A0h, or a mapped signal). It is
-not observable from the magnets alone: a valve that vents too late may have a wrong threshold as
+While a known fault explains them, these findings are neither reported nor counted; in place of the
+last one comes `wsp.reference_drifts_in_fault`, which names the fault. A fault explains an axle until
+it is lifted, and as long after that as the axle slides.
+
+The drift is found from the reference speed that the unit sends (TPDO 1A0h, or a mapped signal). It
+is not observable from the magnets alone: a valve that vents too late may have a wrong threshold as
 well as a wrong reference.
 
 Source of the thresholds: assumption. The reference unit stays below each of them by a factor of 1.5
@@ -26,6 +30,7 @@ valve that vents releases no brake.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +62,7 @@ class Sample(NamedTuple):
     valves: 0 fill, 1 hold, 2 vent.
     reference_m_s: the reference speed that the unit sends; NaN if it sends none.
     brake_demand_Pa: the demanded brake pressure; NaN if nothing demands one.
+    faults: the known fault that explains a strange behaviour of the unit there, or "".
     """
 
     time_s: float
@@ -65,6 +71,7 @@ class Sample(NamedTuple):
     valves: list[float]
     reference_m_s: float
     brake_demand_Pa: float
+    faults: Sequence[str] = ("",) * AXLES
 
     @property
     def may_drive(self) -> bool:
@@ -93,10 +100,11 @@ class Diagnosis:
         self._slid_at_s = [_NEVER_S] * AXLES
         self._open_since_s = [math.inf] * AXLES  # inf: it does not vent, or the axle slides
         self._reported_open = [False] * AXLES
+        self._explained_by = [""] * AXLES
         self._reported_vents = [False] * AXLES
         self._reported_swaps: set[frozenset[int]] = set()
         self._drifts_since_s: float | None = None
-        self._reported_drift = False
+        self._reported_drifts: set[Code] = set()
 
     @property
     def wrong_axle_s(self) -> float:
@@ -115,6 +123,9 @@ class Diagnosis:
         for axle in range(AXLES):
             if abs(sample.sliding_m_s[axle]) > SLIDES_M_S:
                 self._slid_at_s[axle] = sample.time_s
+            has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
+            if sample.faults[axle] or has_not_slid:
+                self._explained_by[axle] = sample.faults[axle]
         if sample.speed_m_s < SLOWEST_M_S or sample.may_drive:
             self._drifts_since_s = None
             self._open_since_s = [math.inf] * AXLES
@@ -123,7 +134,7 @@ class Diagnosis:
             self._look_at_open_valve(axle, sample)
             vents = sample.valves[axle] > VENTS
             has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
-            if vents and has_not_slid:
+            if vents and has_not_slid and not self._explained_by[axle]:
                 if before.valves[axle] <= VENTS:
                     self._count_vent(axle, sample)
                 self._compare_with_others(axle, sample, sample.time_s - before.time_s)
@@ -132,7 +143,7 @@ class Diagnosis:
     def _look_at_open_valve(self, axle: int, sample: Sample) -> None:
         """Count for how long a valve vents while its axle rolls, however the vent began."""
         slides = abs(sample.sliding_m_s[axle]) > SLIDES_M_S
-        if slides or sample.valves[axle] <= VENTS:
+        if slides or sample.valves[axle] <= VENTS or self._explained_by[axle]:
             self._open_since_s[axle] = math.inf
             return
         self._open_since_s[axle] = min(self._open_since_s[axle], sample.time_s)
@@ -165,7 +176,8 @@ class Diagnosis:
         for other in range(AXLES):
             slides = sample.sliding_m_s[other] > far_m_s
             fills = sample.valves[other] < FILLS
-            if other != axle and slides and fills:
+            is_candidate = other != axle and not self._explained_by[other]
+            if is_candidate and slides and fills:
                 beside_s[other] += lasts_s
         other = int(np.argmax(beside_s))
         longest_s = float(beside_s[other])
@@ -190,11 +202,21 @@ class Diagnosis:
             self._drifts_since_s = sample.time_s
         lasts_s = sample.time_s - self._drifts_since_s
         self.drift_s = max(self.drift_s, lasts_s)
-        if lasts_s >= DRIFT_S and not self._reported_drift:
-            self._reported_drift = True
-            self._on_event(
-                Code.WSP_REFERENCE_DRIFTS,
-                reference_m_s=float(sample.reference_m_s),
-                speed_m_s=float(sample.speed_m_s),
-                for_s=lasts_s,
-            )
+        if lasts_s >= DRIFT_S:
+            self._report_drift(sample, lasts_s)
+
+    def _report_drift(self, sample: Sample, lasts_s: float) -> None:
+        """Report a wrong reference speed once, and once while a known fault explains it."""
+        fault = next(filter(None, self._explained_by), "")
+        code = Code.WSP_REFERENCE_DRIFTS_IN_FAULT if fault else Code.WSP_REFERENCE_DRIFTS
+        if code in self._reported_drifts:
+            return
+        self._reported_drifts.add(code)
+        named = {"fault": fault} if fault else {}
+        self._on_event(
+            code,
+            **named,
+            reference_m_s=float(sample.reference_m_s),
+            speed_m_s=float(sample.speed_m_s),
+            for_s=lasts_s,
+        )

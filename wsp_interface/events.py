@@ -51,6 +51,7 @@ class Code(StrEnum):
     WSP_VENTS_ON = "wsp.vents_on"
     WSP_AXLES_SWAPPED = "wsp.axles_swapped"
     WSP_REFERENCE_DRIFTS = "wsp.reference_drifts"
+    WSP_REFERENCE_DRIFTS_IN_FAULT = "wsp.reference_drifts_in_fault"
     FAULT_BEGINS = "fault.begins"
     FAULT_LIFTED = "fault.lifted"
     FAULT_REFUSED = "fault.refused"
@@ -272,6 +273,13 @@ TABLE: dict[Code, Row] = {
         "the reference speed of the unit drifts: it is {reference_m_s:km/h} at a train speed of "
         "{speed_m_s:km/h}, and has been wrong for {for_s:.1f} s",
         "check the wheel diameters in the unit, and how fast its reference speed may fall",
+    ),
+    Code.WSP_REFERENCE_DRIFTS_IN_FAULT: Row(
+        WARNING,
+        {"fault": str, "reference_m_s": float, "speed_m_s": float, "for_s": float},
+        "the reference speed of the unit drifts in fault {fault}: it is {reference_m_s:km/h} at a "
+        "train speed of {speed_m_s:km/h}, and has been wrong for {for_s:.1f} s",
+        "check what the unit does with an implausible axle",
     ),
     Code.FAULT_BEGINS: Row(WARNING, _FAULT, "fault {fault} begins"),
     Code.FAULT_LIFTED: Row(

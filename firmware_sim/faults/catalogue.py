@@ -29,7 +29,9 @@ from rollerrig.wsp_interface.signals import (
     RIG_NODES,
     SPEED_NODE,
     WSP_NODES,
+    axles_of,
     group_of,
+    group_of_axle,
     nodes,
 )
 
@@ -51,6 +53,16 @@ _LOSES_UNIT = ("wsp_frozen", "node_babbling", "error_frame", "receive_error")
 _SILENCES_NODE = ("node_off", "bus_off")
 # the nodes with which a unit exchanges its frames
 _PARTNERS_OF_UNITS = (*nodes(SPEED_NODE), *nodes(BRAKE_NODE))
+# the unit cannot command the valve of the axle as it should
+_OF_VALVE = ("hold_magnet_stuck", "hold_magnet_dead", "vent_magnet_stuck", "vent_magnet_dead")
+# the unit cannot measure the speed of the axle as it should
+_OF_SPEED = (
+    "speed_sensor_stuck",
+    "speed_sensor_dropout",
+    "missing_tooth",
+    "speed_noise_burst",
+    "wheel_diameter_mismatch",
+)
 WHEN = (
     number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
     number("for_s", LASTS, 1e-3, LASTS, "how long it lasts; inf: to the end"),
@@ -120,6 +132,20 @@ class Fault:
         if "can_id" in self.values:
             return [*UNITS_BY_FRAME.get(self.values["can_id"], ())]
         return []
+
+    @property
+    def explains(self) -> frozenset[int]:
+        """The axles (from 1) at which it explains a strange behaviour of the unit.
+
+        A fault of one speed explains it at all axles of the unit, because the reference speed comes
+        from all of them; so does a fault by which the unit may be lost. Swapped axles explain
+        nothing: they are a wrong wiring, which a run shall show.
+        """
+        if self.kind.name in _OF_VALVE:
+            return frozenset({self.values["axle"]})
+        if self.kind.name in _OF_SPEED:
+            return frozenset(axles_of(group_of_axle(self.values["axle"])))
+        return frozenset(axle for node in self.units for axle in axles_of(group_of(node)))
 
     @property
     def title(self) -> str:

@@ -23,7 +23,7 @@ from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
-from rollerrig.wsp_interface.signals import DRIVE_NODES
+from rollerrig.wsp_interface.signals import AXLES, DRIVE_NODES
 
 ELECTRONICS_V = 200.0  # below this voltage of the DC link the electronics have no supply either
 
@@ -99,7 +99,8 @@ class Panel:
     """Planned and active faults on `site`. `on_event(code, **fields)` records each change.
 
     `sections` are those of the resolved scenario: they list the axles and bogies with equipment
-    that can fail.
+    that can fail. `explanations` has one text an axle: the active fault that explains a strange
+    behaviour of the unit there, or nothing.
     """
 
     site: Site
@@ -108,6 +109,7 @@ class Panel:
         self, planned: Iterable[Fault], on_event: OnEvent, sections: Mapping[str, Any]
     ) -> None:
         self.active: dict[tuple[str, Any], Active] = {}
+        self.explanations = [""] * AXLES
         self.now_s = 0.0
         self._on_event = on_event
         self.begin(planned, sections)
@@ -254,6 +256,7 @@ class Panel:
 
     def _settle(self) -> None:
         """Set the array of the tick, power, controllers and gate for all active faults together."""
+        self._explain()
         array = np.zeros(effects.SIZE)
         for active in self.active.values():
             entries = _EFFECTS.get(active.fault.kind.name)
@@ -270,6 +273,15 @@ class Panel:
             self.site.post()
         self._settle_nodes()
         self.site.disturb()
+
+    def _explain(self) -> None:
+        """Set `explanations` for all active faults; a fault that events do not report is secret."""
+        self.explanations = [""] * AXLES
+        reported = [active.fault for active in self.active.values() if active.fault.reported]
+        # a fault of all axles comes last: it explains more than that of a valve
+        for fault in sorted(reported, key=lambda fault: len(fault.explains)):
+            for axle in fault.explains:
+                self.explanations[axle - 1] = fault.title
 
     def _settle_nodes(self) -> None:
         """Switch power and controllers of the nodes for all active faults together."""

@@ -79,8 +79,8 @@ _REFERENCE = signals.column("wsp_reference_speed")
 _BRAKE_DEMAND = signals.column("brake_demand")
 
 
-def _sample(row: np.ndarray) -> Sample:
-    """Return what the diagnosis needs of a row of all signals."""
+def _sample(row: np.ndarray, faults: list[str]) -> Sample:
+    """Return what the diagnosis needs of a row of all signals, and of the faults of each axle."""
     return Sample(
         time_s=row.item(_TIME),
         speed_m_s=row.item(_VEHICLE_SPEED),
@@ -88,6 +88,7 @@ def _sample(row: np.ndarray) -> Sample:
         valves=row[_VALVE].tolist(),
         reference_m_s=row.item(_REFERENCE),
         brake_demand_Pa=row.item(_BRAKE_DEMAND),
+        faults=faults,
     )
 
 
@@ -241,7 +242,7 @@ class Parts:
         if self.options.unit == "none" or self.plan["sealed"]:
             return
         mailbox.fetch(self.data.published, self.row)
-        self.diagnosis.look(_sample(self.row))
+        self.diagnosis.look(_sample(self.row, self.faults.explanations))
 
     def _check_master(self, bus: rig_bus.RigBus) -> None:
         """Record an event if no master on the bus has enabled the drives."""

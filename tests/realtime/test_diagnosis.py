@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rollerrig.configs import store
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.bench.bench import Bench
@@ -26,6 +27,7 @@ WSP_CODES = (
     Code.WSP_VENTS_ON,
     Code.WSP_AXLES_SWAPPED,
     Code.WSP_REFERENCE_DRIFTS,
+    Code.WSP_REFERENCE_DRIFTS_IN_FAULT,
 )
 
 
@@ -194,6 +196,77 @@ def test_a_run_records_each_finding_once(tmp_path, pacing):
     assert (swap.fields["axle"], swap.fields["other"]) == (1, 2)
     assert "swapped" in swap.text
     assert np.isfinite(swap.fields["for_s"])
+
+
+FAULTS_OF_AXLES = ("vent_magnet_stuck axle=2 at=5", "speed_sensor_dropout axle=3 at=8")
+
+
+def recorded_with(faults, folder):
+    """Return the findings in the events of a stop with faults that the bench injects."""
+    plan = scenario.load("velim_a1", settings=("adhesion=low",), faults=faults)
+    options = Options(out=folder, pacing="free")
+    asyncio.run(Bench(plan, options, lambda progress: None).run())
+    run = records.load(folder)
+    events = [event for event in run.events if event.code in WSP_CODES]
+    return events, diagnosed(records.rows(run.table))[1]
+
+
+def test_what_a_known_fault_explains_is_not_diagnosed_as_wiring_or_diameters(tmp_path):
+    events, without_the_faults = recorded_with(FAULTS_OF_AXLES, tmp_path / "run")
+    # an observer who does not know the faults finds wrong causes
+    assert Code.WSP_REFERENCE_DRIFTS in codes(without_the_faults)
+    assert [event.code for event in events] == [Code.WSP_REFERENCE_DRIFTS_IN_FAULT]
+    assert events[0].fields["fault"] == "speed_sensor_dropout axle=3"
+    assert "speed_sensor_dropout axle=3" in events[0].text
+    assert "diameter" not in events[0].text
+
+
+def test_a_fault_explains_its_axle_until_the_axle_no_longer_slides():
+    found = []
+    one = Diagnosis(lambda code, /, **fields: found.append((code, fields["axle"])))
+    still = [0.0] * (signals.AXLES - 1)
+    stuck = ["vent_magnet_stuck axle=1", *[""] * (signals.AXLES - 1)]
+    nothing = [""] * signals.AXLES
+    # until, valve of axle 1, its sliding, and the faults
+    phases = (
+        (1.0, 0.0, 0.0, stuck),
+        (2.0, 2.0, 0.0, stuck),
+        (3.0, 0.0, 1.0, stuck),
+        (4.0, 0.0, 1.0, nothing),
+        (4.2, 2.0, 0.0, nothing),
+        (6.0, 0.0, 0.0, nothing),
+        (7.0, 2.0, 0.0, nothing),
+    )
+    for cycle in range(700):
+        time_s = 0.01 * cycle
+        _, valve, sliding_m_s, faults = next(phase for phase in phases if time_s < phase[0])
+        one.look(
+            Sample(
+                time_s=time_s,
+                speed_m_s=10.0,
+                sliding_m_s=[sliding_m_s, *still],
+                valves=[valve, *still],
+                reference_m_s=10.0,
+                brake_demand_Pa=3.8e5,
+                faults=faults,
+            )
+        )
+    assert found == [(Code.WSP_VENTS_WITHOUT_SLIDING, 1), (Code.WSP_VENTS_ON, 1)]
+    assert one.vents_without_sliding == 1
+
+
+@pytest.mark.parametrize(
+    ("fault", "axles"),
+    [
+        ("vent_magnet_stuck axle=2", {2}),
+        ("speed_sensor_dropout axle=3", {1, 2, 3, 4}),
+        ("frame_lost can_id=0x190", {1, 2, 3, 4}),
+        ("swapped_axles axle=1 other=2", set()),
+        ("drive_trip axle=1", set()),
+    ],
+)
+def test_a_fault_explains_the_axles_whose_valves_or_reference_it_falsifies(fault, axles):
+    assert catalogue.parse(fault, "fault").explains == axles
 
 
 def test_the_events_of_a_sealed_rig_do_not_show_its_swapped_axles(tmp_path):
