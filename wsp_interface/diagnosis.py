@@ -15,8 +15,8 @@
                                   and by more than `DRIFT_SHARE` of the speed, for `DRIFT_S`
 
 While a known fault explains them, these findings are neither reported nor counted; in place of the
-last one comes `wsp.reference_drifts_in_fault`, which names the fault. A fault explains an axle until
-it is lifted, and as long after that as the axle slides.
+last one comes `wsp.reference_drifts_in_fault`, which names the fault. A fault explains an axle
+until it is lifted, and as long after that as the axle slides.
 
 The drift is found from the reference speed that the unit sends (TPDO 1A0h, or a mapped signal). It
 is not observable from the magnets alone: a valve that vents too late may have a wrong threshold as

@@ -14,7 +14,7 @@ import numpy as np
 
 from rollerrig.realtime.loop import mailbox as box
 from rollerrig.realtime.loop import tick
-from rollerrig.realtime.loop.tick import HELD, HOLD
+from rollerrig.realtime.loop.tick import HELD, HOLD, TickData
 from rollerrig.rig import plant
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.state import AXLES
@@ -45,7 +45,7 @@ def steady(speed_m_s: float) -> np.ndarray:
     return np.array([speed_m_s, RATE_M_S2, speed_m_s, SETTLE_S])
 
 
-def has_settled(m) -> bool:
+def has_settled(m: TickData) -> bool:
     """Return whether a held rig has been at its set speed for `SETTLE_S`.
 
     A set speed that was written after the last tick counts already.
