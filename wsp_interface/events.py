@@ -41,6 +41,11 @@ class Code(StrEnum):
     SCENARIO_CHOSEN = "scenario.chosen"
     SCENARIO_REFUSED = "scenario.refused"
     SCENARIO_ADHESION_REPLACED = "scenario.adhesion_replaced"
+    SET_POINT_SPEED = "set_point.speed"
+    SET_POINT_BRAKE_DEMAND = "set_point.brake_demand"
+    SET_POINT_BRAKE_DEMAND_NONE = "set_point.brake_demand_none"
+    SET_POINT_FRICTION = "set_point.friction"
+    SET_POINT_FRICTION_NONE = "set_point.friction_none"
     EMERGENCY_STOP_SET = "emergency_stop.set"
     EMERGENCY_STOP_RESET = "emergency_stop.reset"
     COACH_DERAILED = "coach.derailed"
@@ -217,6 +222,25 @@ TABLE: dict[Code, Row] = {
         "adhesion.mu_cd = {mu_cd:g} ({given_by}) replaces initial_adhesion = {initial_adhesion:g} "
         "({stated_by})",
         "to keep an initial adhesion, leave mu_cd out, or set adhesion.initial_adhesion instead",
+    ),
+    Code.SET_POINT_SPEED: Row(
+        INFO,
+        {"speed_m_s": float},
+        "the speed of the held rig is set to {speed_m_s:km/h} over Modbus",
+    ),
+    Code.SET_POINT_BRAKE_DEMAND: Row(
+        INFO,
+        {"source": str, "pressure_Pa": float},
+        "the brake demand is set to {pressure_Pa:bar} by {source}",
+    ),
+    Code.SET_POINT_BRAKE_DEMAND_NONE: Row(
+        INFO, {"source": str}, "the brake demand by {source} is withdrawn"
+    ),
+    Code.SET_POINT_FRICTION: Row(
+        INFO, {"axle": int, "mu": float}, "the friction mu_cd under axle {axle} is set to {mu:g}"
+    ),
+    Code.SET_POINT_FRICTION_NONE: Row(
+        INFO, {"axle": int}, "the friction under axle {axle} is that of the scenario again"
     ),
     Code.EMERGENCY_STOP_SET: Row(WARNING, {}, "emergency stop over Modbus: set"),
     Code.EMERGENCY_STOP_RESET: Row(WARNING, {}, "emergency stop over Modbus: reset"),

@@ -179,6 +179,7 @@ class Bench:
         has_begun = bool(parts.data.control[TICK])
         if has_begun:
             parts.faults.report_waiting()
+            parts.set_points.report_all()
         bus_counts = self._bus_counts()
         if parts.options.start == "modbus":
             self._rewrite_scenario()

@@ -7,6 +7,7 @@ is the time since the real-time thread began.
 
 import asyncio
 import json
+import math
 import shlex
 import time
 from collections.abc import Callable, Iterable
@@ -35,6 +36,7 @@ from rollerrig.realtime.loop import clock, cores, loop, mailbox, ring, tick
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
 from rollerrig.realtime.record.events import Events
+from rollerrig.realtime.record.set_points import SetPoints
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
@@ -135,6 +137,10 @@ class Parts:
         self.modbus_demand = brake_demand.ModbusDemand(plan["modbus"]["emergency_pressure_Pa"])
 
         self.faults = panel.Panel(plan.faults, self.event, plan.resolved)
+        self.set_points = SetPoints(self.event)
+        # what the nodes on the bus required last
+        self._demand_of_node_Pa = math.nan
+        self._friction_of_node = np.zeros(AXLES)
         self.derailment = derailment.Watch(self.event, lambda: self.stop(Code.RUN_DERAILED))
         self.diagnosis = Diagnosis(self.event)
         self.processes = Processes(options, self.event)
@@ -228,6 +234,7 @@ class Parts:
     def poll_faults(self) -> None:
         """Begin and lift the faults that are due; check for a derailed coach and for the master."""
         self.faults.poll(self.simulated_ns() / clock.SECOND_NS)
+        self.set_points.poll(self._bus_s())
         self.derailment.look(self.data.buffer)
         self.diagnose()
         if self._master_awaited and self.bus and self.simulated_ns() >= _MASTER_AFTER_NS:
@@ -328,8 +335,50 @@ class Parts:
         """Hand a command row of the bus to the tick, with the brake demand that counts."""
         command = command.copy()
         node_Pa = float(command[tick.DEMAND])
+        self._note_set_points(node_Pa, command[tick.FRICTION : tick.SAND])
         command[tick.DEMAND] = brake_demand.decide(self.modbus_demand, node_Pa)
         mailbox.post(self.data.commands, command)
+
+    def _note_set_points(self, demand_Pa: float, friction: np.ndarray) -> None:
+        """Record what a master on the bus has changed; a harness records its commands itself."""
+        both_none = math.isnan(demand_Pa) and math.isnan(self._demand_of_node_Pa)
+        if demand_Pa != self._demand_of_node_Pa and not both_none:
+            self._demand_of_node_Pa = demand_Pa
+            if self._is_set_by_master:
+                self.note_demand("node 17", demand_Pa)
+        for at in np.flatnonzero(friction != self._friction_of_node).tolist():
+            mu = float(friction[at])
+            self._friction_of_node[at] = mu
+            if self._is_set_by_master:
+                axle = at + 1
+                name = f"friction {axle}"
+                if mu:
+                    self.note_set_point(name, Code.SET_POINT_FRICTION, axle=axle, mu=mu)
+                else:
+                    self.note_set_point(name, Code.SET_POINT_FRICTION_NONE, axle=axle)
+
+    @property
+    def _is_set_by_master(self) -> bool:
+        """Whether a change on the bus is not that of a harness."""
+        return self.bus is not None and not self.bus.harness.joined
+
+    def note_demand(self, source: str, pressure_Pa: float) -> None:
+        """Record that a source has changed its brake demand in Pa; NaN: it has none any more."""
+        name = f"brake demand by {source}"
+        if math.isnan(pressure_Pa):
+            self.note_set_point(name, Code.SET_POINT_BRAKE_DEMAND_NONE, source=source)
+        else:
+            self.note_set_point(
+                name, Code.SET_POINT_BRAKE_DEMAND, source=source, pressure_Pa=pressure_Pa
+            )
+
+    def note_set_point(self, name: str, code: Code, **fields: Any) -> None:
+        """Record that a set-point has changed, without an event for each step of a ramp."""
+        self.set_points.change(name, self._bus_s(), code, **fields)
+
+    def _bus_s(self) -> float:
+        """Return the time of the bus, which goes on while a rig is held."""
+        return self.bus.clock_ns() / clock.SECOND_NS if self.bus else 0.0
 
     def _lose_bus(self, error: RollerrigError) -> None:
         """End the run as a failure because the bus is gone; its record is kept."""

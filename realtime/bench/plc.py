@@ -317,6 +317,8 @@ class Plc:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         self._require_held()
         if not check_only:
+            if speed_m_s != self.rig.speed_m_s:
+                self.rig.note_set_point("speed", Code.SET_POINT_SPEED, speed_m_s=speed_m_s)
             self.rig.speed_m_s = speed_m_s
             self.roll()
 
@@ -327,6 +329,8 @@ class Plc:
         elif not 0 <= pressure_Pa <= _HIGHEST_DEMAND_Pa:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not check_only:
+            if raw != self._demand_count():
+                self.rig.note_demand("Modbus", pressure_Pa)
             self.demand.set_point_Pa = pressure_Pa
             self.bus.post()
 

@@ -4,8 +4,10 @@ import asyncio
 import json
 import re
 import socket
+import struct
 import time
 
+import can
 import pytest
 from bench_process import Forked
 from pymodbus.client import AsyncModbusTcpClient
@@ -16,6 +18,7 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface.rig_objects import FRICTION, FRICTION_SCALE
 
 ADDRESS_OF = {row.name: row.address for row in (*BITS, *WORDS)}
 BIT_NAMES = {row.name for row in BITS}
@@ -264,6 +267,60 @@ def test_a_run_that_starts_before_the_rollers_have_settled_is_a_warning(rig):
     assert early["fields"]["set_speed_m_s"] == pytest.approx(20.0)
     assert early["fields"]["speed_m_s"] == pytest.approx(summary["initial_speed_m_s"])
     assert "discrete input 4" in early["text"]
+
+
+def test_what_a_plc_and_a_master_on_the_bus_set_is_in_the_events(rig):
+    one = rig(*HELD, "--set", "initial_speed_m_s=6", "--set", "duration_max_s=4")
+    one.connect()
+    one.until("at_set_speed", bool)
+    assert one.write("speed_set_point", 500) == 0
+    one.until("at_set_speed", bool)
+    with can.Bus(interface="rollerrig", channel=bus_address(one.out)) as bus:
+        # a download of two bytes to 6411h:1 of node 17, and of the friction under axle 2
+        bus.send(sdo_download(17, 0x6411, 1, 0x2B, 1000))
+        until_events(one.out, Code.SET_POINT_BRAKE_DEMAND, 1)
+        bus.send(sdo_download(127, FRICTION, 2, 0x2B, round(0.05 / FRICTION_SCALE)))
+        until_events(one.out, Code.SET_POINT_FRICTION, 1)
+    assert one.set("run") == 0
+    for mbar in range(100, 3801, 100):
+        assert one.write("brake_demand_set_point", mbar) == 0
+    one.write("brake_demand_set_point", -1)
+    _, summary = one.result()
+    found = [(event["code"], event["fields"]) for event in summary["events"]]
+    assert [fields for code, fields in found if code == Code.SET_POINT_SPEED] == [
+        {"speed_m_s": 5.0}
+    ]
+    demands = [fields for code, fields in found if code == Code.SET_POINT_BRAKE_DEMAND]
+    assert demands[0] == {"source": "node 17", "pressure_Pa": 1e5}
+    assert demands[1] == {"source": "Modbus", "pressure_Pa": 1e4}
+    # far fewer than the writes, and the last one is there
+    assert len(demands) < 10
+    assert (Code.SET_POINT_BRAKE_DEMAND_NONE, {"source": "Modbus"}) in found
+    assert (Code.SET_POINT_FRICTION, {"axle": 2, "mu": pytest.approx(0.05)}) in found
+
+
+def bus_address(folder):
+    """Return the address of the bus of a run that has just begun."""
+    return until_events(folder, Code.BUS_PLACE, 1)[0]["fields"]["address"]
+
+
+def until_events(folder, code, count):
+    """Wait until so many events with a code are recorded; return them."""
+    deadline = time.monotonic() + START_S
+    while time.monotonic() < deadline:
+        # the last line may be incomplete
+        lines = (folder / "events.jsonl").read_text().split("\n")[:-1]
+        found = [event for event in map(json.loads, lines) if event["code"] == code]
+        if len(found) >= count:
+            return found
+        time.sleep(0.1)
+    raise AssertionError(f"no event {code}")
+
+
+def sdo_download(node, index, sub, command, value):
+    """Return an expedited SDO download (CiA 301)."""
+    data = struct.pack("<BHBI", command, index, sub, value)
+    return can.Message(arbitration_id=0x600 + node, data=data, is_extended_id=False)
 
 
 @pytest.mark.conformance("Modbus", "emergency stop: brakes and a quick stop of every drive")
