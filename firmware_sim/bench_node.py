@@ -113,6 +113,15 @@ def rows(pacing: str) -> list[Row]:
             "",
             text="why the bench has refused a command with an SDO abort",
         ),
+        Row(
+            rig.CONFIGURATION,
+            0,
+            "Configuration of the run",
+            "TEXT",
+            "ro",
+            "",
+            text="JSON: resolved scenario, its hash, pacing, seed, unit; empty: not known",
+        ),
     ]
 
 
@@ -140,13 +149,16 @@ def build(
 class BenchNode:
     """The commands of a harness.
 
-    `joined`: whether a harness takes part in the run. `refusal`: why the last command was refused.
+    joined: whether a harness takes part in the run.
+    refusal: why the last command was refused.
+    configuration: returns what the bench plays, as JSON; "" if that is not known.
     """
 
     def __init__(self, node: Node, friction: np.ndarray, on_command: Callable[[], None]) -> None:
         self.node = node
         self.joined = False
         self.refusal = ""
+        self.configuration: Callable[[], str] = lambda: ""
         self._friction = friction
         self._on_command = on_command
         self._actions: Mapping[str, Callable[..., Any]] = {}
@@ -156,6 +168,7 @@ class BenchNode:
         attach(rig.FAULT, rig.INJECT, effect=partial(self._act, "inject"))
         attach(rig.FAULT, rig.LIFT, effect=partial(self._act, "lift"))
         attach(rig.REFUSAL, read=lambda: self.refusal)
+        attach(rig.CONFIGURATION, read=lambda: self.configuration())
         attach(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
         attach(rig.FAILURE, effect=partial(self._act, "fail"))
         for axle in range(1, AXLES + 1):

@@ -9,6 +9,7 @@ repeats bit for bit. In real time the harness follows the bench.
 """
 
 import contextlib
+import json
 import linecache
 import struct
 from collections import deque
@@ -215,6 +216,38 @@ class Harness:
             f"{self.position_m:.1f} m, cylinders {pressures} bar, "
             f"standing axles: {standing or 'none'}{left}>"
         )
+
+    # -- what the bench plays
+
+    def configuration(self) -> dict[str, Any]:
+        """Return what the bench plays, before or after joining.
+
+        The keys: `resolved` (the resolved scenario), `scenario` (its name), `config_hash`,
+        `pacing`, `seed` and `unit`. Raises BusError if the bench does not state it.
+        """
+        unknown = (
+            f"the bench does not state what it plays (object {rig_objects.CONFIGURATION:X}h of node "
+            f"{BENCH_NODE}): start it with 'rollerrig run' of this version"
+        )
+        try:
+            data = self._call(self._sdo.read, BENCH_NODE, rig_objects.CONFIGURATION, 0)
+            found = json.loads(data)
+        except RefusedError:
+            raise BusError(unknown) from None
+        except (ValueError, RecursionError):
+            raise BusError(unknown) from None
+        if not isinstance(found, dict) or not isinstance(found.get("resolved"), dict):
+            raise BusError(unknown)
+        return found
+
+    def commanded_friction(self) -> dict[int, float]:
+        """Return the kinematic friction commanded under each axle; 0 is that of the scenario."""
+        found = {}
+        for axle in _AXLES:
+            data = self._call(self._sdo.read, BENCH_NODE, rig_objects.FRICTION, axle)
+            (count,) = struct.unpack("<H", data)
+            found[axle] = count * rig_objects.FRICTION_SCALE
+        return found
 
     # -- joining and leaving
 

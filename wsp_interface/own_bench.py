@@ -44,15 +44,18 @@ def scenario_of(
     initial_speed_km_h: float | None = None,
     adhesion: str = "",
     tables: Mapping[str, Any] | None = None,
+    title: str = "",
 ) -> dict[str, Any]:
     """Return a scenario as data: a packaged one, or a file, with changes.
 
     The scenario has no brake demand: the harness commands it. `tables` holds tables of the scenario
-    ([vehicle], [[friction]] ...), whose keys replace those of the scenario. Raises ConfigError.
+    ([vehicle], [[friction]] ...), whose keys replace those of the scenario. `title` replaces the
+    title, which describes another run. Raises ConfigError.
     """
     packaged, _ = store.load("scenarios", name or DEFAULT_SCENARIO)
     scenario = dict(packaged) | _LONG_RUN
     scenario.pop("demand", None)
+    scenario["title"] = title
 
     # a set by name goes into a separate key, so that a table of single values may join it
     for key in _SETS:

@@ -205,3 +205,5 @@ NOTE = 0x2030  # 2030h
 FAILURE = 0x2031  # 2031h: why the test cannot go on; ends the run as a failure
 
 REFUSAL = 0x2040  # 2040h, why the last command was refused
+# 2041h, what the bench plays, as JSON: the resolved scenario, its hash, pacing, seed and unit
+CONFIGURATION = 0x2041

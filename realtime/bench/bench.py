@@ -60,7 +60,7 @@ class Bench:
         self._check(plan, given)
         run_folder.begin(given.out)
         with writing(given.out):
-            write_text(given.out / run_folder.SCENARIO, scenario.dump(plan))
+            write_text(given.out / run_folder.SCENARIO, scenario.dump(plan, given.harness))
         ring.sweep()
         self.parts = Parts(plan, given, on_progress)
         # message and exception of the failures that are recorded already
@@ -202,7 +202,7 @@ class Bench:
         # the recorder reports a full disk
         with contextlib.suppress(OSError):
             path = parts.options.out / run_folder.SCENARIO
-            write_text(path, scenario.dump(parts.plan))
+            write_text(path, scenario.dump(parts.plan, parts.options.harness))
 
     def _counters(self, bus_counts: dict[str, Any]) -> dict[str, Any]:
         """Return what only the bench knows of the run, for the summary."""

@@ -167,6 +167,10 @@ class Parts:
             "scenario": self.plan.name,
         }
 
+    def _configuration(self) -> str:
+        """Return what the bench plays as JSON in ASCII, for a harness on the bus."""
+        return json.dumps({**self.identity(), "resolved": self.plan.resolved})
+
     # --- what happens ---
 
     def event(self, code: Code, /, **fields: Any) -> None:
@@ -307,6 +311,7 @@ class Parts:
             joined=bus.seat_harness,
             left=bus.dismiss_harness,
         )
+        bus.harness.configuration = self._configuration
         bus.own_unit = self.options.own_unit
         # an FMU answers when it has the pressures, the reference unit when it has the speeds
         if self.options.fmus:

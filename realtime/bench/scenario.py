@@ -609,12 +609,22 @@ def _check_axles(axles: Any, at: str) -> None:
 # --- writing ---
 
 
-def dump(scenario: Scenario) -> str:
-    """Return the resolved scenario as TOML."""
-    return (
-        "# resolved by rollerrig: every default written out; run it again to repeat the run\n"
-        + tomli_w.dumps(scenario.resolved)
-    )
+def dump(scenario: Scenario, of_harness: bool = False) -> str:
+    """Return the resolved scenario as TOML, with a comment on how to repeat the run.
+
+    `of_harness`: a test harness, such as a sequence, commands the run over the bus.
+    """
+    if of_harness:
+        remedy = (
+            "# A test commanded this run over the bus: its brake, friction and faults are not in this "
+            "file.\n# Play the sequence or the test again to repeat the run.\n"
+        )
+    else:
+        remedy = (
+            "# Run it again to repeat the run, unless a PLC, a harness or a person commanded the run.\n"
+        )
+    head = "# resolved by rollerrig: every default written out\n"
+    return head + remedy + tomli_w.dumps(scenario.resolved)
 
 
 def digest(scenario: Scenario) -> str:

@@ -287,6 +287,7 @@ def scenario_of(sequence: "Sequence") -> "Scenario":
         initial_speed_m_s=sequence.speed_m_s,
         adhesion=sequence.adhesion,
         tables=sequence.tables,
+        title=sequence.title,
     )
     return scenario.read(data, Path(sequence.path.name))
 

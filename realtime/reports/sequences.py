@@ -482,7 +482,8 @@ def _punctuality(outcome: Outcome) -> str:
         return (
             f"a bench that ran already · pacing {summary['pacing']} · {seen['cycles']} cycles of "
             f"{1e3 * seen['cycle_s']:g} ms seen, {seen['cycles_lost']} lost · the bus does not show "
-            "missed ticks and lateness: they are in the summary.json of the bench"
+            "missed ticks and lateness: they are in the summary.json of the bench · configuration "
+            f"{summary.get('config_hash') or '-'} · seed {summary.get('seed', '-')}"
         )
     loop = summary.get("loop") or {}
     bus = summary.get("bus") or {}

@@ -194,7 +194,7 @@ def test_a_sequence_on_a_running_bench_reports_the_timing_that_the_bus_shows(tmp
             str(tmp_path / "run"),
             "--set",
             "initial_speed_m_s=2.78",
-            # the sequence also checks the rig for a second after standstill
+            # the sequence checks the rig also for a second after standstill
             "--set",
             "stand_s=60",
             "--set",
