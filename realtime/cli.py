@@ -55,11 +55,13 @@ LATE = 3
 INVALID = 4
 EXIT_STATUSES = {
     PASS: "pass",
-    FAILED: "a verdict failed",
+    FAILED: "a verdict failed, or a sequence could not be judged (`error`), for example because its "
+    "run is not valid",
     USAGE: "the command line, a configuration or a file is wrong, the machine lacks something, or a "
     "unit or harness did not come",
     LATE: "deadlines were missed under `--strict`",
-    INVALID: "a run is not valid (unit lost or silent, not stopped), or was interrupted",
+    INVALID: "a run of `rollerrig run`, `campaign` or `compare` is not valid (unit lost or silent, not "
+    "stopped); or the command was interrupted",
 }
 
 # characters of a message that are printed

@@ -1,12 +1,15 @@
-"""`rollerrig list`: prints everything of a kind that has a name, with its title.
+"""`rollerrig list`: prints everything of a kind that has a name, with its title, or one file.
 
-Names and titles come from the tables of the program and from the packaged files.
+Names and titles come from the tables of the program and from the packaged files. `--show NAME`
+prints a packaged file, so that a user can read it, or change a copy of it.
 """
 
 import argparse
 from pathlib import Path
 
 from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.table import nearest
 from rollerrig.realtime.commands import output
 
 # the kinds, with what they are
@@ -16,11 +19,15 @@ TITLES = {
     "signals": "what is recorded, with its unit",
     "sequences": "a scripted test over the buses, with its limits",
     "programmes": "groups of sequences that test one unit together",
+    "criteria": "limits that judge a run, each with its source",
+    "vehicles": "axles, masses, brakes and other equipment",
     "datasets": "measured or synthetic stops, to be explained",
     "campaigns": "a plan of many runs",
     "adhesion": "what is between wheel and roller",
 }
 KINDS = tuple(TITLES)
+# kinds that are tables of the program, and have no files
+_WITHOUT_FILES = ("faults", "signals")
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,10 +39,26 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="KIND",
         help=f"{', '.join(KINDS)} (default: list these kinds)",
     )
+    parser.add_argument(
+        "--show",
+        default="",
+        metavar="NAME",
+        help="print the packaged file of this name, as in 'rollerrig list sequences --show "
+        "emergency_120 > my.toml'",
+    )
 
 
 def call(options: argparse.Namespace) -> int:
-    """Print the names and titles of a kind, or the kinds. Returns PASS."""
+    """Print the names and titles of a kind, the kinds, or a packaged file. Returns PASS.
+
+    Raises ConfigError if there is no such file.
+    """
+    if options.show:
+        path = file_of(options.kind or "", options.show)
+        text = path.read_text(encoding="utf-8")
+        output.print_message(str(path))
+        shown = {"name": options.show, "file": str(path), "text": text}
+        return output.show(options, shown, text.rstrip("\n"))
     rows = names_and_titles(options.kind) if options.kind else list(TITLES.items())
     entries = [{"name": name, "title": title} for name, title in rows]
     if options.kind:
@@ -46,6 +69,22 @@ def call(options: argparse.Namespace) -> int:
         (None, ("kind", "what it is"), rows),
         "print one with: rollerrig list KIND",
     )
+
+
+def file_of(kind: str, name: str) -> Path:
+    """Return the packaged file of a name. Raises ConfigError if there is none."""
+    kinds_with_files = [one for one in KINDS if one not in _WITHOUT_FILES]
+    if kind not in kinds_with_files:
+        raise ConfigError(
+            f"--show {name}: give the kind of the file, as in 'rollerrig list sequences --show "
+            f"emergency_120'; kinds with files: {', '.join(kinds_with_files)}"
+        )
+    names = [name_of_kind for name_of_kind, _ in names_and_titles(kind)]
+    if name not in names:
+        raise ConfigError(f"--show {name}: no file of this name in {kind}{nearest(name, names)}")
+    if kind == "datasets":
+        return store.ROOT / kind / name / "dataset.toml"
+    return store.find(kind, name)
 
 
 def names_and_titles(kind: str) -> list[tuple[str, str]]:
@@ -79,7 +118,14 @@ def names_and_titles(kind: str) -> list[tuple[str, str]]:
 
 
 def _title(path: Path) -> str:
-    """Return the title of a TOML file; without a title, the comment in its first line."""
-    first_line, _, _ = path.read_text(encoding="utf-8").partition("\n")
-    comment = first_line.lstrip("# ")
-    return str(store.parse(path).get("title") or comment)
+    """Return the title of a TOML file; without a title, the first sentence of its first comment."""
+    title = store.parse(path).get("title")
+    if title:
+        return str(title)
+    comment = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        comment.append(line.lstrip("# "))
+    first, dot, _ = " ".join(comment).partition(". ")
+    return first + dot.rstrip()

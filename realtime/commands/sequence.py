@@ -114,7 +114,13 @@ def call(options: argparse.Namespace) -> int:
     sequences = load(options.sequences)
     if options.check:
         names = [sequence.name for sequence in sequences]
-        return output.show(options, {"checked": names}, f"{len(names)} sequences are valid")
+        rows = [(sequence.name, sequence.title) for sequence in sequences]
+        return output.show(
+            options,
+            {"checked": names},
+            (None, ("sequence", "title"), rows),
+            f"{count_text(len(names))} valid",
+        )
 
     # all options are checked before the first bench starts
     check_options(options, sequences)
@@ -153,6 +159,11 @@ def call(options: argparse.Namespace) -> int:
     if interrupted.by:
         return output.INVALID
     return output.PASS if result == "pass" else output.FAILED
+
+
+def count_text(count: int) -> str:
+    """Return a number of sequences as the subject of a sentence, with its verb."""
+    return "1 sequence is" if count == 1 else f"{count} sequences are"
 
 
 def _interruption_lines(

@@ -88,6 +88,7 @@ table.signatures{width:100%}.signatures td{height:3rem;border:1px solid #8886}
 svg{width:100%;height:auto}pre{overflow:auto;font-size:.85em}summary{cursor:pointer}
 small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
 tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywhere}th.number{white-space:normal}
+td b{overflow-wrap:break-word}
 @media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
 """ + "".join(f".{kind}{{color:{colours.as_hex(colour)}}}" for kind, colour in _COLOURED_WORDS)

@@ -22,7 +22,7 @@ from rollerrig.configs import user_files
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.output_files import make_folder, write_text
 from rollerrig.configs.printable import printable
-from rollerrig.realtime.record import records
+from rollerrig.realtime.record import records, run_folder
 from rollerrig.realtime.record.summary import finite
 from rollerrig.realtime.reports import page, pdf, stop
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
@@ -137,6 +137,7 @@ def _sequence_data(outcome: Outcome) -> dict[str, Any]:
         "error": outcome.error or None,
         "folder": str(outcome.folder),
         "wall_s": round(outcome.wall_s, 3),
+        "conditions": _conditions(outcome),
         "verdicts": [_verdict_data(verdict) for verdict in outcome.verdicts],
         "figures": figures(outcome),
         "measured": _measured(outcome),
@@ -306,7 +307,10 @@ def _title_block(
 
 
 def _conditions(outcome: Outcome) -> dict[str, str]:
-    """Return rig, vehicle, load, speed and adhesion of a sequence, from its resolved scenario."""
+    """Return rig, vehicle, load, speed, adhesion and gradient of a sequence.
+
+    They are those of the resolved scenario of the bench, with the speed at the beginning.
+    """
     if not outcome.record:
         return {}
     scenario = outcome.record.scenario
@@ -328,7 +332,15 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
         "load": f"{vehicle['mass_kg'] / 1e3:g} t in all",
         "initial speed": f"{3.6 * speed_m_s[0]:.0f} km/h" if len(speed_m_s) else page.NOT_STATED,
         "adhesion": adhesion_words,
+        "gradient": _gradient(scenario["mechanisms"]["track_gradient_gradient"]),
     }
+
+
+def _gradient(rise: float) -> str:
+    """Return the gradient of the track in percent; `rise` is positive uphill."""
+    if rise == 0.0:
+        return "0 % (level)"
+    return f"{100.0 * rise:+g} % ({'uphill' if rise > 0.0 else 'downhill'})"
 
 
 def _summary(outcome: Outcome, out: Path) -> list[str]:
@@ -339,8 +351,10 @@ def _summary(outcome: Outcome, out: Path) -> list[str]:
     name = outcome.sequence.name
     reasons = [outcome.error] if outcome.error else []
     for verdict in outcome.verdicts:
-        if verdict.result in (Result.FAIL, Result.ERROR):
+        if verdict.result is Result.FAIL:
             reasons.append(verdict.against_limit)
+        elif verdict.result is Result.ERROR:
+            reasons.append(f"{verdict.what} could not be judged (wanted {verdict.limit_text})")
 
     title: list[str] = [
         element("a", name, href=f"#{name}"),
@@ -377,10 +391,12 @@ def _summary(outcome: Outcome, out: Path) -> list[str]:
 def _section(outcome: Outcome, out: Path) -> list[Markup]:
     """Return the part of the page about one sequence."""
     sequence = outcome.sequence
-    about = (
-        f"{sequence.name} · criteria: {sequence.criteria.name} "
-        f"({sequence.criteria.title}) · {_punctuality(outcome)} · "
-    )
+    criteria = sequence.criteria
+    # a sequence without a profile may still have limits
+    profile = criteria.title
+    if criteria.name != verdict_of.NO_PROFILE:
+        profile = f"{criteria.name} ({criteria.title})"
+    about = f"{sequence.name} · criteria: {profile} · {_punctuality(outcome)} · "
     parts = [
         element("h2", f"{sequence.title} · ", _result(outcome.result), id=sequence.name),
         paragraph(element("small", about, _links(outcome, out))),
@@ -406,8 +422,7 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
         parts += _brakes(outcome, radius_m)
 
     if outcome.events:
-        rows = [(f"{event.time_s:.3f}", event.who, event.text) for event in outcome.events]
-        parts.append(folded(f"{len(rows)} events", table(("s", "who", "what"), rows)))
+        parts.append(_events(outcome))
     for title, path in (
         ("sequence", sequence.path),
         ("resolved scenario", outcome.folder / "scenario.toml"),
@@ -416,6 +431,29 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
             text = user_files.read_text(path, user_files.TOML)
             parts.append(folded(f"{title}: {path.name}", element("pre", text)))
     return parts
+
+
+def _events(outcome: Outcome) -> Markup:
+    """Return the folded table of events, without the states of the nodes before and after the test.
+
+    States during the test may be the effect of a fault, so they stay.
+    """
+    steps_s = [event.time_s for event in outcome.events if event.code == Code.SEQUENCE_STEP]
+    begin_s = min(steps_s, default=0.0)
+    end_s = math.inf
+    if outcome.record is not None and len(outcome.record.columns["time_s"]):
+        end_s = float(outcome.record.columns["time_s"][-1])
+
+    rows = []
+    for event in outcome.events:
+        is_in_test = begin_s < event.time_s < end_s
+        if event.code != Code.NMT_STATE or is_in_test:
+            rows.append((f"{event.time_s:.3f}", event.who, event.text))
+    title = f"{len(rows)} events"
+    left_out = len(outcome.events) - len(rows)
+    if left_out:
+        title += f" ({left_out} NMT states before and after the test are only in {run_folder.EVENTS})"
+    return folded(title, table(("s", "who", "what"), rows))
 
 
 def _brakes(outcome: Outcome, radius_m: float) -> list[Markup]:

@@ -72,8 +72,8 @@ _AXLES_HEAD = (
     "axle",
     "mean sliding, m/s",
     "largest, m/s",
-    "largest slip, %",
-    "longest lock, s",
+    f"largest slip above {_SLOWEST_M_S:g} m/s, %",
+    "longest lock above {lock:g} m/s, s",
     "mean cylinder, bar",
     "mean adhesion",
     "vents",
@@ -179,7 +179,9 @@ def axles(record: Record) -> tuple[tuple[str, ...], list[list[str]], list[str]]:
         no_others = ["-"] * (len(_AXLES_HEAD) - 1 - len(slid))
         rows.append([f"{axle}, as measured", *slid, *no_others])
         classes.append("void")
-    return _AXLES_HEAD, rows, classes
+    lock_above_m_s = record.scenario["rig"]["lock_above_m_s"]
+    head = tuple(title.format(lock=lock_above_m_s) for title in _AXLES_HEAD)
+    return head, rows, classes
 
 
 def _sliding_cells(record: Record, sliding_m_s: np.ndarray) -> list[str]:

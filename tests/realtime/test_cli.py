@@ -94,6 +94,25 @@ def test_a_list_names_everything_of_a_kind_with_its_title(kind, capsys):
         assert [one["name"] for one in named] == packaged
 
 
+@pytest.mark.parametrize("kind", ["adhesion", "criteria", "vehicles"])
+def test_a_title_in_a_list_is_a_whole_sentence(kind):
+    for _, title in listing.names_and_titles(kind):
+        assert title.count("(") == title.count(")"), title
+        assert not title.endswith((",", ":")), title
+
+
+def test_a_packaged_file_is_printed_as_it_is(capsys, tmp_path):
+    assert cli.main(["list", "sequences", "--show", "emergency_120"]) == cli.PASS
+    path = tmp_path / "my.toml"
+    path.write_text(capsys.readouterr().out)
+    packaged = store.find("sequences", "emergency_120").read_text()
+    assert path.read_text() == packaged
+    assert cli.main(["list", "sequences", "--show", "emergency_12"]) == cli.USAGE
+    assert "did you mean 'emergency_120'" in capsys.readouterr().err
+    assert cli.main(["list", "faults", "--show", "bus_off"]) == cli.USAGE
+    assert "kinds with files: scenarios" in capsys.readouterr().err
+
+
 def test_a_list_without_a_kind_lists_the_kinds(capsys):
     assert cli.main(["list", "--json"]) == cli.PASS
     kinds = json.loads(capsys.readouterr().out)["kinds"]

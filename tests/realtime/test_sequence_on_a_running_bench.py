@@ -86,7 +86,7 @@ def test_the_report_of_a_running_bench_has_the_load_and_adhesion_of_that_bench(t
     assert escape(warning) in page
     written = (tmp_path / "report" / "slow" / "scenario.toml").read_text()
     assert "mass_kg = 30000" in written
-    assert running.record.config["vehicle"]["mass_kg"] == 30000
+    assert running.record.scenario["vehicle"]["mass_kg"] == 30000
     assert len(sequence["config_hash"]) == 16
 
 

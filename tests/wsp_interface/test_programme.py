@@ -1,5 +1,7 @@
 """Test programmes: what they contain, what counts for their result, and how they continue."""
 
+import argparse
+import hashlib
 import json
 import os
 import signal
@@ -15,6 +17,7 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 from rollerrig.realtime.commands import sequence
+from rollerrig.realtime.commands.evidence import programme as programme_command
 from rollerrig.realtime.reports.evidence import programme as report
 from rollerrig.wsp_interface.sequences import programme
 
@@ -134,6 +137,11 @@ def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_coun
     (distance,) = [one for one in failed["verdicts"] if one["what"] == "stop_distance"]
     assert (distance["result"], distance["limit"]) == ("fail", "at most 0.01")
     assert stop["missing_signals"] == []
+    assert not found["is_part"]
+    # what each sequence was played with, and which sequence it was
+    assert stop["conditions"]["initial speed"] == "4 km/h"
+    digest = hashlib.sha256((files.parent / "a.toml").read_bytes()).hexdigest()
+    assert stop["sequence_sha256"] == digest
     assert "a/channels.parquet" in stop["files"]
     assert found["versions"]["rollerrig"]
 
@@ -142,7 +150,69 @@ def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_coun
     assert "Not a certification" in page
     assert "on another rig" in page
     assert "A. Meier" in page
+    assert "<th>load</th><td>43 t in all</td>" in page
+    assert "<th>adhesion</th><td>dry, mu_cd" in page
+    assert "<th>gradient</th><td>0 % (level)</td>" in page
+    assert f"sequence {digest[:16]} (SHA-256)" in page
+    assert "the whole programme" in page
     assert stop["files"]["a/channels.parquet"] in page
+
+
+def test_a_part_of_a_programme_is_played_by_its_groups_and_its_evidence_states_that(
+    files, tmp_path, capsys
+):
+    out = tmp_path / "out"
+    assert play(files, out, "--group", "sto") == cli.PASS
+    assert json.loads(capsys.readouterr().out)["sequences"] == {"a": "pass", "b": "pass"}
+    assert not (out / "evidence.json").exists()
+    found = json.loads((out / "evidence_part.json").read_text())
+    assert (found["is_part"], found["result"]) == (True, "pass")
+    assert found["groups_left_out"] == ["More", "Elsewhere"]
+    page = (out / "evidence_part.html").read_text()
+    assert "A part of the programme.</b> The result is that of the groups below." in page
+    assert "Not chosen: More; Elsewhere." in page
+
+    # the whole programme continues with what the part has left
+    assert play(files, out) == cli.PASS
+    assert json.loads(capsys.readouterr().out)["done_before"] == 2
+    # a part with additional groups only is judged by them
+    loaded = programme.load(str(files)).part(["More"])
+    assert loaded.counted == programme.KINDS
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("Brakes", "there is no such group; give the title or its beginning: Stops; More"),
+        ("", "there is no such group"),
+        ("elsewhere", "this group is not run here: on another rig"),
+    ],
+)
+def test_a_group_that_cannot_be_played_is_refused_with_those_that_can(files, text, message):
+    with pytest.raises(ConfigError, match=message):
+        programme.load(str(files)).part([text])
+
+
+def test_the_evidence_has_the_hash_of_the_files_in_the_command_of_the_unit(tmp_path):
+    unit = tmp_path / "unit.py"
+    unit.write_text("first")
+    settings = tmp_path / "unit.toml"
+    settings.write_text("a = 1")
+    options = argparse.Namespace(
+        wsp="external",
+        unit=f"{sys.executable} {unit} --config={settings} {{host}} {{port}}",
+        unit_map=None,
+        seed=0,
+    )
+    first = programme_command._tested(options)
+    assert set(first["files"]) == {sys.executable, str(unit), str(settings)}
+    assert first["files"][str(unit)] == hashlib.sha256(b"first").hexdigest()
+
+    # another unit is another test
+    one = sequence.load(["emergency_120"])[0]
+    mark = programme_command._fingerprint(one, first)
+    unit.write_text("second")
+    assert programme_command._fingerprint(one, programme_command._tested(options)) != mark
 
 
 def test_a_programme_that_is_killed_continues_with_what_is_left(files, tmp_path, capsys):
@@ -186,6 +256,9 @@ def part(name, result="pass", signals=("vehicle_speed", "cylinder_pressure", "va
         ((part("a"), part("b")), "pass"),
         ((part("a"), part("c")), "error"),
         ((part("a", "fail"), part("b")), "fail"),
+        ((part("a", "fail"), part("b", "error")), "fail"),
+        ((part("a", "fail"),), "fail"),
+        ((part("a", "fail", signals=["vehicle_speed"]), part("b")), "fail"),
         ((part("a"), part("b", signals=["vehicle_speed", "valve"])), "error"),
         ((), "error"),
     ],
@@ -195,6 +268,22 @@ def test_a_sequence_that_was_not_run_or_lacks_a_signal_never_counts_as_a_pass(fi
     named = {one["name"]: one for one in parts}
     found = report.evidence(loaded, named, {"unit": "none"}, datetime(2026, 1, 1, tzinfo=UTC), {})
     assert found["result"] == result
+
+
+def test_the_evidence_of_a_failure_mentions_what_could_not_be_judged(files, tmp_path):
+    loaded = programme.load(str(files))
+    line = {"what": "stop_distance_over_dry", "result": "error", "unit": "", "value": None}
+    line |= {"limit": "at most 1.3", "source": "assumption"}
+    failed = part("a", "fail") | {"title": "A stop", "error": None, "config_hash": "0", "seed": 0}
+    failed |= {"pacing": "lockstep", "verdicts": [line], "conditions": {}, "sequence_sha256": "0" * 64}
+    tested = {"unit": "none", "command": None, "seed": 0, "files": {}}
+    when = datetime(2026, 1, 1, tzinfo=UTC)
+    found = report.evidence(loaded, {"a": failed}, tested, when, {})
+    assert found["result"] == "fail"
+    assert found["not_judged"] == ["a: stop_distance_over_dry", "b: not run"]
+    report.write(found, tmp_path)
+    page = (tmp_path / "evidence.html").read_text()
+    assert "Could not be judged: </b>a: stop_distance_over_dry; b: not run" in page
 
 
 def test_a_run_without_a_record_has_no_signals(tmp_path):

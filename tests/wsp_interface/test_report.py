@@ -24,7 +24,7 @@ from rollerrig.realtime.commands import sequence as verb_sequence
 from rollerrig.realtime.reports import sequences, stop
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import Event
-from rollerrig.wsp_interface.sequences import sequence, verdict
+from rollerrig.wsp_interface.sequences import measures, sequence, verdict
 from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import Result
 
@@ -161,6 +161,57 @@ def test_what_sensors_measured_is_in_separate_rows_of_the_page(tmp_path):
     data = sequences.as_data([found], sequences.datetime.now(sequences.UTC))["sequences"][0]
     assert data["figures"]["sliding_max"] == pytest.approx(16.0, abs=0.1)  # axle 2 locks
     assert data["measured"]["sliding_mean"] > data["figures"]["sliding_mean"] + 1.0
+
+
+def test_the_conditions_of_a_sequence_have_the_gradient(tmp_path):
+    level = outcome(tmp_path)
+    downhill = outcome(tmp_path)
+    mechanisms = downhill.record.scenario["mechanisms"] | {"track_gradient_gradient": -0.01}
+    scenario = downhill.record.scenario | {"mechanisms": mechanisms}
+    downhill.record = dataclasses.replace(downhill.record, scenario=scenario)
+    when = sequences.datetime.now(sequences.UTC)
+    assert "<th>gradient</th><td>0 % (level)</td>" in sequences.html([level], tmp_path, when)
+    assert "<th>gradient</th><td>-1 % (downhill)</td>" in sequences.html([downhill], tmp_path, when)
+    (data,) = sequences.as_data([downhill], when)["sequences"]
+    assert data["conditions"]["gradient"] == "-1 % (downhill)"
+
+
+def test_the_report_has_the_values_of_keys_and_not_their_names(tmp_path):
+    found = outcome(tmp_path)
+    page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
+    assert "longest lock of a wheelset above 3 m/s" in page
+    assert "longest lock above 3 m/s, s</th>" in page
+    for measure in measures.MEASURES:
+        assert "_m_s" not in measure.meaning(found.record)
+
+
+def test_a_sequence_with_limits_but_without_a_profile_is_not_reported_as_one_without_limits(
+    tmp_path,
+):
+    limits = (
+        '[[measure]]\nmeasure = "stop_time"\nunit = "s"\nmax = 60.0\nsource = "assumption"\n'
+    )
+    without = GOOD.replace('criteria = "stop"', 'criteria = "none"')
+    when = sequences.datetime.now(sequences.UTC)
+    page = sequences.html([outcome(tmp_path, without + limits)], tmp_path, when)
+    assert "criteria: limits in the sequence ·" in page
+    page = sequences.html([outcome(tmp_path, without)], tmp_path, when)
+    assert "criteria: no limits ·" in page
+    page = sequences.html([outcome(tmp_path, GOOD + limits)], tmp_path, when)
+    assert "criteria: stop (stops on low adhesion; and limits in the sequence) ·" in page
+
+
+def test_the_states_of_nodes_before_and_after_the_test_do_not_fill_the_events(tmp_path):
+    found = outcome(tmp_path)
+    end_s = float(found.record.columns["time_s"][-1])
+    for time_s, state in ((0.0, "starting"), (5.0, "pre-operational"), (end_s, "stopped")):
+        fields = {"node": 17, "state": state}
+        found.events.append(Event(time_s, "bench, info", f"is {state}", Code.NMT_STATE, fields))
+    page = sequences.html([found], tmp_path, sequences.datetime.now(sequences.UTC))
+    assert "is pre-operational" in page  # perhaps the effect of a fault
+    assert "is starting" not in page
+    assert "is stopped" not in page
+    assert "2 events (2 NMT states before and after the test are only in events.jsonl)" in page
 
 
 def test_measures_are_void_where_a_precondition_failed(tmp_path):

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import synthetic_record as stop
 
-from rollerrig.wsp_interface.sequences import measures, verdict
+from rollerrig.wsp_interface.sequences import measures, sequence, verdict
 from rollerrig.wsp_interface.sequences.measures import BY_NAME
+from rollerrig.wsp_interface.sequences.play import Outcome
 from rollerrig.wsp_interface.sequences.verdict import Limit, Profile, Result
 
 
@@ -158,9 +159,26 @@ def test_a_unit_that_sends_no_reference_speed_is_not_judged_by_it():
     assert "sends no reference speed" in absent.text
 
 
+def test_an_exceeded_limit_is_a_failure_also_if_another_measure_could_not_be_judged(tmp_path):
+    assert verdict.worst([Result.FAIL, Result.ERROR, Result.PASS]) is Result.FAIL
+    path = tmp_path / "one.toml"
+    path.write_text(stop.GOOD)
+    one = Outcome(sequence.load(path), tmp_path / "one")
+    # the train does not stop, and an axle locks for longer than allowed
+    rolls = stop.record()
+    rolls.columns["vehicle_speed_m_s"][:] = 20.0
+    locks = (limit("longest_lock", high=0.4), limit("stop_distance", high=500.0))
+    one.verdicts = verdict.judge(Profile("two", "two limits", locks), rolls)
+    assert [line.result for line in one.verdicts] == [Result.FAIL, Result.ERROR]
+    assert one.result is Result.FAIL
+    # of a run that is not valid nothing is judged
+    one.error = "the run is not valid"
+    assert one.result is Result.ERROR
+
+
 def test_the_worst_verdict_decides_and_no_verdict_is_an_error():
     assert verdict.worst([Result.PASS, Result.FAIL]) is Result.FAIL
-    assert verdict.worst([Result.ERROR, Result.FAIL]) is Result.ERROR
+    assert verdict.worst([Result.PASS, Result.ERROR]) is Result.ERROR
     assert verdict.worst([Result.PASS, Result.ABSENT]) is Result.PASS
     assert verdict.worst([]) is Result.ERROR
     assert verdict.worst([Result.ABSENT]) is Result.ERROR

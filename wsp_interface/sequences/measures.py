@@ -327,6 +327,7 @@ class Measure:
     """One row.
 
     least: the least value that the measure can have.
+    text: its meaning; values of the scenario are in braces, see `meaning`.
     of: computes it; NaN if it could not be measured.
     absent: why a run may have no value without an error; "" if it must have one.
     """
@@ -337,6 +338,10 @@ class Measure:
     text: str
     of: Callable[[Record], float]
     absent: str = ""
+
+    def meaning(self, record: Record) -> str:
+        """Return the text with the values of the scenario of a record."""
+        return self.text.format_map(record.scenario)
 
 
 MEASURES: tuple[Measure, ...] = (
@@ -373,7 +378,7 @@ MEASURES: tuple[Measure, ...] = (
         "longest_lock",
         "s",
         0.0,
-        "longest lock of a wheelset above lock_above_m_s",
+        "longest lock of a wheelset above {rig[lock_above_m_s]:g} m/s",
         lambda r: max(r.finals["longest_lock"]),
     ),
     Measure(
@@ -425,7 +430,8 @@ MEASURES: tuple[Measure, ...] = (
         "initial_adhesion",
         "",
         0.0,
-        "adhesion of the first wheelset when it first slides by initial_at_sliding_m_s",
+        "adhesion of the first wheelset when it first slides by "
+        "{adhesion[initial_at_sliding_m_s]:g} m/s",
         _initial_adhesion,
         "the first wheelset did not slide so much",
     ),

@@ -78,7 +78,7 @@ class Outcome:
 
     @property
     def result(self) -> Result:
-        """An error if there is one, else the worst verdict."""
+        """An error if the run could not be judged, else the worst verdict."""
         if self.error:
             return Result.ERROR
         return verdict.worst([line.result for line in self.verdicts])

@@ -8,7 +8,7 @@ A programme is a TOML file. Each group has a kind, and a source for what it cont
     apart           not run here: `reason` states why, and where it belongs
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -57,6 +57,7 @@ class Programme(NamedTuple):
     source: where its contents are from.
     notes: its limits, for readers of the evidence.
     log: names of the signals that the record of each run must have.
+    left_out: titles of the groups that were not chosen; empty for the whole programme.
     """
 
     name: str
@@ -66,6 +67,50 @@ class Programme(NamedTuple):
     notes: tuple[str, ...]
     log: tuple[str, ...]
     groups: tuple[Group, ...]
+    left_out: tuple[str, ...] = ()
+
+    @property
+    def counted(self) -> tuple[str, ...]:
+        """The kinds of groups that count for the result.
+
+        If a part of the programme has no group of these kinds, all its groups count.
+        """
+        kinds = {group.kind for group in self.groups}
+        return COUNTED if kinds & set(COUNTED) else KINDS
+
+    def part(self, chosen: Sequence[str]) -> "Programme":
+        """Return a part of the programme: the groups whose titles, or beginnings of them, are given.
+
+        Raises ConfigError for an unknown group, and for one that is not run here.
+        """
+        picked = {self._group(text) for text in chosen}
+        return self._replace(
+            groups=tuple(group for group in self.groups if group in picked),
+            left_out=tuple(group.title for group in self.groups if group not in picked),
+        )
+
+    def _group(self, text: str) -> Group:
+        """Return the group whose title is or begins with a text; small and large letters are equal."""
+        wanted = text.strip().casefold()
+        titles = [group.title.casefold() for group in self.groups]
+        if wanted in titles:
+            found = [self.groups[titles.index(wanted)]]
+        else:
+            found = [
+                group
+                for group, title in zip(self.groups, titles, strict=True)
+                if wanted and title.startswith(wanted)
+            ]
+        if len(found) != 1:
+            several = "several groups begin so" if found else "there is no such group"
+            allowed = "; ".join(group.title for group in self.groups if group.kind != APART)
+            raise ConfigError(
+                f"--group '{text}': {several}; give the title or its beginning: {allowed}"
+            )
+        (group,) = found
+        if group.kind == APART:
+            raise ConfigError(f"--group '{text}': this group is not run here: {group.reason}")
+        return group
 
     @property
     def sequences(self) -> tuple[str, ...]:

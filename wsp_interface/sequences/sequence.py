@@ -361,7 +361,8 @@ def _step(table: Mapping[str, Any], at: Where, line: int) -> Step:
         if name not in _SETTABLE:
             raise ConfigError(
                 f"{at('set')}: '{name}' cannot be set{nearest(name, _SETTABLE)};"
-                " speed, mass and adhesion belong to [start], friction has a separate key"
+                " speed, mass, gradient and adhesion belong to [start]: the speed follows from the run,"
+                " mass and gradient stay constant; a step changes the friction with the key friction"
             )
     until = None
     if "until" in table:

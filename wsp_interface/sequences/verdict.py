@@ -1,7 +1,8 @@
 """Verdicts: measures against limits, each with its margin and the source of its number.
 
 A criteria profile is a TOML file of limits. A sequence may add limits, which replace those of the
-profile for the same measure. A measure that could not be computed is an error, never a pass. If a
+profile for the same measure. A measure that could not be computed is an error, never a pass. An
+exceeded limit wins over an error: what failed is a failure, whatever else could not be judged. If a
 pre-condition of the sequence did not hold, all measures are void, and the sequence is an error. A
 measure that a run cannot have, because for example the WSP did not act, does not count, and its
 verdict states why. No verdict certifies anything.
@@ -22,6 +23,7 @@ from rollerrig.configs.table import known, nearest
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.measures import Record
 
+NO_PROFILE = "none"  # the name of the profile without limits
 DISCLAIMER = "not a certification"
 UNVERIFIED = "recollection, to be checked against ..."
 # a source that is only remembered, and the standard against which it has to be checked
@@ -43,8 +45,8 @@ class Result(StrEnum):
 
     PASS = "pass"
     ABSENT = "not applicable"
-    FAIL = "fail"
     ERROR = "error"
+    FAIL = "fail"
 
 
 @dataclass(frozen=True)
@@ -67,10 +69,18 @@ class Profile:
     limits: tuple[Limit, ...]
 
     def with_limits(self, more: tuple[Limit, ...]) -> "Profile":
-        """Return the profile with more limits; they replace those of the same measure."""
+        """Return the profile with more limits; they replace those of the same measure.
+
+        The title then mentions them.
+        """
+        if not more:
+            return self
         replaced = {limit.measure for limit in more}
         kept = [limit for limit in self.limits if limit.measure not in replaced]
-        return replace(self, limits=(*kept, *more))
+        title = "limits in the sequence"
+        if kept:
+            title = f"{self.title}; and limits in the sequence"
+        return replace(self, title=title, limits=(*kept, *more))
 
 
 @dataclass(frozen=True)
@@ -119,8 +129,8 @@ class Verdict:
 
 def load(name: str, beside: Path | None = None) -> Profile:
     """Return a criteria profile by name or path; "none" has no limits. Raises ConfigError."""
-    if name == "none":
-        return Profile("none", "no limits", ())
+    if name == NO_PROFILE:
+        return Profile(NO_PROFILE, "no limits", ())
     content, path = store.load("criteria", name, beside)
     known(content, ("title", "limit"), lambda key: str(path))
     tables = content.get("limit", [])
@@ -200,7 +210,7 @@ def _voided(verdict: Verdict, reason: str) -> Verdict:
 
 def _judge(limit: Limit, record: Record) -> Verdict:
     measure = measures.BY_NAME[limit.measure]
-    text = measure.text
+    text = measure.meaning(record)
     try:
         value = float(measure.of(record))
     except (KeyError, IndexError, ValueError) as error:

@@ -10,6 +10,8 @@ import contextlib
 import copy
 import hashlib
 import json
+import os
+import shutil
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -22,6 +24,7 @@ from rollerrig.configs.processes import interruption
 from rollerrig.realtime.commands import output, sequence, wsp
 
 if TYPE_CHECKING:
+    from rollerrig.wsp_interface.sequences.programme import Programme
     from rollerrig.wsp_interface.sequences.sequence import Sequence
 
 # the part of the evidence in the folder of a sequence
@@ -37,6 +40,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="folder of the evidence; an unfinished programme in it is continued "
         "(default: programmes/PROGRAMME)",
+    )
+    parser.add_argument(
+        "--group",
+        action="append",
+        default=[],
+        metavar="NAME",
+        help="play only this group: its title, or the beginning of its title; may be repeated. The "
+        "evidence then states that it is a part of the programme",
     )
     parser.add_argument(
         "--wsp",
@@ -81,13 +92,16 @@ def call(options: argparse.Namespace) -> int:
     if options.unit and not options.wsp:
         options.wsp = "external"
     programme = programme_file.load(options.programme)
+    if options.group:
+        programme = programme.part(options.group)
     sequences = sequence.load(list(programme.sequences))
     if options.check:
         names = [one.name for one in sequences]
         return output.show(
             options,
             {"programme": programme.name, "checked": names},
-            f"{programme.name}: {len(names)} sequences are valid",
+            (None, ("group", "kind", "sequences"), _group_rows(programme)),
+            f"{programme.name}: {sequence.count_text(len(names))} valid",
         )
 
     about = output.about(options)
@@ -98,7 +112,8 @@ def call(options: argparse.Namespace) -> int:
     # all options are checked before the first bench starts
     sequence.check_options(playing, sequences)
 
-    marks = {one.name: _fingerprint(one, options) for one in sequences}
+    tested = _tested(options)
+    marks = {one.name: _fingerprint(one, tested) for one in sequences}
     parts = _parts_done(out, marks)
     done_before = len(parts)
     begun_s = time.monotonic()
@@ -110,7 +125,7 @@ def call(options: argparse.Namespace) -> int:
             for name, part in _play(sequences, playing, out, marks, parts):
                 parts[name] = part
         interrupted.ignore()
-        evidence = report.evidence(programme, parts, _tested(options), datetime.now(UTC), about)
+        evidence = report.evidence(programme, parts, tested, datetime.now(UTC), about)
         files = report.write(evidence, out, options.pdf)
 
     left = len(sequences) - len(parts)
@@ -122,16 +137,27 @@ def call(options: argparse.Namespace) -> int:
             "sequences": {name: parts[name]["result"] for name in parts},
             "done_before": done_before,
             "left": left,
+            "not_judged": evidence["not_judged"],
             "interrupted": interrupted.by or None,
             "files": [str(file) for file in files],
         },
-        f"{evidence['result']}: {len(parts)} of {len(sequences)} sequences done "
+        f"{evidence['result']}{' of a part' if evidence['is_part'] else ''}: {len(parts)} of {len(sequences)} sequences done "
         f"({done_before} before); evidence in {files[0]} (not a certification)",
+        *(f"could not be judged: {text}" for text in evidence["not_judged"]),
         *([f"interrupted: {left} are left; repeat the command to continue"] if left else []),
     )
     if interrupted.by:
         return output.INVALID
     return output.PASS if evidence["result"] == "pass" else output.FAILED
+
+
+def _group_rows(programme: "Programme") -> list[tuple[str, str, str]]:
+    """Return title, kind and names of the sequences of each group."""
+    rows = []
+    for group in programme.groups:
+        names = ", ".join(Path(path).stem for path in group.sequences)
+        rows.append((group.title, group.kind, names or "-"))
+    return rows
 
 
 def _progress(
@@ -161,13 +187,19 @@ def _sequence_options(options: argparse.Namespace, out: Path) -> argparse.Namesp
 
 
 def _tested(options: argparse.Namespace) -> dict[str, Any]:
-    """Return what was tested, and with which files."""
+    """Return what was tested, and the hash of each file that is known to belong to the unit.
+
+    These are FMUs, the mapping, and the program and the files that the command names. Files that
+    the program itself loads are not known.
+    """
     from rollerrig.wsp_interface import unit_choice
 
     unit = options.wsp or "reference"
     files = [Path(file) for file in unit_choice.fmus_of(unit)]
     if options.unit_map:
         files.append(options.unit_map)
+    if options.unit:
+        files += _files_of_command(unit_choice.command_words(options.unit, ""))
     return {
         "unit": unit,
         "command": options.unit or None,
@@ -176,16 +208,30 @@ def _tested(options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def _fingerprint(one: "Sequence", options: argparse.Namespace) -> str:
+def _files_of_command(words: list[str]) -> list[Path]:
+    """Return the program of a command and the files among its words, as in --config=unit.toml."""
+    files = []
+    program = shutil.which(words[0])
+    if program:
+        files.append(Path(program))
+    for word in words[1:]:
+        for text in (word, word.partition("=")[2]):
+            # os.path, because Path raises an error for a name that is too long or contains NUL
+            if text and os.path.isfile(text):
+                files.append(Path(text))
+    return files
+
+
+def _fingerprint(one: "Sequence", tested: dict[str, Any]) -> str:
     """Return a hash of all that decides the outcome of a sequence, as far as rollerrig knows it.
 
-    It does not see a change of the program behind --unit.
+    `tested` is from `_tested`.
     """
     from rollerrig.realtime.bench import scenario
 
     of_scenario = scenario.digest(sequence.scenario_of(one))
     content = [
-        _tested(options),
+        tested,
         _sha256(one.path),
         repr(one.criteria),
         of_scenario,
@@ -253,6 +299,7 @@ def _play_one(one: "Sequence", options: argparse.Namespace, mark: str) -> dict[s
     report.write([outcome], options.out, None, output.about(options))
     (data,) = report.as_data([outcome], datetime.now(UTC))["sequences"]
     part: dict[str, Any] = {"fingerprint": mark} | data
+    part["sequence_sha256"] = _sha256(one.path)
     part["signals"] = evidence.recorded(outcome.folder)
     part["files"] = {
         str(path.relative_to(options.out)): _sha256(path)

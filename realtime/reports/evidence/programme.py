@@ -26,6 +26,8 @@ from rollerrig.wsp_interface.sequences import verdict as verdict_of
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, worst
 
 NAMES = ("evidence.json", "evidence.html", "evidence.pdf")
+# of a part of a programme; so it does not replace the evidence of the whole
+NAMES_OF_PART = ("evidence_part.json", "evidence_part.html", "evidence_part.pdf")
 NOT_RUN = "not run"
 _PACKAGES = ("rollerrig", "numpy", "numba", "scipy", "canopen", "python-can", "pyarrow")
 _MARKED = {Result.FAIL: "marked", Result.ERROR: "marked"}
@@ -71,7 +73,8 @@ def evidence(
     """Return the evidence as plain data.
 
     `parts` has the sequences that were run, by name. `tested` is the unit and its files. The result
-    is the worst of the groups that count; without all of their sequences it is an error.
+    is the worst of the groups that count: a failure if anything has failed, else an error if a
+    sequence could not be judged or was not run.
     """
     groups = []
     counted = []
@@ -86,7 +89,7 @@ def evidence(
                 "sequences": in_group,
             }
         )
-        if group.kind in programme_file.COUNTED:
+        if group.kind in programme.counted:
             counted += [_counted(one) for one in in_group]
     return {
         "disclaimer": DISCLAIMER,
@@ -96,6 +99,9 @@ def evidence(
         "notes": list(programme.notes),
         "programme_sha256": _sha256_of(programme.path),
         "result": worst(counted),
+        "not_judged": _not_judged([group for group in groups if group["kind"] in programme.counted]),
+        "is_part": bool(programme.left_out),
+        "groups_left_out": list(programme.left_out),
         "written": when.isoformat(),
         "about": dict(about),
         "tested": dict(tested),
@@ -130,14 +136,36 @@ def _sequence(
 
 
 def _counted(one: Mapping[str, Any]) -> Result:
-    """Return what a sequence counts; one that was not run, or lacks a signal, is an error.
+    """Return what a sequence counts; one that was not run, or lacks a signal, is no pass.
 
     Optional signals that the unit does not send are reported, and are no error.
     """
-    of_rig = [signal for signal in one["missing_signals"] if signal not in _OF_UNIT]
-    if one["result"] == NOT_RUN or of_rig:
+    if one["result"] == NOT_RUN:
         return Result.ERROR
-    return Result(one["result"])
+    result = Result(one["result"])
+    return worst([result, Result.ERROR]) if _missing_of_rig(one) else result
+
+
+def _missing_of_rig(one: Mapping[str, Any]) -> list[str]:
+    """Return the required signals of the rig that the record of a sequence lacks."""
+    return [signal for signal in one["missing_signals"] if signal not in _OF_UNIT]
+
+
+def _not_judged(groups: list[dict[str, Any]]) -> list[str]:
+    """Return what could not be judged in some groups, as a text for each sequence."""
+    found = []
+    for group in groups:
+        for one in group["sequences"]:
+            reasons = []
+            if one["result"] == NOT_RUN:
+                reasons.append(NOT_RUN)
+            if one.get("error"):
+                reasons.append(one["error"])
+            reasons += [line["what"] for line in one["verdicts"] if line["result"] == Result.ERROR]
+            reasons += [f"no signal {signal} in the record" for signal in _missing_of_rig(one)]
+            if reasons:
+                found.append(f"{one['name']}: {', '.join(reasons)}")
+    return found
 
 
 def write(found: Mapping[str, Any], out: Path, on_paper: bool = False) -> list[Path]:
@@ -145,7 +173,8 @@ def write(found: Mapping[str, Any], out: Path, on_paper: bool = False) -> list[P
 
     Raises ConfigError if it cannot be written.
     """
-    paths = [out / name for name in NAMES[: 3 if on_paper else 2]]
+    names = NAMES_OF_PART if found["is_part"] else NAMES
+    paths = [out / name for name in names[: 3 if on_paper else 2]]
     with writing(out):
         make_folder(out)
         write_text(paths[0], json.dumps(found, indent=1))
@@ -168,6 +197,7 @@ def _page(found: Mapping[str, Any], out: Path) -> str:
     )
     block |= {
         "programme": found["programme"],
+        "extent": "a part of the programme" if found["is_part"] else "the whole programme",
         "result": found["result"],
         "contents of the programme": verdict_of.source_text(found["source"]),
         "command of the unit": tested["command"] or "-",
@@ -179,10 +209,12 @@ def _page(found: Mapping[str, Any], out: Path) -> str:
         page.paragraph(
             page.element("b", f"{DISCLAIMER.capitalize()}."),
             " Simulated rig and vehicle. Mandatory groups and groups by agreement count for the "
-            "result; a sequence that was not run, or whose record lacks a required signal of the rig, "
-            "is an error.",
+            "result, which is fail if anything has failed. A sequence that was not run, or whose "
+            "record lacks a required signal of the rig, is an error.",
             kind="note",
         ),
+        *_part_note(found["groups_left_out"]),
+        *_not_judged_note(found["not_judged"]),
         *(page.paragraph(note) for note in found["notes"]),
         page.element("h2", "Overview"),
         page.table(("group", "kind", "sequence", "result"), _overview(found)),
@@ -199,6 +231,20 @@ def _page(found: Mapping[str, Any], out: Path) -> str:
         page.signatures(found["about"]),
     ]
     return page.page(found["title"], *parts)
+
+
+def _part_note(left_out: list[str]) -> list[page.Markup]:
+    """Return the note that the evidence is a part of a programme, if it is one."""
+    if not left_out:
+        return []
+    text = f" The result is that of the groups below. Not chosen: {'; '.join(left_out)}."
+    return [page.paragraph(page.element("b", "A part of the programme."), text, kind="note")]
+
+
+def _not_judged_note(texts: list[str]) -> list[page.Markup]:
+    if not texts:
+        return []
+    return [page.paragraph(page.element("b", "Could not be judged: "), "; ".join(texts), kind="note")]
 
 
 def _overview(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
@@ -224,6 +270,7 @@ def _group(group: Mapping[str, Any], out: Path) -> list[page.Markup]:
         if one["result"] == NOT_RUN:
             continue
         parts.append(page.paragraph(one["title"]))
+        parts.append(page.facts(one["conditions"]))
         if one["error"]:
             parts.append(page.paragraph(f"Error: {one['error']}", kind="note"))
         if one["missing_signals"]:
@@ -234,7 +281,10 @@ def _group(group: Mapping[str, Any], out: Path) -> list[page.Markup]:
         rows = [_verdict(verdict) for verdict in one["verdicts"]]
         marked = [_MARKED.get(Result(verdict["result"]), "") for verdict in one["verdicts"]]
         parts.append(page.table(_VERDICTS_HEAD, rows, marked))
-        configuration = f"Configuration {one['config_hash']}, seed {one['seed']}, {one['pacing']}. "
+        configuration = (
+            f"Scenario {one['config_hash']}, sequence {one['sequence_sha256'][:16]} (SHA-256), "
+            f"seed {one['seed']}, {one['pacing']}. "
+        )
         report = out / one["name"] / "report.html"
         link = page.file_link("report of the sequence", report, out)
         parts.append(page.paragraph(configuration, link))
