@@ -620,9 +620,7 @@ def dump(scenario: Scenario, of_harness: bool = False) -> str:
             "file.\n# Play the sequence or the test again to repeat the run.\n"
         )
     else:
-        remedy = (
-            "# Run it again to repeat the run, unless a PLC, a harness or a person commanded the run.\n"
-        )
+        remedy = "# Run it again to repeat the run, unless a PLC, a harness or a person commanded the run.\n"
     head = "# resolved by rollerrig: every default written out\n"
     return head + remedy + tomli_w.dumps(scenario.resolved)
 

@@ -452,7 +452,9 @@ def _events(outcome: Outcome) -> Markup:
     title = f"{len(rows)} events"
     left_out = len(outcome.events) - len(rows)
     if left_out:
-        title += f" ({left_out} NMT states before and after the test are only in {run_folder.EVENTS})"
+        title += (
+            f" ({left_out} NMT states before and after the test are only in {run_folder.EVENTS})"
+        )
     return folded(title, table(("s", "who", "what"), rows))
 
 

@@ -166,3 +166,12 @@ def test_numbers_reach_the_physics_as_floats():
     plan = scenario.load("velim_a1", settings=("vehicle.mass_kg=40000",))
     assert isinstance(plan.params.vehicle.mass_kg, float)
     assert all(np.asarray(column).dtype.kind in "fib" for column in plan.params.friction)
+
+
+def test_the_comment_of_a_scenario_promises_to_repeat_only_what_it_contains():
+    plan = scenario.load("velim_a1")
+    assert "# Run it again to repeat the run, unless a PLC" in scenario.dump(plan)
+    of_test = scenario.dump(plan, of_harness=True)
+    assert "its brake, friction and faults are not in this file" in of_test
+    assert "Run it again" not in of_test
+    assert tomllib.loads(of_test) == tomllib.loads(scenario.dump(plan))

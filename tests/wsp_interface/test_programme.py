@@ -138,6 +138,11 @@ def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_coun
     assert (distance["result"], distance["limit"]) == ("fail", "at most 0.01")
     assert stop["missing_signals"] == []
     assert not found["is_part"]
+    # the scenario describes this test, and does not promise to repeat it
+    scenario = (out / "a" / "a" / "scenario.toml").read_text()
+    assert 'title = "A stop from walking pace, number 0"' in scenario
+    assert "Play the sequence or the test again to repeat the run" in scenario
+    assert "Run it again" not in scenario
     # what each sequence was played with, and which sequence it was
     assert stop["conditions"]["initial speed"] == "4 km/h"
     digest = hashlib.sha256((files.parent / "a.toml").read_bytes()).hexdigest()
@@ -275,7 +280,12 @@ def test_the_evidence_of_a_failure_mentions_what_could_not_be_judged(files, tmp_
     line = {"what": "stop_distance_over_dry", "result": "error", "unit": "", "value": None}
     line |= {"limit": "at most 1.3", "source": "assumption"}
     failed = part("a", "fail") | {"title": "A stop", "error": None, "config_hash": "0", "seed": 0}
-    failed |= {"pacing": "lockstep", "verdicts": [line], "conditions": {}, "sequence_sha256": "0" * 64}
+    failed |= {
+        "pacing": "lockstep",
+        "verdicts": [line],
+        "conditions": {},
+        "sequence_sha256": "0" * 64,
+    }
     tested = {"unit": "none", "command": None, "seed": 0, "files": {}}
     when = datetime(2026, 1, 1, tzinfo=UTC)
     found = report.evidence(loaded, {"a": failed}, tested, when, {})

@@ -188,9 +188,7 @@ def test_the_report_has_the_values_of_keys_and_not_their_names(tmp_path):
 def test_a_sequence_with_limits_but_without_a_profile_is_not_reported_as_one_without_limits(
     tmp_path,
 ):
-    limits = (
-        '[[measure]]\nmeasure = "stop_time"\nunit = "s"\nmax = 60.0\nsource = "assumption"\n'
-    )
+    limits = '[[measure]]\nmeasure = "stop_time"\nunit = "s"\nmax = 60.0\nsource = "assumption"\n'
     without = GOOD.replace('criteria = "stop"', 'criteria = "none"')
     when = sequences.datetime.now(sequences.UTC)
     page = sequences.html([outcome(tmp_path, without + limits)], tmp_path, when)

@@ -35,6 +35,7 @@ def test_quantities_become_si_at_the_edge(tmp_path):
 # a text of the good sequence, its replacement, the line in the message and a part of the message
 REFUSED = (
     ('title = "A stop from forty on soap"', 'title = "stop"', "line 1", "sentence"),
+    ("{ brake_demand =", "{ gradient =", "line 11", "mass and gradient stay constant"),
     ("set = {", "sett = {", "line 11", "unknown key"),
     ("vehicle_speed < 1 km/h", "vehicle_sped < 1 km/h", "line 12", "vehicle_speed"),
     ("vehicle_speed < 1 km/h", "vehicle_speed < 1 bar", "line 12", "does not belong"),

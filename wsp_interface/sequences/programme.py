@@ -79,7 +79,7 @@ class Programme(NamedTuple):
         return COUNTED if kinds & set(COUNTED) else KINDS
 
     def part(self, chosen: Sequence[str]) -> "Programme":
-        """Return a part of the programme: the groups whose titles, or beginnings of them, are given.
+        """Return a part of the programme: the groups with these titles, or beginnings of titles.
 
         Raises ConfigError for an unknown group, and for one that is not run here.
         """
@@ -90,7 +90,7 @@ class Programme(NamedTuple):
         )
 
     def _group(self, text: str) -> Group:
-        """Return the group whose title is or begins with a text; small and large letters are equal."""
+        """Return the group whose title is a text, or begins with it, in capitals or not."""
         wanted = text.strip().casefold()
         titles = [group.title.casefold() for group in self.groups]
         if wanted in titles:

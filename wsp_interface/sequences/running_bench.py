@@ -81,14 +81,13 @@ def check_state(sequence: Sequence, harness: Harness) -> list[str]:
     Raises UnitError if the vehicle does not have the speed of the sequence, or if an earlier
     harness has set the friction.
     """
-    wanted_m_s = sequence.speed_m_s
     actual_m_s = harness.vehicle_speed_m_s
-    if wanted_m_s is not None:
-        if abs(actual_m_s - wanted_m_s) > _SPEED_SHARE * wanted_m_s + _SPEED_M_S:
-            raise UnitError(
-                f"pre-condition: the sequence begins at {wanted_m_s:.2f} m/s, the bench runs at "
-                f"{actual_m_s:.2f} m/s. Start the bench with: {start_command(sequence)}"
-            )
+    wanted_m_s = actual_m_s if sequence.speed_m_s is None else sequence.speed_m_s
+    if abs(actual_m_s - wanted_m_s) > _SPEED_SHARE * wanted_m_s + _SPEED_M_S:
+        raise UnitError(
+            f"pre-condition: the sequence begins at {wanted_m_s:.2f} m/s, the bench runs at "
+            f"{actual_m_s:.2f} m/s. Start the bench with: {start_command(sequence)}"
+        )
     commanded = [axle for axle, mu in harness.commanded_friction().items() if mu]
     if commanded:
         raise UnitError(

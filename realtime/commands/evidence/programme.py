@@ -129,6 +129,7 @@ def call(options: argparse.Namespace) -> int:
         files = report.write(evidence, out, options.pdf)
 
     left = len(sequences) - len(parts)
+    of_what = " (a part of the programme)" if evidence["is_part"] else ""
     output.show(
         options,
         {
@@ -141,7 +142,7 @@ def call(options: argparse.Namespace) -> int:
             "interrupted": interrupted.by or None,
             "files": [str(file) for file in files],
         },
-        f"{evidence['result']}{' of a part' if evidence['is_part'] else ''}: {len(parts)} of {len(sequences)} sequences done "
+        f"{evidence['result']}{of_what}: {len(parts)} of {len(sequences)} sequences done "
         f"({done_before} before); evidence in {files[0]} (not a certification)",
         *(f"could not be judged: {text}" for text in evidence["not_judged"]),
         *([f"interrupted: {left} are left; repeat the command to continue"] if left else []),

@@ -99,7 +99,9 @@ def evidence(
         "notes": list(programme.notes),
         "programme_sha256": _sha256_of(programme.path),
         "result": worst(counted),
-        "not_judged": _not_judged([group for group in groups if group["kind"] in programme.counted]),
+        "not_judged": _not_judged(
+            [group for group in groups if group["kind"] in programme.counted]
+        ),
         "is_part": bool(programme.left_out),
         "groups_left_out": list(programme.left_out),
         "written": when.isoformat(),
@@ -244,7 +246,9 @@ def _part_note(left_out: list[str]) -> list[page.Markup]:
 def _not_judged_note(texts: list[str]) -> list[page.Markup]:
     if not texts:
         return []
-    return [page.paragraph(page.element("b", "Could not be judged: "), "; ".join(texts), kind="note")]
+    return [
+        page.paragraph(page.element("b", "Could not be judged: "), "; ".join(texts), kind="note")
+    ]
 
 
 def _overview(found: Mapping[str, Any]) -> list[tuple[str, ...]]:
