@@ -86,7 +86,8 @@ SECTIONS = {
     "modbus": "the supervisory PLC",
 }
 FILES = {
-    run_folder.SCENARIO: "the scenario with every default; `rollerrig run` repeats the run from it",
+    run_folder.SCENARIO: "the scenario with every default; `rollerrig run` repeats the run from it. "
+    "Of a sequence or another test: what the bench began with; play the test again to repeat the run",
     run_folder.CHANNELS: "all [signals](signals.md), in SI units, at `loop.record_hz`",
     run_folder.TAIL: "samples of a run that was killed, which the file above does not hold yet",
     run_folder.EVENTS: "one [event](events.md) a line, as JSON",
@@ -278,6 +279,11 @@ def mechanism_table():
     return lines
 
 
+def _general(measure):
+    """Return the meaning of a measure, with the keys whose values a report has."""
+    return re.sub(r"\{(\w+)\[(\w+)\]:g\}", r"`\1.\2`", measure.text)
+
+
 def other_keys():
     """Return the page of the keys of other files than scenarios."""
     lines = [
@@ -335,7 +341,7 @@ def other_keys():
         "|---|---|---|---|",
     ]
     lines += [
-        f"| `{measure.name}` | {measure.unit} | {measure.text} | {measure.absent} |"
+        f"| `{measure.name}` | {measure.unit} | {_general(measure)} | {measure.absent} |"
         for measure in measures.MEASURES
     ]
     return "\n".join(lines) + "\n"
