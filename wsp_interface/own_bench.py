@@ -79,6 +79,15 @@ def scenario_of(
     return scenario
 
 
+def text_of_running_bench(resolved: Mapping[str, Any]) -> str:
+    """Return the resolved scenario of a bench that ran before its test began, as TOML."""
+    return (
+        "# resolved scenario of the bench, which ran already. A test commanded its brake, friction and "
+        "faults:\n# start the bench again and play the test again to repeat the run\n"
+        + tomli_w.dumps(resolved)
+    )
+
+
 @contextlib.contextmanager
 def start(
     folder: Path,

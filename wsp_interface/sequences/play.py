@@ -160,7 +160,7 @@ def on_running_bench(
             # before the harness joins, because a bench that waits for it begins then
             configuration = harness.configuration()
             scenario = configuration["resolved"]
-            output_files.write_text(folder / SCENARIO, running_bench.scenario_text(scenario))
+            output_files.write_text(folder / SCENARIO, own_bench.text_of_running_bench(scenario))
             warnings += running_bench.check_scenario(sequence, wanted, scenario)
             if scenario.get("demand"):
                 # the sequence commands the brake, not the programme of the bench

@@ -10,8 +10,6 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-import tomli_w
-
 from rollerrig.configs.errors import UnitError
 from rollerrig.wsp_interface.harness_client import Harness
 from rollerrig.wsp_interface.own_bench import DEFAULT_SCENARIO
@@ -124,15 +122,6 @@ def start_command(sequence: Sequence) -> str:
         command += f" (and {', '.join(f'[[{table}]]' for table in in_file)} of the sequence in a "
         command += "scenario file)"
     return command
-
-
-def scenario_text(resolved: Mapping[str, Any]) -> str:
-    """Return the resolved scenario of a running bench as TOML, for the folder of the report."""
-    return (
-        "# resolved scenario of the bench, which ran already. The sequence has commanded brake, "
-        "friction and faults:\n# start the bench again and play the sequence to repeat the run\n"
-        + tomli_w.dumps(resolved)
-    )
 
 
 def _names_of_start(sequence: Sequence, wanted: Mapping[str, Any]) -> set[str]:
