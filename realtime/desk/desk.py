@@ -21,8 +21,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
+from rollerrig.configs.errors import BusError, ConfigError, OtherVehicleError, RollerrigError
+from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, EQUIPMENT, EQUIPMENT_VARIABLE
 from rollerrig.firmware_sim.modbus.map import State
+from rollerrig.realtime.bench import scenario as scenarios
 from rollerrig.realtime.desk import reader
 from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
@@ -297,14 +299,14 @@ class Desk:
                 "a bench runs already on this machine: stop it first, or wait until it has ended"
             )
         self._check_scenario(scenario)
+        given = [f"{key}={value}" for key, value in settings.items() if value]
+        given += _settings_of(more)
+        self._check_vehicle(scenario, tuple(given))
         # the bench inherits the cores of the desk
         cores.restore(self._cores_before)
         self._left_cores = set()
         words = ["run", "--start", "modbus", "--pacing", "wall", f"--wsp={self.checked(unit)}"]
-        for key, value in settings.items():
-            if value:
-                words.append(f"--set={key}={value}")
-        words += [f"--set={setting}" for setting in _settings_of(more)]
+        words += [f"--set={setting}" for setting in given]
         self.prepared = {"scenario": scenario, "unit": unit, "more": more, **settings}
         # behind `--` nothing is an option, so a typed name cannot become one
         self.start([*words, "--", scenario])
@@ -336,6 +338,32 @@ class Desk:
             f"scenario {scenario}: this desk starts the scenarios of the library and files below "
             f"{folders}; to allow another folder, start the desk with --allow-folder DIR"
         )
+
+    def _check_vehicle(self, scenario: str, settings: tuple[str, ...]) -> None:
+        """Raise ConfigError if the page does not show the vehicle of a scenario.
+
+        Any other error in the scenario is that of the bench, which reports it.
+        """
+        file = self.folder / scenario
+        name = str(file) if file.is_file() else scenario
+        try:
+            scenarios.load(name, settings=settings)
+        except OtherVehicleError as error:
+            vehicle = _kind_of_vehicle(error.environment)
+            remedy = "start a desk for it: " + shlex.join(
+                ["rollerrig", "desk", "--scenario", scenario]
+            )
+            if settings:
+                remedy += (
+                    "; if one of the further values chooses the vehicle, write it into a scenario "
+                    "file and give this file"
+                )
+            raise ConfigError(
+                f"scenario {scenario}: its vehicle has {vehicle}, and this desk shows vehicles with "
+                f"{_kind_of_vehicle({})}; {remedy}"
+            ) from None
+        except ConfigError:
+            return
 
     def start(self, words: list[str]) -> Program:
         """Start a `rollerrig` command line. Raises ConfigError if it cannot start."""
@@ -432,3 +460,11 @@ def _settings_of(text: str) -> list[str]:
             f"further values: {text!r} cannot be read ({error}); close each quotation mark, as in "
             "adhesion.mu_cd=0.05"
         ) from None
+
+
+def _kind_of_vehicle(environment: Mapping[str, str]) -> str:
+    """Return the kind of vehicle of a process with these variables, else of this process."""
+    axles = environment.get(AXLES_VARIABLE, str(AXLES))
+    words = environment.get(EQUIPMENT_VARIABLE, ",".join(sorted(EQUIPMENT)))
+    equipment = words.replace(",", " and ").replace("_", " ") or "friction brakes only"
+    return f"{axles} axles and {equipment}"

@@ -436,6 +436,26 @@ def test_scenario_files_are_in_the_folder_of_the_desk_or_in_an_allowed_one(tmp_p
     assert prepared(one, allowed)[-1] == allowed
 
 
+def test_another_kind_of_vehicle_is_refused_with_the_command_that_starts_a_desk_for_it(tmp_path):
+    one = desk.Desk(tmp_path, own=True)
+    (tmp_path / "mine.toml").write_text('vehicle = "bogie_module"\n')
+    refusal = (
+        "its vehicle has {}, and this desk shows vehicles with 4 axles and friction brakes only"
+    )
+    for scenario, kind in (
+        ("tram_low_dynamic", "6 axles and dynamic brake"),
+        ("multiple_unit_low", "8 axles and friction brakes only"),
+        ("mine.toml", "2 axles and friction brakes only"),
+    ):
+        with pytest.raises(ConfigError) as refused:
+            prepared(one, scenario)
+        assert refusal.format(kind) in str(refused.value)
+        assert f"start a desk for it: rollerrig desk --scenario {scenario}" in str(refused.value)
+    with pytest.raises(ConfigError, match="write it into a scenario file"):
+        prepared(one, more="vehicle=bogie_module")
+    assert one.programs == []
+
+
 def test_text_of_the_page_cannot_become_an_option(tmp_path):
     one = desk.Desk(tmp_path, own=True)
 
