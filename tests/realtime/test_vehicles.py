@@ -25,6 +25,9 @@ GRAVITY_M_S2 = 9.80665
 WITHIN = 1e-3  # relative difference of two balances
 
 
+ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
+
+
 class Record:
     """A run's channels and scenario; `axles(name)` is an array of (samples, axles)."""
 
@@ -57,6 +60,19 @@ def record(request, tmp_path_factory):
     )
     assert status == 0, messages
     return Record(request.param, folder)
+
+
+@pytest.fixture(scope="module")
+def on_bus(record):
+    """The same run on the bus, with a unit for each group."""
+    name = record.folder.name
+    folder = record.folder.parent / "on_bus" / name
+    status, _, messages = rollerrig(
+        *("run", name, "--pacing", "lockstep", "--set", "loop.record_hz=1000"),
+        *(*ON_HUB, "--out", folder),
+    )
+    assert status == 0, messages
+    return Record(name, folder)
 
 
 def test_the_channels_are_those_of_the_vehicles_axles(record):
@@ -129,8 +145,9 @@ def test_brake_and_contact_change_the_angular_momentum_of_each_wheelset_of_a_veh
 def test_on_low_adhesion_every_vehicle_stops_sooner_with_its_wsp_units(record, tmp_path):
     name = record.folder.name
     folder = tmp_path / "none"
+    # on the bus, whose kernels are compiled already
     status, _, messages = rollerrig(
-        "run", name, "--pacing", "free", "--wsp", "none", "--out", folder
+        *("run", name, "--pacing", "lockstep", "--wsp", "none", *ON_HUB, "--out", folder)
     )
     assert status == 0, messages
     without = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
@@ -147,15 +164,7 @@ def test_other_verbs_read_the_run_of_a_vehicle(record):
     assert str(record.number_of_axles) in printed
 
 
-def test_on_the_bus_a_vehicle_with_a_unit_for_each_group_stops_as_without_a_bus(record, tmp_path):
-    name = record.folder.name
-    folder = tmp_path / "lockstep"
-    status, _, messages = rollerrig(
-        *("run", name, "--pacing", "lockstep", "--set", "loop.record_hz=1000"),
-        *("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0", "--out", folder),
-    )
-    assert status == 0, messages
-    on_bus = Record(name, folder)
+def test_on_the_bus_a_vehicle_with_a_unit_for_each_group_stops_as_without_a_bus(record, on_bus):
     # counters of the loop are not part of the physics
     names = [column for column in record.table.column_names if not column.startswith("tick")]
     for column in names:
@@ -163,13 +172,8 @@ def test_on_the_bus_a_vehicle_with_a_unit_for_each_group_stops_as_without_a_bus(
         np.testing.assert_array_equal(on_bus.table[column].to_numpy(), expected, column)
 
 
-def test_each_group_has_its_nodes_and_its_unit_on_the_bus(record, tmp_path):
-    folder = tmp_path / "frames"
-    rollerrig(
-        *("run", record.folder.name, "--pacing", "lockstep", "--set", "duration_max_s=0.2"),
-        *("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0", "--out", folder),
-    )
-    log = (folder / "can.log").read_text(encoding="utf-8")
+def test_each_group_has_its_nodes_and_its_unit_on_the_bus(record, on_bus):
+    log = (on_bus.folder / "can.log").read_text(encoding="utf-8")
     sent = {int(line.split()[2].split("#")[0], 16) for line in log.splitlines()}
     groups = -(-record.number_of_axles // 4)
     for group in range(groups):
@@ -243,9 +247,6 @@ expect = "every cylinder_pressure > 1.5 bar"
     assert status == 0, messages
     page = (tmp_path / "report" / "report.html").read_text(encoding="utf-8")
     assert "Eight axles brake gently" in page
-
-
-ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
 
 
 def test_a_group_without_a_unit_is_reported_with_its_axles_and_the_command_that_starts_one(
