@@ -19,7 +19,7 @@ from rollerrig.realtime.reports import without_wsp
 
 NEVER_VENTS = Path(__file__).parents[1] / "wsp_interface" / "never_vents.py"
 # slip bands that show the optimum
-BANDS = (0.02, 0.03, 0.08, 0.16, 0.20, 0.25, 0.40)
+BANDS = (0.02, 0.03, 0.16, 0.25, 0.40)
 
 STOPS = [(name, speed) for name in protection.LOW_SETS for speed in protection.SPEEDS_KM_H]
 
