@@ -35,6 +35,7 @@ LAW = "law"
 # condition -> name of its cause, and of its check
 CAUSES = {
     conditions.SERIES: "series_differ",
+    conditions.DIRECTION: "directions_differ",
     conditions.LOAD: "load_dependent_friction",
     conditions.SPEED: "speed_dependent_friction",
     conditions.TEMPERATURE: "temperature_dependent_friction",
@@ -152,7 +153,12 @@ def _effect_check(effect: Effect, condition: Condition) -> Check:
     if not effect.is_reported:
         smallest = _smallest_words(effect, condition)
         return Check(name, "", False, effect.smallest, unit, smallest)
-    text = f"{_series_words(effect)}" if effect.series else _condition_words(effect, condition)
+    if effect.series:
+        text = _series_words(effect)
+    elif effect.name == conditions.DIRECTION:
+        text = _direction_words(effect)
+    else:
+        text = _condition_words(effect, condition)
     if effect.together_with:
         others = " and ".join(effect.together_with)
         text += (
@@ -165,11 +171,13 @@ def _smallest_words(effect: Effect, condition: Condition) -> str:
     measured = f"{_percent(effect.size)} ({_interval(effect.low, effect.high)})"
     if effect.name == conditions.SERIES:
         begin = f"The series do not differ significantly: {measured}"
+    elif effect.name == conditions.DIRECTION:
+        begin = f"Braking and traction do not differ significantly: {measured}"
     else:
         begin = f"Friction does not change significantly with {effect.name}: {measured}"
     if effect.smallest >= 1.0:
         return f"{begin}; not even a factor of {1.0 + effect.smallest:.2g} would have been shown"
-    if condition.name == conditions.SERIES:
+    if condition.name in (conditions.SERIES, conditions.DIRECTION):
         return f"{begin}; a difference of {_percent(effect.smallest)} would have been shown"
     return (
         f"{begin}; a change of {_percent(effect.smallest)} from {_range(condition)} would have been "
@@ -198,6 +206,15 @@ def _series_words(effect: Effect) -> str:
     return text
 
 
+def _direction_words(effect: Effect) -> str:
+    direction = "less" if effect.size < 0.0 else "more"
+    low, high = sorted((abs(effect.low), abs(effect.high)))
+    return (
+        f"Braking and traction differ: traction has {_percent(abs(effect.size))} "
+        f"({_interval(low, high)}) {direction} adhesion, or the force or the creepage has an offset"
+    )
+
+
 def _condition_words(effect: Effect, condition: Condition) -> str:
     direction = "falls" if effect.size < 0.0 else "rises"
     low, high = sorted((abs(effect.low), abs(effect.high)))
@@ -208,6 +225,8 @@ def _condition_words(effect: Effect, condition: Condition) -> str:
 
 
 def _range(condition: Condition) -> str:
+    if condition.name == conditions.PRESSURE:
+        return f"{1e-3 * condition.low:.4g} to {1e-3 * condition.high:.4g} kPa"
     return f"{condition.low:.4g} to {condition.high:.4g} {condition.unit}"
 
 
@@ -374,7 +393,7 @@ def _causes_json(judged: Judgement) -> list[dict[str, Any]]:
         }
         if effect.series:
             parameters["by_series"] = {f"{n:g}": share for n, share in effect.series.items()}
-        else:
+        elif effect.name != conditions.DIRECTION:
             parameters["from"] = {"value": condition.low, "ci95": None, "unit": condition.unit}
             parameters["to"] = {"value": condition.high, "ci95": None, "unit": condition.unit}
         together = [CAUSES[name] for name in effect.together_with]
@@ -474,7 +493,9 @@ def _group_label(judged: Judgement, here: np.ndarray) -> str:
     """Return the conditions of a group in words."""
     words = []
     for condition in judged.shown.prepared.conditions:
-        if condition.varies and condition.is_levels:
+        if condition.name == conditions.DIRECTION and condition.varies:
+            words.append("braking" if np.median(condition.values[here]) > 0.0 else "traction")
+        elif condition.varies and condition.is_levels:
             words.append(
                 f"{condition.name} {np.median(condition.values[here]):.4g} {condition.unit}".strip()
             )

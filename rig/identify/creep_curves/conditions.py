@@ -5,7 +5,8 @@ Adhesion is taken as a curve of creepage times one factor for each condition tha
     [K1] adhesion = f(creepage) exp(X beta)
 
 A column of X is load, speed or pressure over its median, less 1, or the logarithm of that ratio,
-whichever fits better; the temperature less its median in 10 K; or 1 for the points of a series.
+whichever fits better; the temperature less its median in 10 K; or 1 for the points of a series, or of
+traction where braking was measured, too.
 """
 
 from collections.abc import Sequence
@@ -16,12 +17,16 @@ import numpy as np
 from rollerrig.rig.identify.data.runs import Curve
 
 SERIES = "series"
+DIRECTION = "direction"
 LOAD = "load"
 SPEED = "speed"
 TEMPERATURE = "temperature"
 PRESSURE = "pressure"
 # a partner of conditions that change together with the creepage
 CREEPAGE = "creepage"
+
+# Fewer points in braking, or in traction, are no second direction.
+LEAST_DIRECTION_POINTS = 6
 
 # A condition that varies by less is one value. Share of the median; for the temperature in K.
 LEAST_SHARE = 0.02
@@ -118,6 +123,7 @@ def prepare(curve: Curve) -> Prepared:
     sign = np.where(points.creepage < 0.0, -1.0, 1.0)
     conditions = [
         _series(points.series),
+        _direction(points.creepage),
         _ratio(LOAD, "N", points.load_N),
         _ratio(SPEED, "m/s", points.speed_m_s),
     ]
@@ -139,6 +145,15 @@ def _series(values: np.ndarray) -> Condition:
     numbers = np.unique(values)
     dummies = (values[:, None] == numbers[None, 1:]).astype(float)
     return Condition(SERIES, "", values, dummies, is_levels=True)
+
+
+def _direction(creepage: np.ndarray) -> Condition:
+    """Return the condition of traction (-1) and braking (1)."""
+    sign = np.where(creepage < 0.0, -1.0, 1.0)
+    traction = int(np.sum(sign < 0.0))
+    if min(traction, sign.size - traction) < LEAST_DIRECTION_POINTS:
+        return Condition(DIRECTION, "", sign, np.empty((sign.size, 0)), is_levels=True)
+    return Condition(DIRECTION, "", sign, (sign[:, None] < 0.0).astype(float), is_levels=True)
 
 
 def _ratio(name: str, unit: str, values: np.ndarray) -> Condition:
@@ -188,7 +203,7 @@ def _groups(conditions: Sequence[Condition], points: int) -> np.ndarray:
         if not condition.varies:
             continue
         number = levels(condition.columns[:, 0])
-        if condition.name == SERIES:
+        if condition.name in (SERIES, DIRECTION):
             _, number = np.unique(condition.values, return_inverse=True)
         if number is not None:
             keys.append(number)

@@ -1,4 +1,4 @@
-"""By how much adhesion depends on load, speed, series, temperature and pressure.
+"""By how much adhesion depends on load, speed, series, direction, temperature and pressure.
 
 All points share one smooth curve of creepage, and each condition that varies multiplies it [K1].
 Conditions change friction, which is the level at large creepage, more than the slope at small
@@ -36,7 +36,8 @@ _POWER_DEVIATIONS = 0.84
 class Effect(NamedTuple):
     """The effect of one condition: how adhesion changes from its low to its high value.
 
-    Of series: from the first to the one that differs most. Sizes are shares; -0.2 is 20 % less.
+    Of series: from the first to the one that differs most. Of the direction: from braking to
+    traction. Sizes are shares; -0.2 is 20 % less.
     """
 
     name: str
@@ -231,4 +232,6 @@ def _not_judged(
 def _one_value(c: Condition) -> str:
     if c.name == conditions.SERIES:
         return "there is one series"
+    if c.name == conditions.DIRECTION:
+        return f"all points are in {'braking' if np.median(c.values) > 0.0 else 'traction'}"
     return f"all points have the same {c.name}, {float(np.median(c.values)):.4g} {c.unit}"

@@ -22,7 +22,7 @@ from rollerrig.rig.identify.data.runs import Dataset
 FALLING_FRICTION = "falling_friction"
 
 # A fall is reported if by chance it were as large in one of 500 sets of data,
-FALL_ALPHA = 0.002
+FALL_ALPHA = shape.FALL_ALPHA
 # if it is at least this share of the maximum,
 LEAST_FALL = 0.01
 # and if so many points are beyond the maximum.

@@ -8,12 +8,17 @@ repeated. Whether adhesion falls is judged without it, by the means m_b of n_b n
 
 If adhesion never falls then the expected means never fall either, however sharply the curve bends.
 T is compared with that of means i_b with errors as measured. Where neighbours share no errors these
-are residuals with random signs (wild bootstrap), so errors may differ in size. Where neighbours
-share errors these are an autoregressive series of the measured size:
+are residuals with random signs (wild bootstrap), so errors may differ in size. Few residuals do not
+show how errors differ in size. There the errors are normal, with the scatter of all points. Where
+neighbours share errors these are an autoregressive series of the measured size:
 
     [H2] e_i = size_i z_i, z_i = r z_(i-1) + sqrt(1 - r^2) w_i, w_i normal
 
+The size of errors is known from nu degrees of freedom only. So each series of errors is multiplied
+by sqrt(nu / chi^2_nu), as in Student's t.
+
 The smooth curve follows shared errors. So errors at large creepage are those about a parabola.
+How far adhesion falls is taken from the smooth curve: from its maximum to the largest creepage.
 Source: Barlow, Bartholomew, Bremner and Brunk, Statistical Inference under Order Restrictions
 (1972); Wu, Annals of Statistics 14 (1986) 1261-1295 (wild bootstrap).
 """
@@ -41,35 +46,40 @@ KNOTS = (1, 2, 3, 5, 8, 12)
 DENSER = 1.5
 POINTS_PER_COEFFICIENT = 3
 
-# Means [H1] are of at least so many neighbours, and there are at most so many means.
-LEAST_MEAN_POINTS = 4
+# Means [H1] are of so many neighbours, or of fewer where there would be too few means; and there are
+# at most so many means.
+MEAN_POINTS = 4
+LEAST_MEANS = 12
 MOST_MEANS = 20
-# the maximum is the largest mean over so many successive means
-PEAK_MEANS = 3
 
 # Large creepage, where a parabola shows the errors, begins at this share of the largest creepage.
 PARABOLA_FROM = 1.0 / 3.0
 LEAST_PARABOLA_POINTS = 12
 _PARABOLA_COEFFICIENTS = 3
 
-# Replicates of the test; fewer if so many of them were by chance as large (Besag and Clifford,
-# Biometrika 78 (1991) 301-304). Replicates of intervals.
+# A fall is significant if by chance T were as large in one of 500 sets of data.
+FALL_ALPHA = 0.002
+# replicates of the test, of intervals, and of the smallest fall that is seen
 REPLICATES = 999
-ENOUGH_BY_CHANCE = 10
 INTERVAL_REPLICATES = 200
+SMALLEST_REPLICATES = 50
+# share of sets of data in which the smallest fall would have been shown
+POWER = 0.8
+# fewer degrees of freedom do not show how errors differ in size
+LEAST_WILD_FREEDOM = 60
 # An autocorrelation above this, in standard deviations, counts. It is taken one deviation larger.
 SHARED_ERRORS = 2.0
 LARGEST_SHARED = 0.95
 # points over which the size of shared errors is averaged
 SIZE_POINTS = 15
 
-# the end of a curve: this share of its points, at least two
-END_SHARE = 0.1
 # the rise towards the end begins at this share of the largest creepage
 LATE = 2.0 / 3.0
 
-# deviations by which a size is beyond chance in 99 %, and is seen in 80 % of sets of data
-_DEVIATIONS = 2.6 + 0.84
+# no smaller fall is sought
+SMALLEST_FALL = 0.002
+# the size of errors is taken as known from at least so many degrees of freedom
+LEAST_FREEDOM = 5.0
 
 # The scatter is at least this share of the largest adhesion, so that computed curves have one too.
 LEAST_SCATTER = 0.001
@@ -83,9 +93,9 @@ class Group(NamedTuple):
     basis: np.ndarray  # (n, m): functions that rise from 0 to 1
     nuisance: np.ndarray  # (n, k): the constant, and factors of conditions that vary within it
     hat: np.ndarray  # (n, n) of the free fit
+    curve_hat: np.ndarray  # (n, n) of the curve in it, without the factors of conditions
     averaging: np.ndarray  # (means, n): weights of the points in the means [H1]
     counts: np.ndarray  # (means,): points of each mean
-    window: int  # successive means of which the largest is the maximum
 
 
 class Fall(NamedTuple):
@@ -116,6 +126,7 @@ class Shape(NamedTuple):
     order: np.ndarray  # places of the points in the order in which neighbours share errors
     shared: float  # autocorrelation r of errors in this order [H2]; 0: they share none
     size: np.ndarray  # of the errors [H2], in the order of the points
+    other_groups: list[Group]  # the same curves with other knots; without: the same knots
 
     @property
     def inflation(self) -> float:
@@ -124,6 +135,13 @@ class Shape(NamedTuple):
 
     def errors(self, rng: np.random.Generator) -> np.ndarray:
         """Return errors as the measured ones, but drawn anew, (n,)."""
+        known_from = max(self.freedom / self.inflation, LEAST_FREEDOM)
+        unknown_size = math.sqrt(known_from / float(rng.chisquare(known_from)))
+        return unknown_size * self._errors_of_measured_size(rng)
+
+    def _errors_of_measured_size(self, rng: np.random.Generator) -> np.ndarray:
+        if self.shared == 0.0 and self.freedom < LEAST_WILD_FREEDOM:
+            return self.scatter * rng.standard_normal(self.error.size)
         if self.shared == 0.0:
             return rng.choice((-1.0, 1.0), size=self.error.size) * self.error
         white = rng.standard_normal(self.error.size)
@@ -153,11 +171,11 @@ def fit(
     """
     members = [np.flatnonzero(group == number) for number in np.unique(group)]
     clusters = _clusters(creepage)
-    best: Shape | None = None
-    best_score = math.inf
+    tried: list[Shape] = []
+    scores: list[float] = []
     for knots in KNOTS:
         smallest = min(part.size for part in members)
-        if best is not None and smallest < POINTS_PER_COEFFICIENT * (knots + 4):
+        if tried and smallest < POINTS_PER_COEFFICIENT * (knots + 4):
             break
         level = _level(creepage, adhesion)
         groups = [
@@ -168,13 +186,14 @@ def fit(
         points = adhesion.size
         least = LEAST_SCATTER * float(np.max(np.abs(adhesion)))
         error = max(float(np.mean(shape.residual**2)), least**2)
-        score = points * math.log(error) + shape.coefficients * math.log(points)
-        if score < best_score:
-            best, best_score = shape, score
+        tried.append(shape)
+        scores.append(points * math.log(error) + shape.coefficients * math.log(points))
         if clusters is not None:
             break
-    assert best is not None
-    return best
+    best = int(np.argmin(scores))
+    # the next finer curve; for the finest one the next coarser
+    other = best + 1 if best + 1 < len(tried) else max(best - 1, 0)
+    return tried[best]._replace(other_groups=tried[other].groups)
 
 
 def _level(creepage: np.ndarray, adhesion: np.ndarray) -> np.ndarray:
@@ -219,15 +238,18 @@ def _group(
     nuisance = np.column_stack([np.ones(creepage.size), within])
     everything = np.column_stack([nuisance, basis])
     averaging = _averaging(creepage, clusters)
+    of_points = np.linalg.pinv(everything, rcond=1e-10)
+    of_curve = of_points.copy()
+    of_curve[1 : nuisance.shape[1]] = 0.0
     return Group(
         points=points,
         creepage=creepage,
         basis=basis,
         nuisance=nuisance,
-        hat=everything @ np.linalg.pinv(everything, rcond=1e-10),
+        hat=everything @ of_points,
+        curve_hat=everything @ of_curve,
         averaging=averaging,
         counts=np.count_nonzero(averaging, axis=1),
-        window=1 if clusters is not None else PEAK_MEANS,
     )
 
 
@@ -236,7 +258,8 @@ def _averaging(creepage: np.ndarray, clusters: np.ndarray | None) -> np.ndarray:
     if clusters is not None:
         number = np.argmin(np.abs(creepage[:, None] - clusters), axis=1)
     else:
-        means = int(np.clip(creepage.size // LEAST_MEAN_POINTS, 1, MOST_MEANS))
+        least = min(creepage.size, LEAST_MEANS)
+        means = int(np.clip(creepage.size // MEAN_POINTS, least, MOST_MEANS))
         number = np.arange(creepage.size) * means // creepage.size
         # equal creepages belong to one mean
         first_place = np.searchsorted(creepage, creepage, side="left")
@@ -309,6 +332,7 @@ def _smooth(
         order=order,
         shared=shared,
         size=size,
+        other_groups=groups,
     )
 
 
@@ -364,57 +388,95 @@ def _shared(
 def fall(shape: Shape, adhesion: np.ndarray, seed: int) -> Fall:
     """Return whether the curves fall, how far, and what these data would have shown."""
     rng = np.random.default_rng(seed)
-    level = adhesion - _factors_within(shape)
+    curves = [part.curve_hat @ adhesion[part.points] for part in shape.groups]
+    level = adhesion.copy()
+    for part, curve in zip(shape.groups, curves, strict=True):
+        # without the factors of conditions that vary within the group
+        level[part.points] -= part.hat @ adhesion[part.points] - curve
     means = [part.averaging @ level[part.points] for part in shape.groups]
     never = [_never_falling(part, m) for part, m in zip(shape.groups, means, strict=True)]
     statistic = _statistic(shape.groups, means)
 
-    def varied_errors() -> list[np.ndarray]:
+    def drawn_means() -> list[np.ndarray]:
         error = shape.errors(rng)
         return [part.averaging @ error[part.points] for part in shape.groups]
 
-    by_chance = 0
-    replicates = 0
-    while replicates < REPLICATES and by_chance < ENOUGH_BY_CHANCE:
-        again = [n + e for n, e in zip(never, varied_errors(), strict=True)]
-        by_chance += _statistic(shape.groups, again) >= statistic
-        replicates += 1
-    is_stopped = by_chance == ENOUGH_BY_CHANCE
-    p_value = by_chance / replicates if is_stopped else (1 + by_chance) / (1 + replicates)
+    by_chance = np.empty(REPLICATES)
+    for i in range(REPLICATES):
+        again = [n + e for n, e in zip(never, drawn_means(), strict=True)]
+        by_chance[i] = _statistic(shape.groups, again)
+    p_value = (1 + int(np.sum(by_chance >= statistic))) / (1 + REPLICATES)
+    critical = float(np.quantile(by_chance, 1.0 - FALL_ALPHA))
+    drawn = [drawn_means() for _ in range(SMALLEST_REPLICATES)]
 
-    measured = _falls_and_rises(shape.groups, means, None)
+    measured = _falls_and_rises(shape.groups, curves)
     varied = []
     for _ in range(INTERVAL_REPLICATES):
-        again = [m + e for m, e in zip(means, varied_errors(), strict=True)]
-        varied.append(_falls_and_rises(shape.groups, again, measured.peaks))
+        error = shape.errors(rng)
+        again = [
+            curve + part.curve_hat @ error[part.points]
+            for part, curve in zip(shape.groups, curves, strict=True)
+        ]
+        varied.append(_falls_and_rises(shape.groups, again))
     falls = np.array([one.fall for one in varied])
     rises = np.array([one.rise for one in varied])
+    # what another number of knots would have shown belongs to the intervals
+    other_curves = [part.curve_hat @ adhesion[part.points] for part in shape.other_groups]
+    other = _falls_and_rises(shape.other_groups, other_curves)
+    by_knots = abs(other.fall - measured.fall)
+    rise_by_knots = abs(other.rise - measured.rise)
     return Fall(
         p_value=p_value,
         size=measured.fall,
-        low=2.0 * measured.fall - float(np.percentile(falls, 97.5)),
-        high=2.0 * measured.fall - float(np.percentile(falls, 2.5)),
-        # a fall over the last third of the range, wherever the maximum is
-        smallest=_DEVIATIONS * float(np.std(rises)),
+        low=2.0 * measured.fall - float(np.percentile(falls, 97.5)) - by_knots,
+        high=2.0 * measured.fall - float(np.percentile(falls, 2.5)) + by_knots,
+        smallest=_smallest_fall(shape.groups, never, drawn, critical),
         peak_creepage=measured.peak_creepage,
         points_beyond=measured.beyond,
         points_before=measured.before,
         rise=measured.rise,
-        rise_low=2.0 * measured.rise - float(np.percentile(rises, 97.5)),
-        rise_high=2.0 * measured.rise - float(np.percentile(rises, 2.5)),
+        rise_low=2.0 * measured.rise - float(np.percentile(rises, 97.5)) - rise_by_knots,
+        rise_high=2.0 * measured.rise - float(np.percentile(rises, 2.5)) + rise_by_knots,
     )
 
 
-def _factors_within(shape: Shape) -> np.ndarray:
-    """Return what conditions that vary within groups add to the smooth curves (n,)."""
-    added = np.zeros_like(shape.fitted)
-    for part in shape.groups:
-        if part.nuisance.shape[1] > 1:
-            everything = np.column_stack([part.nuisance, part.basis])
-            coefficients = np.linalg.lstsq(everything, shape.fitted[part.points], rcond=None)[0]
-            within = part.nuisance[:, 1:]
-            added[part.points] = within @ coefficients[1 : part.nuisance.shape[1]]
-    return added
+def _smallest_fall(
+    groups: list[Group],
+    never: list[np.ndarray],
+    drawn: list[list[np.ndarray]],
+    critical: float,
+) -> float:
+    """Return the fall over the last third of the range that T [H1] would have shown.
+
+    It is a share of the maximum, linear in creepage; inf where not even a fall to 0 is shown.
+    `drawn` are errors of the means. T counts as shown above `critical`.
+    """
+    ramps = []
+    for part, means in zip(groups, never, strict=True):
+        begin = LATE * part.creepage[-1]
+        places = part.averaging @ part.creepage
+        along = np.clip((places - begin) / max(part.creepage[-1] - begin, 1e-12), 0.0, 1.0)
+        ramps.append(float(np.max(means)) * along)
+
+    def is_shown(size: float) -> bool:
+        shown = 0
+        for errors in drawn:
+            falling = [
+                n - size * ramp + e for n, ramp, e in zip(never, ramps, errors, strict=True)
+            ]
+            shown += _statistic(groups, falling) > critical
+        return shown >= POWER * len(drawn)
+
+    low, high = 0.0, 1.0
+    if not is_shown(high):
+        return math.inf
+    while high - low > 0.02 * high and high > SMALLEST_FALL:
+        middle = 0.5 * (low + high)
+        if is_shown(middle):
+            high = middle
+        else:
+            low = middle
+    return high
 
 
 def _never_falling(part: Group, means: np.ndarray) -> np.ndarray:
@@ -432,54 +494,36 @@ def _statistic(groups: list[Group], means: list[np.ndarray]) -> float:
 
 
 class _Sizes(NamedTuple):
-    """Falls and rises of curves, as means over the groups; the place of each maximum."""
+    """Falls and rises of curves, as means over the groups; the place of the maximum."""
 
     fall: float
     rise: float
-    peaks: list[int]
     peak_creepage: float
     beyond: int
     before: int
 
 
-def _falls_and_rises(
-    groups: list[Group], means: list[np.ndarray], peaks: list[int] | None
-) -> _Sizes:
-    """Return the sizes of falls and rises; `peaks` gives the first means of the maxima if known."""
+def _falls_and_rises(groups: list[Group], curves: list[np.ndarray]) -> _Sizes:
+    """Return the sizes of falls and rises of the curves of all groups, each (n,)."""
     falls = []
     rises = []
-    weights = []
-    found_peaks = []
     creepages = []
     beyond = 0
     before = 0
-    for k, part in enumerate(groups):
-        window = min(part.window, part.counts.size)
-        counts = part.counts.astype(float)
-        sums = np.convolve(means[k] * counts, np.ones(window), "valid")
-        smoothed = sums / np.convolve(counts, np.ones(window), "valid")
-        peak = int(np.argmax(smoothed)) if peaks is None else peaks[k]
-        ending = max(round(END_SHARE * part.counts.size), 1)
-        end = float(np.average(means[k][-ending:], weights=counts[-ending:]))
-        level = max(abs(float(smoothed[peak])), 1e-12)
-
-        # a maximum in the end of the curve is no fall
-        is_inside = peak + window <= part.counts.size - ending
-        falls.append((float(smoothed[peak]) - end) / level if is_inside else 0.0)
-        places = part.averaging @ part.creepage
-        begin = float(np.interp(LATE * part.creepage[-1], places, means[k]))
+    for part, curve in zip(groups, curves, strict=True):
+        peak = int(np.argmax(curve))
+        level = max(abs(float(curve[peak])), 1e-12)
+        end = float(curve[-1])
+        begin = float(np.interp(LATE * part.creepage[-1], part.creepage, curve))
+        falls.append((float(curve[peak]) - end) / level)
         rises.append((end - begin) / level)
-
-        weights.append(float(part.creepage.size))
-        found_peaks.append(peak)
-        at = part.averaging[peak : peak + window].mean(axis=0) @ part.creepage
-        creepages.append(float(at))
-        beyond += int(part.counts[peak + window :].sum())
-        before += int(part.counts[:peak].sum())
+        creepages.append(float(part.creepage[peak]))
+        beyond += int(np.sum(part.creepage > part.creepage[peak]))
+        before += int(np.sum(part.creepage < part.creepage[peak]))
+    weights = [part.creepage.size for part in groups]
     return _Sizes(
         fall=float(np.average(falls, weights=weights)),
         rise=float(np.average(rises, weights=weights)),
-        peaks=found_peaks,
         peak_creepage=float(np.median(creepages)),
         beyond=beyond,
         before=before,
