@@ -14,13 +14,19 @@ from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
 from rollerrig.rig.identify.decide.estimates import Estimate
 from rollerrig.rig.identify.decide.evidence import ScoreTest
-from rollerrig.rig.identify.decide.gain import Gain
+from rollerrig.rig.identify.decide.gain import ADHESION, FREE_RUN, Gain
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
 from rollerrig.rig.mechanisms.mechanism import ALONE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 MOST_COVARIATES_SHOWN = 3
 MOST_RUNS_SHOWN = 3
+
+# metrics of the gain, in words
+METRICS = {
+    ADHESION: "the adhesion that the model lacks (rms, adhesion_rmse)",
+    FREE_RUN: "the error of the predicted speed (rms in m/s, free_running_speed_rmse_m_s)",
+}
 
 # subject and verb of a sentence, for the causes with `unknown_in_other_runs`
 UNKNOWN_SHAPES = {
@@ -266,7 +272,11 @@ def rejected_because(diagnosis: Diagnosis, name: str) -> str:
             f"{smallest}, or more"
         )
     if diagnosis.causes:
-        return f"explained by {diagnosis.causes[0].cause.name}, which fits better"
+        return (
+            f"alone it would be significant ({first_screen.p_in_words(test.p_value)}, "
+            f"{sizes.in_words(name, test.estimate[0])}), but "
+            f"{diagnosis.causes[0].cause.name} explains the same error and fits better"
+        )
     # significant by its score, but no cause was good enough after the fit
     return "the remainder does not have the form of this cause"
 
@@ -383,7 +393,7 @@ def _gain_sentence(gain: Gain) -> str:
     """Return the sentence on what the extended model gains on runs that were never fitted."""
     low, high = gain.ci95
     sentence = (
-        f"On runs that were never fitted ({', '.join(gain.runs)}) {gain.metric} falls from "
+        f"On runs that were never fitted ({', '.join(gain.runs)}) {METRICS[gain.metric]} falls from "
         f"{gain.before:.3g} to {gain.after:.3g}: {100 * gain.reduction:.1f} % "
         f"({100 * low:.1f} to {100 * high:.1f} %)"
     )

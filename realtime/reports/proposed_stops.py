@@ -35,6 +35,12 @@ def title(stop: Stop) -> str:
 def reason(proposal: Proposal) -> str:
     """Return why a stop is proposed."""
     first, second = proposal.pair
+    if proposal.before > DISTINGUISHED:
+        return (
+            f"the data distinguish {first} from {second} already: their separation is "
+            f"{proposal.before:.3g}, and {DISTINGUISHED:g} is enough. The stop raises it to "
+            f"{proposal.after:.3g}, so it confirms the cause"
+        )
     return (
         f"distinguishes {first} from {second}: separation {proposal.before:.3g} before, "
         f"{proposal.after:.3g} with it (the data distinguish causes above {DISTINGUISHED:g})"

@@ -15,6 +15,7 @@ from rollerrig.realtime.reports.creep_curve.tuned import (
     fine_curve,
     parameter_json,
     parameter_words,
+    stiffness_words,
 )
 from rollerrig.realtime.reports.page import RUNS, paragraph, table
 from rollerrig.realtime.reports.study import Model, StudyReport, verdict_and_sentences
@@ -111,11 +112,17 @@ def _fall_check(shown: Shown) -> Check:
             f"{_percent(largest)}; {_where_is_the_maximum(shown)}"
         )
     else:
-        text = (
-            f"Adhesion does not fall with creepage up to {_percent(largest)}: "
-            f"{_how_it_ends(shown)}. A fall of {_percent(smallest)} of the maximum would have been "
-            "shown"
-        )
+        if fall.high > smallest:
+            begin = (
+                f"No significant fall of adhesion with creepage up to {_percent(largest)}: it changes "
+                f"by {_percent(-fall.size)} ({_interval(-fall.high, -fall.low)}) from its maximum on"
+            )
+        else:
+            begin = (
+                f"Adhesion does not fall with creepage up to {_percent(largest)}: "
+                f"{_how_it_ends(shown)}"
+            )
+        text = f"{begin}. A fall of {_percent(smallest)} of the maximum would have been shown"
     return Check(FALLING_FRICTION, "", shown.falls, smallest, "of the maximum", text)
 
 
@@ -175,8 +182,6 @@ def _smallest_words(effect: Effect, condition: Condition) -> str:
         begin = f"Braking and traction do not differ significantly: {measured}"
     else:
         begin = f"Friction does not change significantly with {effect.name}: {measured}"
-    if effect.smallest >= 1.0:
-        return f"{begin}; not even a factor of {1.0 + effect.smallest:.2g} would have been shown"
     if condition.name in (conditions.SERIES, conditions.DIRECTION):
         return f"{begin}; a difference of {_percent(effect.smallest)} would have been shown"
     return (
@@ -238,6 +243,11 @@ def _law_check(judged: Judgement) -> Check:
         text = f"Whether Polach's law fits could not be judged: {judged.law_why_not}"
         return Check(LAW, judged.law_why_not, False, None, unit, text)
     kind = "with falling friction" if law.has_fall else "without falling friction"
+    if law.is_stiffer:
+        kind += (
+            f" and a contact that is {law.parameters['k_a'].value:.3g} times as stiff as the computed "
+            "one"
+        )
     measured = (
         f"it leaves an error of {law.rms:.3g} (rms), and the points scatter by {scatter:.3g} about a "
         "smooth curve"
@@ -252,7 +262,11 @@ def _law_check(judged: Judgement) -> Check:
             "points"
         )
     elif law.is_exact:
-        text = f"Polach's law {kind} fits: {measured}"
+        visible = _percent(law.smallest / largest)
+        text = (
+            f"Polach's law {kind} fits: {measured}. A misfit of {visible} of the largest adhesion would "
+            "have been shown"
+        )
     else:
         text = (
             f"Polach's law {kind} is close: {measured}. What it leaves beyond scatter is {share} of "
@@ -268,10 +282,20 @@ def story(data: Dataset, judged: Judgement) -> list[str]:
     lines += [f"{check.text}." for check in all_checks if check.found]
     lines += [f"{check.text}." for check in all_checks if not check.found and not check.why_not]
     lines += [f"{check.text}." for check in all_checks if check.why_not]
+    lines += [f"{sentence}." for sentence in _about_the_patch(data, judged)]
     lines += [f"Next: {sentence}." for sentence in _what_to_measure(judged)]
     notes = [*data.warnings, "no points were held out: no gain is claimed"]
     lines += [f"Note: {note}." for note in notes]
     return lines
+
+
+def _about_the_patch(data: Dataset, judged: Judgement) -> list[str]:
+    """Return what the contact patch has to do with a law that needs a stiffer contact."""
+    law = judged.law
+    if judged.law_why_not or not (law.is_stiffer or law.parameters["k_a"].bound == "high"):
+        return []
+    load_N = float(np.median(judged.shown.prepared.curve.load_N))
+    return [stiffness_words(data, load_N, law.parameters["k_a"].value)]
 
 
 def _what_to_measure(judged: Judgement) -> list[str]:

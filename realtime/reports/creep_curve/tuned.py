@@ -39,10 +39,15 @@ class _Line(NamedTuple):
 def tune_report(data: Dataset, fitted: PolachFit, shown: Shown) -> StudyReport:
     """Return the whole report of `rollerrig tune` on a creep curve."""
     result = tune_json(data, fitted, shown)
+    rows = tune_rows(result)
+    if _about_the_patch(data, fitted):
+        rows.append(
+            ("k_A is at its bound 1", "check wheel_radius_m and lateral_radius_m: the patch")
+        )
     return StudyReport(
         result=result,
         page=tune_page(data, fitted, shown),
-        summary=((f"fitted to {data.name}", HEAD, tune_rows(result)),),
+        summary=((f"fitted to {data.name}", HEAD, rows),),
     )
 
 
@@ -61,6 +66,21 @@ def parameter_words(parameter: Mapping[str, Any]) -> str:
     if parameter["bound"]:
         return f"at its bound {parameter['value']:.4g}, not determined"
     return interval_words(parameter)
+
+
+def stiffness_words(data: Dataset, load_N: float, k_a: float) -> str:
+    """Return why k_A is at or above 1, and what to check."""
+    patch = patch_of(data)
+    # both half axes grow with the cube root of the load
+    grown = load_N ** (1.0 / 3.0)
+    begin = f"k_A is {k_a:.3g}" if k_a > 1.001 else "k_A is at its bound 1, not determined"
+    return (
+        f"{begin}: at small creepage the points rise as steeply as the contact patch allows, or more "
+        f"steeply. The patch has half axes of {1e3 * patch.a1 * grown:.2g} mm along and "
+        f"{1e3 * patch.b1 * grown:.2g} mm across at {1e-3 * load_N:.3g} kN; it is computed from "
+        "wheel_radius_m and lateral_radius_m of dataset.toml and not fitted. Check these radii first, "
+        "then the zero of the creepage"
+    )
 
 
 def tune_json(data: Dataset, fitted: PolachFit, shown: Shown) -> dict[str, Any]:
@@ -98,12 +118,20 @@ def tune_rows(result: Mapping[str, Any]) -> list[tuple[str, str]]:
             "rms_without_falling_friction",
         ),
         ("the same with k_S <= k_A", "rms_without_falling_friction_k_s_below_k_a"),
-        ("scatter of the points about their neighbours", "scatter_floor"),
+        ("scatter of the points about straight lines through their neighbours", "scatter_floor"),
     ):
         rows.append((title, f"{result[key]:.4f}"))
     for name, error in result["mean_error_of_recommended_sets"].items():
         rows.append((f"mean error of Polach's {name} set", f"{error:+.3f}"))
     return rows
+
+
+def _about_the_patch(data: Dataset, fitted: PolachFit) -> list[str]:
+    """Return what the contact patch has to do with k_A at its bound 1."""
+    k_a = fitted.values["k_a"].value
+    if data.curve is None or bound_of("k_a", k_a) != "high":
+        return []
+    return [stiffness_words(data, float(np.median(data.curve.load_N)), k_a)]
 
 
 def tune_page(data: Dataset, fitted: PolachFit, shown: Shown) -> str:
@@ -120,6 +148,7 @@ def tune_page(data: Dataset, fitted: PolachFit, shown: Shown) -> str:
         *(paragraph(warning, kind="warn") for warning in data.warnings),
         table(HEAD, tune_rows(result)),
         paragraph(falling),
+        *(paragraph(f"{sentence}.") for sentence in _about_the_patch(data, fitted)),
         page.picture(partial(_draw_curve, data=data, fitted=fitted, shown=shown), (11.0, 6.0)),
     )
 

@@ -11,6 +11,8 @@ from rollerrig.rig.identify.decide.evidence import ScoreTest
 
 MOST_SUSPECTS = 3
 MOST_NAMES = 6
+# smaller p-values differ only by rounding
+LEAST_P = 1e-12
 
 
 def smallest_in_words(test: ScoreTest) -> str:
@@ -18,27 +20,34 @@ def smallest_in_words(test: ScoreTest) -> str:
     return sizes.in_words(test.name, thresholds.DETECTABLE_DEVIATIONS * test.deviation[0])
 
 
+def p_in_words(p_value: float) -> str:
+    """Return a p-value in words; far tails are computed only to `LEAST_P`."""
+    if p_value < LEAST_P:
+        return f"p < {LEAST_P:.0e}"
+    return f"p = {p_value:.1g}"
+
+
 def how_sure(diagnosis: Diagnosis) -> str:
     """Return how sure the verdict is."""
-    p_value = f"{max(diagnosis.p_value, 1e-12):.1g}"
+    p_value = p_in_words(diagnosis.p_value)
     if diagnosis.verdict == Verdict.CONSISTENT and any(note.allowed for note in diagnosis.notes):
         return (
-            f"How sure: something differs from the base model (p = {p_value}), but a brake within its "
+            f"How sure: something differs from the base model ({p_value}), but a brake within its "
             "declared calibration may differ as much. A smaller calibration_fraction, if you can "
             "declare one, makes it a cause."
         )
     if diagnosis.verdict == Verdict.CONSISTENT:
         return (
-            f"How sure: chance alone makes a cause look this significant with p = {p_value}; about "
+            f"How sure: chance alone makes a cause look this significant with {p_value}; about "
             "2 % of fault-free datasets are not called consistent. Consistent means that no cause is "
             "larger than the sizes that these runs can show."
         )
-    sure = f"How sure: chance alone would do this with p = {p_value}"
+    sure = f"How sure: chance alone would do this with {p_value}"
     rivals = [name for cause in diagnosis.causes for name in cause.confusable]
     if rivals:
         return f"{sure}, but which cause it is stays open between {len(rivals) + 1} causes."
     if diagnosis.causes:
-        return f"{sure}, and no other cause of the library fits nearly as well."
+        return f"{sure}, and the data distinguish it from all other causes of the library."
     return f"{sure}; what it is stays open."
 
 

@@ -5,8 +5,8 @@ Adhesion is taken as a curve of creepage times one factor for each condition tha
     [K1] adhesion = f(creepage) exp(X beta)
 
 A column of X is load, speed or pressure over its median, less 1, or the logarithm of that ratio,
-whichever fits better; the temperature less its median in 10 K; or 1 for the points of a series, or of
-traction where braking was measured, too.
+whichever fits better; the temperature less its median in 10 K; or 1 for the points of a series, or
+of traction where braking was measured, too.
 """
 
 from collections.abc import Sequence

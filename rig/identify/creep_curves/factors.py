@@ -21,6 +21,8 @@ from rollerrig.rig.identify.creep_curves.conditions import Condition, Prepared
 ALPHA = 0.001
 # A smaller change over the range of the data is not reported.
 LEAST_EFFECT = 0.01
+# A factor is not judged if these points would not have shown a change of this size.
+MOST_UNSEEN = 1.0
 # Points at large creepage begin at this share of the largest creepage that all groups reach. They
 # are enough if each group has so many of them.
 LATE = 0.5
@@ -104,7 +106,11 @@ def fit(all_points: Prepared) -> Factors:
             continue
         places = [k for k, name in enumerate(names) if name == c.name]
         partners = [name for name, others in together.items() if c.name in others]
-        effects.append(_effect(in_fit, estimate.beta[places], errors[places], freedom, partners))
+        effect = _effect(in_fit, estimate.beta[places], errors[places], freedom, partners)
+        if not effect.is_reported and effect.smallest > MOST_UNSEEN:
+            why_not = f"not even a change by a factor of {1.0 + effect.smallest:.2g} would be seen"
+            effect = _unknown(c, why_not)
+        effects.append(effect)
     chosen = tuple(
         c.in_other_form() if c.name in in_other_form else c for c in all_points.conditions
     )
@@ -214,6 +220,10 @@ def _not_judged(
             f"{coefficients} factors leave {max(freedom, 0)} degrees of freedom; "
             f"at least {LEAST_FREEDOM} are needed"
         )
+    return _unknown(c, why_not)
+
+
+def _unknown(c: Condition, why_not: str) -> Effect:
     return Effect(
         name=c.name,
         judged=False,

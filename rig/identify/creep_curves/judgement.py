@@ -27,6 +27,8 @@ FALL_ALPHA = shape.FALL_ALPHA
 LEAST_FALL = 0.01
 # and if so many points are beyond the maximum.
 LEAST_POINTS_BEYOND = 3
+# A fall is not judged if these points would not have shown one of this share of the maximum.
+MOST_UNSEEN_FALL = 0.5
 # different creepages and degrees of freedom below which no fall is judged
 LEAST_CREEPAGES = 4
 LEAST_FREEDOM = 5
@@ -86,14 +88,17 @@ def judge(data: Dataset, seed: int = 0) -> Judgement:
         for exponent, name in zip(shown.factors.beta, shown.factors.names, strict=True)
         if name in in_law
     ]
-    law = laws.fit(
-        prepared, columns, np.array(beta), patch_of(data), shown.smooth, shown.falls, seed
-    )
+    arguments = (prepared, columns, np.array(beta), patch_of(data), shown.smooth, shown.falls, seed)
+    law = laws.fit(*arguments)
+    if law.needs_a_stiffer_contact:
+        stiffer = laws.fit(*arguments, most_k_a=laws.MOST_STIFF)
+        if stiffer.fits and not stiffer.parameters["k_a"].bound:
+            law = stiffer
     return Judgement(
         shown=shown,
         law=law,
         law_columns=columns,
-        law_why_not=_why_no_scatter_is_known(shown.smooth),
+        law_why_not=_why_no_law_is_judged(shown.smooth, law, float(np.max(prepared.adhesion))),
     )
 
 
@@ -121,6 +126,11 @@ def without_law(data: Dataset, seed: int = 0) -> Shown:
         and fall.size >= LEAST_FALL
         and fall.points_beyond >= LEAST_POINTS_BEYOND
     )
+    if not why_not and not falls and fall.smallest > MOST_UNSEEN_FALL:
+        why_not = (
+            f"these points would not have shown a fall of {100.0 * MOST_UNSEEN_FALL:.0f} % of the "
+            f"maximum, since they scatter by {smooth.scatter:.2g}{_shared_words(smooth)}"
+        )
     found = factors.fit(prepared)
     return Shown(
         prepared=prepared._replace(conditions=found.conditions),
@@ -155,6 +165,20 @@ def _why_no_fall_is_judged(prepared: Prepared, smooth: Shape) -> str:
     if creepages < LEAST_CREEPAGES:
         return f"there are {creepages} different creepages; at least {LEAST_CREEPAGES} are needed"
     return _why_no_scatter_is_known(smooth)
+
+
+def _why_no_law_is_judged(smooth: Shape, law: Law, largest: float) -> str:
+    """Return why the law cannot be judged; empty where it can."""
+    if law.fits and law.smallest > laws.MOST_UNSEEN * largest:
+        return (
+            f"these points would not have shown a misfit of {100.0 * laws.MOST_UNSEEN:.0f} % of the "
+            f"largest adhesion, since they scatter by {smooth.scatter:.2g}{_shared_words(smooth)}"
+        )
+    return _why_no_scatter_is_known(smooth)
+
+
+def _shared_words(smooth: Shape) -> str:
+    return " and neighbours share their errors" if smooth.shared > 0.0 else ""
 
 
 def _why_no_scatter_is_known(smooth: Shape) -> str:

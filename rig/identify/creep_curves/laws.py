@@ -3,6 +3,9 @@
     [L1] mu = mu_0 (A + (1 - A) exp(-gamma s)) exp(X beta), s = creepage x speed       Polach 2005
     [L2] k_S = ratio k_A, ratio within 0 .. 1, as Polach requires
 
+The patch is computed, not measured. If k_A ends at 1 and the law fails, the contact may be stiffer
+than the computed one: the law is fitted again with k_A up to `MOST_STIFF`.
+
 beta has the conditions that matter. The law fits if its residual is not larger than the scatter of
 the points about a smooth curve, by an F test; and if what it leaves beyond scatter is small.
 """
@@ -24,6 +27,12 @@ from rollerrig.rig.identify.paper import polach_fit
 ALPHA = 0.001
 # and if what it leaves beyond scatter is more than this share of the largest adhesion.
 LEAST_MISFIT = 0.01
+
+# A misfit below this share of the largest adhesion must be visible, else the law is not judged.
+MOST_UNSEEN = 0.1
+# Largest k_A of a contact that is stiffer than the computed one. Hertz's patch has this stiffness
+# if both radii are about three times as large.
+MOST_STIFF = 2.0
 
 # A parameter this close to a bound, as a share of the range between the bounds, is at the bound.
 AT_BOUND = 1e-3
@@ -60,6 +69,19 @@ class Law(NamedTuple):
     is_exact: bool  # whether nothing but scatter is left
     smallest: float  # rms beyond the scatter that these data would have shown
 
+    @property
+    def is_stiffer(self) -> bool:
+        """Whether the contact of the points is stiffer than the computed one."""
+        return float(self.x[_K_A]) > 1.0 + AT_BOUND
+
+    @property
+    def needs_a_stiffer_contact(self) -> bool:
+        """Whether the law fails with the largest stiffness of the computed contact."""
+        return not self.fits and self.parameters["k_a"].bound == "high"
+
+
+_K_A = polach_fit.NAMES.index("k_a")
+
 
 def _with_ratio(part: np.ndarray, has_fall: bool) -> np.ndarray:
     """Return Polach's parameters of free ones: mu_0, [A, gamma,] k_A, ratio [L2]."""
@@ -71,9 +93,10 @@ def _with_ratio(part: np.ndarray, has_fall: bool) -> np.ndarray:
     return np.array([mu_0, falling, gamma, k_a, ratio * k_a])
 
 
-def _bounds(has_fall: bool) -> tuple[np.ndarray, np.ndarray]:
+def _bounds(has_fall: bool, most_k_a: float) -> tuple[np.ndarray, np.ndarray]:
     low = polach_fit.LOW.copy()
     high = polach_fit.HIGH.copy()
+    high[_K_A] = most_k_a
     # the last free parameter is the ratio of k_S to k_A
     low[-1] = 0.0
     high[-1] = 1.0
@@ -90,6 +113,7 @@ class _Problem(NamedTuple):
     columns: np.ndarray
     patch: Patch
     has_fall: bool
+    most_k_a: float
 
     def split(self, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return Polach's parameters (5,) and beta (k,) of the free parameters."""
@@ -98,7 +122,7 @@ class _Problem(NamedTuple):
 
     def solve(self, adhesion: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:
         """Return the free parameters of the best fit of all starts."""
-        low, high = _bounds(self.has_fall)
+        low, high = _bounds(self.has_fall, self.most_k_a)
         wide = np.full(self.columns.shape[1], WIDEST_BETA)
         low = np.concatenate([low, -wide])
         high = np.concatenate([high, wide])
@@ -131,10 +155,11 @@ def fit(
     smooth: Shape,
     has_fall: bool,
     seed: int,
+    most_k_a: float = 1.0,
 ) -> Law:
     """Return Polach's law with or without falling friction, fitted and judged."""
     curve = prepared.curve._replace(creepage=prepared.creepage)
-    problem = _Problem(curve, columns, patch, has_fall)
+    problem = _Problem(curve, columns, patch, has_fall, most_k_a)
     top = float(np.max(prepared.adhesion))
     starts = []
     for start in polach_fit.STARTS:
@@ -167,7 +192,7 @@ def fit(
     deviation, place = _largest_deviation(prepared, residual)
     return Law(
         has_fall=has_fall,
-        parameters=_with_bounds(x, replicates, has_fall),
+        parameters=_with_bounds(x, replicates, has_fall, most_k_a),
         x=x,
         beta=beta,
         modelled=model,
@@ -192,7 +217,9 @@ def _largest_deviation(prepared: Prepared, residual: np.ndarray) -> tuple[float,
     return float(means[k]), float(places[k])
 
 
-def _with_bounds(x: np.ndarray, replicates: np.ndarray, has_fall: bool) -> dict[str, Bounded]:
+def _with_bounds(
+    x: np.ndarray, replicates: np.ndarray, has_fall: bool, most_k_a: float
+) -> dict[str, Bounded]:
     """Return the parameters with intervals, and the bound at which one is."""
     low, high = np.percentile(replicates, (2.5, 97.5), axis=0)
     found = {}
@@ -202,7 +229,9 @@ def _with_bounds(x: np.ndarray, replicates: np.ndarray, has_fall: bool) -> dict[
         bound = polach_fit.bound_of(name, float(x[i]))
         if name == "k_s":
             # [L2]: its bounds are 0 and k_A
-            share = float(x[i]) / max(float(x[3]), 1e-12)
+            share = float(x[i]) / max(float(x[_K_A]), 1e-12)
             bound = "low" if share < AT_BOUND else "high" if share > 1.0 - AT_BOUND else ""
+        if name == "k_a" and bound == "high" and float(x[i]) < most_k_a * (1.0 - AT_BOUND):
+            bound = ""
         found[name] = Bounded(float(x[i]), float(low[i]), float(high[i]), bound)
     return found

@@ -46,8 +46,8 @@ KNOTS = (1, 2, 3, 5, 8, 12)
 DENSER = 1.5
 POINTS_PER_COEFFICIENT = 3
 
-# Means [H1] are of so many neighbours, or of fewer where there would be too few means; and there are
-# at most so many means.
+# Means [H1] are of so many neighbours, or of fewer where there would be too few means; and there
+# are at most so many means.
 MEAN_POINTS = 4
 LEAST_MEANS = 12
 MOST_MEANS = 20
@@ -448,22 +448,24 @@ def _smallest_fall(
 ) -> float:
     """Return the fall over the last third of the range that T [H1] would have shown.
 
-    It is a share of the maximum, linear in creepage; inf where not even a fall to 0 is shown.
-    `drawn` are errors of the means. T counts as shown above `critical`.
+    Such a curve rises no further from there on, and falls linearly in creepage by a share of its
+    maximum. The result is inf where not even a fall to 0 is shown. `drawn` are errors of the means.
+    T counts as shown above `critical`.
     """
+    flat = []
     ramps = []
     for part, means in zip(groups, never, strict=True):
         begin = LATE * part.creepage[-1]
         places = part.averaging @ part.creepage
         along = np.clip((places - begin) / max(part.creepage[-1] - begin, 1e-12), 0.0, 1.0)
-        ramps.append(float(np.max(means)) * along)
+        top = float(np.interp(begin, places, means))
+        flat.append(np.minimum(means, top))
+        ramps.append(top * along)
 
     def is_shown(size: float) -> bool:
         shown = 0
         for errors in drawn:
-            falling = [
-                n - size * ramp + e for n, ramp, e in zip(never, ramps, errors, strict=True)
-            ]
+            falling = [f - size * ramp + e for f, ramp, e in zip(flat, ramps, errors, strict=True)]
             shown += _statistic(groups, falling) > critical
         return shown >= POWER * len(drawn)
 

@@ -22,7 +22,7 @@ from scipy.optimize import least_squares
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.identify.data.parameters import patch_of
-from rollerrig.rig.identify.data.runs import LARGEST_ADHESION, Curve, Dataset
+from rollerrig.rig.identify.data.runs import Curve, Dataset
 from rollerrig.rig.identify.paper.tuning import Interval, rms
 
 
@@ -38,7 +38,7 @@ class Parameters(NamedTuple):
 
 NAMES = Parameters._fields
 LOW = np.array(Parameters(mu_0=0.02, A=0.05, gamma_s_m=0.0, k_a=0.01, k_s=0.001))
-HIGH = np.array(Parameters(mu_0=LARGEST_ADHESION, A=1.0, gamma_s_m=5.0, k_a=1.0, k_s=1.0))
+HIGH = np.array(Parameters(mu_0=3.0, A=1.0, gamma_s_m=5.0, k_a=1.0, k_s=1.0))
 
 # a parameter within this share of the range between its bounds is at a bound
 AT_BOUND = 1e-3

@@ -11,9 +11,11 @@ import pytest
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 from rollerrig.realtime.reports.creep_curve import explained
+from rollerrig.rig.contact.patch import patch_for
 from rollerrig.rig.identify.creep_curves import conditions, judgement, shape
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.runs import LARGEST_ADHESION, Curve
+from rollerrig.rig.identify.paper import polach_fit
 
 MEASURED = Path(__file__).parents[2] / "data" / "measured"
 SEED = 5
@@ -353,6 +355,104 @@ def test_curves_with_known_truth_are_answered_without_a_false_report(truth):
     found = creep_rates.answers(truth, range(1000, 1005))
     assert found.false_reports == []
     assert found.missed == []
+
+
+@pytest.mark.parametrize("truth", creep_rates.FORMS, ids=lambda truth: truth.name)
+def test_curves_in_any_measured_form_are_answered_without_a_false_report(truth):
+    found = creep_rates.answers_on_forms(truth, range(1000, 1004))
+    assert found.false_reports == []
+
+
+def test_braking_and_traction_with_other_ranges_make_no_fall_and_their_difference_is_reported():
+    rng = np.random.default_rng(SEED)
+    creepage = np.concatenate([rng.uniform(0.005, 0.3, 100), -rng.uniform(0.005, 0.15, 100)])
+    level = np.where(creepage < 0.0, 1.0, 0.8)
+    adhesion = np.sign(creepage) * 0.5 * level * np.tanh(30.0 * np.abs(creepage))
+    adhesion += 0.01 * rng.standard_normal(200)
+    curve = generators.Points(
+        creepage, adhesion, np.full(200, 10.0), np.full(200, 5e4), np.zeros(200)
+    )
+    data = with_points(curve)
+    answer = judgement.judge(data)
+    assert not answer.shown.falls
+    direction = effect(answer, conditions.DIRECTION)
+    assert direction.is_reported
+    assert direction.low <= 0.25 <= direction.high
+    assert "Braking and traction differ: traction has 2" in text(data, answer)
+
+
+def polach_points(points, k_a, seed):
+    """Return Polach's law on a contact of 6 mm by 6 mm, with friction that does not fall."""
+    rng = np.random.default_rng(seed)
+    patch = patch_for(0.63, np.inf, 0.63, 2.1e11, 8.0e10, 0.3)
+    creepage = np.geomspace(5e-4, 0.2, points)
+    curve = Curve(
+        creepage, creepage, np.full(points, 10.0), np.full(points, 52.7e3), np.zeros(points)
+    )
+    adhesion = polach_fit.model(np.array([0.4, 1.0, 0.0, k_a, 0.4 * k_a]), curve, patch)
+    return curve._replace(adhesion=adhesion + 0.006 * rng.standard_normal(points))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_polachs_law_fits_its_points_on_a_stiffer_contact_and_the_first_screen_shows_the_patch(
+    seed, tmp_path
+):
+    points = polach_points(30, 1.0, seed)
+    folder = write(
+        tmp_path,
+        creepage=points.creepage,
+        adhesion=points.adhesion,
+        speed_m_s=points.speed_m_s,
+        wheel_load_N=points.load_N,
+    )
+    data = dataset.load(folder)
+    answer = judgement.judge(data)
+    assert answer.verdict == "consistent"
+    assert not answer.law_fails
+    k_a = answer.law.parameters["k_a"]
+    # the contact is 1.36 times as stiff as that of the dataset
+    assert k_a.low < 1.36 < k_a.high
+    words = text(data, answer)
+    assert "times as stiff as the computed one fits" in words
+    assert "half axes of 5.7 mm along and 4.4 mm across at 52.7 kN" in words
+
+
+def test_points_whose_neighbours_share_large_errors_are_not_said_to_fit_or_not_to_fall():
+    rng = np.random.default_rng(SEED)
+    error = np.zeros(60)
+    for i in range(1, 60):
+        error[i] = 0.97 * error[i - 1] + 0.05 * rng.standard_normal()
+    creepage = np.linspace(0.01, 0.3, 60)
+    curve = generators.Points(
+        creepage,
+        0.5 * np.tanh(15.0 * creepage) + error,
+        np.full(60, 10.0),
+        np.full(60, 5e4),
+        np.zeros(60),
+    )
+    answer = judgement.judge(with_points(curve))
+    assert not answer.shown.falls
+    assert "would not have shown a fall" in answer.shown.fall_why_not
+    assert answer.law_fails or "would not have shown a misfit" in answer.law_why_not
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_fall_by_a_third_in_fifteen_points_is_shown(seed):
+    rng = np.random.default_rng(seed)
+    creepage = np.linspace(0.005, 0.3, 15)
+    adhesion = 0.4 * np.minimum(creepage / 0.06, 1.0) * (1.0 - np.clip(creepage - 0.06, 0.0, 1.0))
+    adhesion = adhesion * (1.0 - 0.5 * np.clip(creepage - 0.06, 0.0, 1.0))
+    curve = generators.Points(
+        creepage,
+        adhesion + 0.004 * rng.standard_normal(15),
+        np.full(15, 10.0),
+        np.full(15, 5e4),
+        np.zeros(15),
+    )
+    answer = judgement.without_law(with_points(curve))
+    assert answer.falls
+    true_fall = 1.0 - adhesion[-1] / adhesion.max()
+    assert answer.fall.low < true_fall < answer.fall.high
 
 
 @pytest.mark.parametrize("seed", range(5))
