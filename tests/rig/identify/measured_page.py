@@ -108,6 +108,29 @@ def judge_sand(result: Result) -> str:
     return "right" if result["law"]["fits"] is False else "partly: the law is reported to fit"
 
 
+def rover_wheels_known(folder: str) -> str:
+    data = columns(folder, "curve.csv")
+    levels = []
+    for number in np.unique(data["series"]):
+        late = (data["series"] == number) & (data["creepage"] > 0.15)
+        levels.append(f"{data['adhesion'][late].mean():.2f}")
+    return (
+        f"five wheels on sand, each a series: means beyond 15 % slip of {', '.join(levels)}, so they "
+        "differ; loads differ with the wheels"
+    )
+
+
+def judge_rover_wheels(result: Result) -> str:
+    wrong = others(result, "series_differ")
+    if wrong:
+        return f"wrong: {', '.join(wrong)}"
+    if result["law"]["fits"] is not False:
+        return "partly: the law is reported to fit"
+    if not causes(result, "series_differ"):
+        return "partly: whether the series differ is not judged, since 27 points are too few"
+    return "right"
+
+
 COMMA_WHEELS = ("wheel_fl_m_s", "wheel_fr_m_s", "wheel_rl_m_s", "wheel_rr_m_s")
 
 
@@ -269,6 +292,7 @@ SETS = (
         lambda: _sand_known("terramech_grouser_mit"),
         judge_sand,
     ),
+    Set("sand_rover_mit", lambda: rover_wheels_known("sand_rover_mit"), judge_rover_wheels),
     Set(
         "comma_60s_mit",
         lambda: (
