@@ -15,7 +15,7 @@ from rollerrig.rig.identify.creep_curves import conditions, factors, laws, shape
 from rollerrig.rig.identify.creep_curves.conditions import Prepared
 from rollerrig.rig.identify.creep_curves.factors import Effect, Factors
 from rollerrig.rig.identify.creep_curves.laws import Law
-from rollerrig.rig.identify.creep_curves.shape import Fall, Shape
+from rollerrig.rig.identify.creep_curves.shape import Fall, Group, Shape
 from rollerrig.rig.identify.data.parameters import patch_of
 from rollerrig.rig.identify.data.runs import Dataset
 
@@ -164,7 +164,23 @@ def _why_no_fall_is_judged(prepared: Prepared, smooth: Shape) -> str:
     creepages = shape.distinct(prepared.creepage)
     if creepages < LEAST_CREEPAGES:
         return f"there are {creepages} different creepages; at least {LEAST_CREEPAGES} are needed"
+    if any(_goes_with_the_curve(part) for part in smooth.groups):
+        return (
+            "points of other conditions were measured at other creepages, and each condition has too "
+            "few points for a curve"
+        )
     return _why_no_scatter_is_known(smooth)
+
+
+def _goes_with_the_curve(part: Group) -> bool:
+    """Whether the curve of a group explains nearly all of a condition that varies within it."""
+    curve = np.column_stack([part.nuisance[:, :1], part.basis])
+    for column in part.nuisance[:, 1:].T:
+        left = column - curve @ np.linalg.lstsq(curve, column, rcond=None)[0]
+        centred = column - column.mean()
+        if float(left @ left) < (1.0 - conditions.TOGETHER) * float(centred @ centred):
+            return True
+    return False
 
 
 def _why_no_law_is_judged(smooth: Shape, law: Law, largest: float) -> str:

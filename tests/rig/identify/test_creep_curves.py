@@ -381,6 +381,15 @@ def test_braking_and_traction_with_other_ranges_make_no_fall_and_their_differenc
     assert "Braking and traction differ: traction has 2" in text(data, answer)
 
 
+@pytest.mark.parametrize("seed", [3, 22])
+def test_few_creepages_that_each_have_one_direction_are_not_judged_for_a_fall(seed):
+    truth = next(t for t in creep_rates.FORMS if t.form == "few creepages, two directions")
+    points, _ = generators.tyre_curve(truth, seed)
+    answer = judgement.without_law(with_points(points))
+    assert not answer.falls
+    assert "measured at other creepages" in answer.fall_why_not
+
+
 def polach_points(points, k_a, seed):
     """Return Polach's law on a contact of 6 mm by 6 mm, with friction that does not fall."""
     rng = np.random.default_rng(seed)
