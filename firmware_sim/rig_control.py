@@ -23,24 +23,46 @@ from the virtual vehicle, whose contact forces are measured without error (assum
 cell).
 """
 
-from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 
 
 @kernel
 def hold_surface_speed(state, drive, tick_s):
     """Write the motor torque demands in N m of all rollers for the coming tick."""
-    J = drive.roller_inertia_kgm2
-    R = drive.roller_radius_m
     for j in range(state.roller_speed.size):
         if state.standing[0] != 0.0:
             state.motor_torque_demand[j] = 0.0
             continue
-        disturbance = state.observer[j] - drive.observer_rad_s * J * state.roller_speed[j]  # [R2]
-        state.observer[j] += tick_s * drive.observer_rad_s * (state.motor_torque[j] - disturbance)
-        error = state.vehicle_speed[0] / R - state.roller_speed[j]
-        state.motor_torque_demand[j] = (
-            J * drive.speed_loop_rad_s * error + J * state.vehicle_acceleration[0] / R + disturbance
-        )  # [R1]
+        state.motor_torque_demand[j], state.observer[j] = held(
+            state.roller_speed[j],
+            state.observer[j],
+            state.motor_torque[j],
+            state.vehicle_speed[0],
+            state.vehicle_acceleration[0],
+            drive.roller_inertia_kgm2,
+            drive.roller_radius_m,
+            drive.speed_loop_rad_s,
+            drive.observer_rad_s,
+            tick_s,
+        )
+
+
+@kernel_inlined
+def held(omega, observer, motor_Nm, v, a, J, R, speed_loop_rad_s, observer_rad_s, tick_s):
+    """Return the torque demand in N m of a motor, and its observer after the tick [R1], [R2].
+
+    Parameters
+    ----------
+    omega, motor_Nm : speed of the roller in rad/s, torque of its motor
+    observer : z of [R2] in N m
+    v, a : speed and acceleration of the vehicle
+    J, R : inertia and radius of the roller
+    speed_loop_rad_s, observer_rad_s : w_c and w_o
+    """
+    disturbance = observer - observer_rad_s * J * omega  # [R2]
+    error = v / R - omega
+    demand_Nm = J * speed_loop_rad_s * error + J * a / R + disturbance  # [R1]
+    return demand_Nm, observer + tick_s * observer_rad_s * (motor_Nm - disturbance)
 
 
 @kernel

@@ -34,12 +34,27 @@ def advance(state, heat):
         # work of this tick
         work_J = state.brake_work[j] - state.brake_work_before[j]
         state.brake_work_before[j] = state.brake_work[j]
+        state.disc_temperature[j] = disc_K(
+            state.disc_temperature[j], work_J, heat.air_K, heat.disc_J_K, heat.disc_share
+        )
+        state.motor_temperature[j] = motor_K(
+            state.motor_temperature[j],
+            state.motor_torque[j],
+            heat.air_K,
+            heat.rated_torque_Nm,
+            heat.motor_rise_K,
+            heat.motor_share,
+        )
 
-        disc_above_K = state.disc_temperature[j] - heat.air_K
-        state.disc_temperature[j] += work_J / heat.disc_J_K - disc_above_K * heat.disc_share  # [H1]
 
-        load = state.motor_torque[j] / heat.rated_torque_Nm
-        motor_above_K = state.motor_temperature[j] - heat.air_K
-        state.motor_temperature[j] += (
-            load * load * heat.motor_rise_K - motor_above_K
-        ) * heat.motor_share  # [H2]
+@kernel_inlined
+def disc_K(before_K, work_J, air_K, disc_J_K, disc_share):
+    """Return the temperature of a disc set after a tick with this brake work [H1]."""
+    return before_K + (work_J / disc_J_K - (before_K - air_K) * disc_share)
+
+
+@kernel_inlined
+def motor_K(before_K, torque_Nm, air_K, rated_torque_Nm, motor_rise_K, motor_share):
+    """Return the temperature of a motor after a tick at this torque [H2]."""
+    load = torque_Nm / rated_torque_Nm
+    return before_K + (load * load * motor_rise_K - (before_K - air_K)) * motor_share

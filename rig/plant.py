@@ -27,8 +27,6 @@ from rollerrig.rig.multibody import coach_state, on_rig
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SIZE, State, views
 
-LOCKED_BELOW_M_S = 0.1  # a wheel whose rim is slower counts as locked
-
 
 class Plant:
     """Parameters, state and memory of the valves' dead time: everything that one run carries."""
@@ -316,9 +314,11 @@ def watch_lock(state, axle, params):
     """
     radius_m = params.wheels.table[vehicle.RADIUS_M + axle]
     state.wheel_circumferential_speed[axle] = radius_m * state.wheel_speed[axle]
-    runs = state.vehicle_speed[0] > params.lock_above_m_s
-    if runs and state.wheel_circumferential_speed[axle] < LOCKED_BELOW_M_S:
-        state.locked_since[axle] += params.tick_s
-        state.longest_lock[axle] = max(state.longest_lock[axle], state.locked_since[axle])
-    else:
-        state.locked_since[axle] = 0.0
+    state.locked_since[axle], state.longest_lock[axle] = wheelset.lock_s(
+        state.locked_since[axle],
+        state.longest_lock[axle],
+        state.wheel_circumferential_speed[axle],
+        state.vehicle_speed[0],
+        params.lock_above_m_s,
+        params.tick_s,
+    )

@@ -28,6 +28,7 @@ from rollerrig.rig.mechanisms import wheel_flat
 from rollerrig.rig.state import AXLES
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
+LOCKED_BELOW_M_S = 0.1  # a wheel whose rim is slower counts as locked
 SMALL_M_S = 1e-6  # sliding below which the secant slope is taken at this sliding
 
 
@@ -349,3 +350,14 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     state.brake_work[axle] += state.brake_mean[axle] * wheel_rad
     dynamic_brake.count_work(state, axle, wheel_rad, params.dynamic)
     state.motor_work[axle] += motor_Nm * roller_rad
+
+
+@kernel_inlined
+def lock_s(locked_s, longest_s, rim_m_s, vehicle_m_s, above_m_s, tick_s):
+    """Return how long a wheelset is locked now, and its longest lock, after a tick.
+
+    A lock counts while the vehicle is faster than `above_m_s`.
+    """
+    is_locked = (vehicle_m_s > above_m_s) & (rim_m_s < LOCKED_BELOW_M_S)
+    locked_s = locked_s + tick_s if is_locked else 0.0
+    return locked_s, max(longest_s, locked_s)

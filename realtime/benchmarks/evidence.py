@@ -24,7 +24,7 @@ from rollerrig.configs.vehicle import AXLES
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
-from rollerrig.realtime.campaign import four_stops
+from rollerrig.realtime.campaign import stops_in_lanes
 from rollerrig.wsp_interface import braking
 
 DRY = "dry_stop"
@@ -103,7 +103,7 @@ REFERENCES = (
         "the same stop alone",
         "1e-6",
         "reference unit or none; stops that do not fit run alone",
-        "realtime/test_four_stops.py",
+        "realtime/test_stops_in_lanes.py",
         "test_a_stop_among_others_is_the_stop_alone",
     ),
 )
@@ -146,8 +146,8 @@ def _measure(name: str) -> dict[str, float]:
     half = scenario.load(name, settings=(f"loop.step_s={0.5 * plan['loop']['step_s']!r}",))
     half_m = _distance_m(free.channels(free.simulate(half)))
 
-    jobs = [(place, plan) for place in range(four_stops.RIGS)]
-    four_m = [_distance_m(finished.channels) for finished in four_stops.together(jobs)]
+    jobs = [(place, plan) for place in range(stops_in_lanes.RIGS)]
+    four_m = [_distance_m(finished.channels) for finished in stops_in_lanes.together(jobs)]
     return {
         "distance_m": distance_m,
         "energy": abs(energy_missing(plan, free.channels(free.moving(rows)))),

@@ -26,7 +26,7 @@ from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import bench_runs, design, four_stops, speed_steps, spreading
+from rollerrig.realtime.campaign import bench_runs, design, stops_in_lanes, speed_steps, spreading
 from rollerrig.realtime.record import figures, summary
 from rollerrig.wsp_interface import unit_choice
 
@@ -237,7 +237,7 @@ def _with_long_step(plan: Plan, number: int) -> scenario.Scenario:
     """
     longer = (*settings(plan, number), f"loop.step_s={plan.head[STEP]!r}")
     found = scenario.load(plan.head["scenario"], "", longer)
-    return found if four_stops.fits(found) else resolve(plan, number)
+    return found if stops_in_lanes.fits(found) else resolve(plan, number)
 
 
 def settings(plan: Plan, number: int) -> tuple[str, ...]:
@@ -335,7 +335,7 @@ def _compute(
                 row["error"] = str(error)
 
     unit = _unit(plan.head["unit"])
-    for finished in four_stops.together(jobs(), unit):
+    for finished in stops_in_lanes.together(jobs(), unit):
         row = rows[finished.tag]
         _fill(row, summarize(finished, plan.head["unit"]))
         row[STEP] = finished.plan["loop"][STEP]
@@ -412,7 +412,7 @@ def empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
     return {"run": number, **inputs, **dict.fromkeys(results)}
 
 
-def summarize(finished: four_stops.Finished, unit: str) -> Row:
+def summarize(finished: stops_in_lanes.Finished, unit: str) -> Row:
     """Return the summary of a run in memory; it equals that of a recorded run in free pacing."""
     plan = finished.plan
     time_s = finished.channels["time_s"]

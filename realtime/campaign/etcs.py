@@ -17,7 +17,7 @@ from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import (
     campaign,
     design,
-    four_stops,
+    stops_in_lanes,
     large,
     speed_steps,
     stopping,
@@ -163,7 +163,7 @@ def nominal_m_s2(dry: Sample) -> tuple[float, ...]:
         )
     resolved = scenario.load(str(dry.head["scenario"]), "", ())
     free.check(resolved)
-    (finished,) = four_stops.together([("nominal", resolved)], unit)
+    (finished,) = stops_in_lanes.together([("nominal", resolved)], unit)
     found = speed_steps.decelerations(finished.channels, dry.steps)
     values = []
     for column, (low_km_h, high_km_h) in zip(dry.steps.columns, dry.steps.pairs_km_h, strict=True):

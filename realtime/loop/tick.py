@@ -159,7 +159,14 @@ def gather(names: Iterable[str] = tuple(SLOTS)) -> np.ndarray:
 
 @kernel
 def publish(m):
-    """Copy the state into the row of all signals and post it."""
+    """Write the row of all signals and post it."""
+    write_row(m)
+    box.post(m.published, m.row)
+
+
+@kernel_inlined
+def write_row(m):
+    """Copy the state into the row of all signals."""
     for i in range(m.gather.size):
         if m.gather[i] >= 0:
             m.row[i] = m.buffer[m.gather[i]]
@@ -182,10 +189,9 @@ def publish(m):
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
     m.row[_MISSED] = m.control[MISSED]
-    box.post(m.published, m.row)
 
 
-@kernel
+@kernel_inlined
 def tracking_error(m, axle):
     """Return the control error of the motors in m/s, at the rim of the wheel or roller."""
     if m.virtual != 0:

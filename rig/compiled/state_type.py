@@ -16,7 +16,7 @@ from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import 
 # isort: split
 from numba.core import cgutils, imputils, types
 from numba.core.typing import templates
-from numba.extending import NativeValue, models, register_model, typeof_impl, unbox
+from numba.extending import NativeValue, intrinsic, models, register_model, typeof_impl, unbox
 
 _VIEW = types.Array(types.float64, 1, "C")
 _BYTES_OF_A_FLOAT = 8
@@ -63,6 +63,27 @@ def register(named_tuple: type, places: Mapping[str, slice]) -> None:
         for field, view in zip(fields, state, strict=True):
             present[field] = None if view is None else places[field]
         return Address(present)
+
+
+def state_in(places: Mapping[str, slice | None]) -> Any:
+    """Return what makes a state from its buffer, float64 of shape (n,), in compiled code.
+
+    places: the place of each field in the buffer; None for a field that is None.
+    """
+    kind = Address(places)
+
+    def state_at(typing_context: Any, buffer: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            from numba.np import arrayobj
+
+            value = cgutils.create_struct_proxy(kind)(context, builder)
+            view = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
+            value.address = view.data
+            return value._getvalue()
+
+        return kind(buffer), generate
+
+    return intrinsic(state_at)
 
 
 @unbox(Address)

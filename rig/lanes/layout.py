@@ -1,19 +1,23 @@
 """Several rigs in the vector lanes of a core: the layout of the array that a step works on.
 
-A campaign needs many stops and does not need them in real time. Therefore the sixteen axles of four
-rigs are computed together. They are the lanes of one array, in which each quantity is a row of
-sixteen numbers. The arithmetic of `brake`, `motor` and `wheelset` runs along the rows, which the
-compiler turns into vector instructions. The state of a rig is scattered into its lanes before a
-tick and gathered from them after it. Everything else remains the code of the plant.
+A campaign needs many stops and does not need them in real time. Therefore the axles of several rigs
+are computed together. They are the lanes of one array, in which each quantity is a row with one
+number for each lane. The arithmetic of `brake`, `motor` and `wheelset` runs along the rows, which
+the compiler turns into vector instructions. The state of a rig is scattered into its lanes before a
+tick with a sample, a cycle of its unit or another change, and gathered from them after the tick
+before the next such one. The ticks in between are `quiet_tick`s, which know only the lanes.
 
 The equations are those of brake [B1] to [B4], motor [M1], wheelset [W1] to [W4], adhesion [A1] to
-[A6] and vehicle [V1] to [V3], written without branches. Results agree with `plant.advance` to
-rounding, not to the last bit. A test compares every kernel with its counterpart in the plant.
+[A6], vehicle [V1] to [V3] and heat [H1], [H2], written without branches. Results agree with
+`plant.advance` to rounding, not to the last bit. A test compares every kernel with its counterpart
+in the plant.
 
 Limits (`fits`): planar vehicle, one plant, degraded adhesion without memory, round wheels, brake
 torque without effects, pads without variation, no limit of the air supply, no flats, no sand,
-rollers that stay as they were prepared.
+rollers that stay as they were prepared, no dynamic brake and no magnets.
 """
+
+from typing import NamedTuple
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
@@ -24,7 +28,10 @@ from rollerrig.rig.params import ROLLERS, TRACK, Params
 from rollerrig.rig.state import AXLES
 from rollerrig.rig.vehicle import INERTIA_KGM2, RADIUS_M
 
-RIGS = 4
+# The rigs that are computed together: as many as fit into LANES_WANTED, at least two. With fewer
+# lanes the latency of divisions is not hidden, with more the rows leave the nearest cache.
+LANES_WANTED = 16
+RIGS = max(2, LANES_WANTED // AXLES)
 LANES = RIGS * AXLES
 
 # Rows of the array, in SI units; each name is the place of the first lane of its row.
@@ -47,7 +54,14 @@ LANES = RIGS * AXLES
     FORCE,  # mean of the contact in the step
     BRAKE_MEAN,  # mean torque of the brake in the step
     AIR_NL,  # normal litres in this tick
-    # the state of its vehicle, the same in all four lanes
+    AIR_SUM_NL,  # of all axles so far; only the first lane of a rig is used
+    OBSERVER,  # of the rig control, N m
+    DISC_K,  # temperatures
+    MOTOR_K,
+    HEATED_J,  # work of the brake up to the last tick
+    LOCKED_S,  # length of the present lock
+    LONGEST_S,  # longest lock
+    # the state of its vehicle, the same in all its lanes
     V,
     FELT,  # lagged acceleration, which the pitch of the vehicle and the loads follow
     RATE,  # acceleration
@@ -101,8 +115,24 @@ LANES = RIGS * AXLES
     EPS1,  # of `patch.Patch`
     DECAY_D,  # 1 / A - 1 of the degraded and of the recovered friction
     DECAY_R,
+    TICK,  # s
+    ROLLER_KGM2,
+    SPEED_LOOP,  # of the rig control, rad/s
+    OBSERVER_LOOP,  # rad/s
+    AIR_K,
+    DISC_J_K,
+    DISC_SHARE,  # share of the cooling in a tick
+    RATED_NM,  # torque of the motor
+    MOTOR_RISE_K,
+    MOTOR_HEAT_SHARE,
+    LOCK_ABOVE,  # speed of the vehicle above which a lock counts
+    MASS_KG,
+    PITCH_S,  # time constant of the pitch
+    RESISTANCE_A,
+    RESISTANCE_B,
+    RESISTANCE_C,
     _LAW,
-) = range(0, 69 * LANES, LANES)
+) = range(0, 92 * LANES, LANES)
 # the adhesion law: one row for each field of `Law`, in its order
 _LAW_ROWS = {name: _LAW + LANES * i for i, name in enumerate(Law._fields)}
 # friction of the contaminant: the state has it, not the constants
@@ -113,6 +143,22 @@ SIZE = _LAW + LANES * len(Law._fields)
 # kernels: the adhesion law of a lane, and its writer
 law_of_lane = tuple_builder(Law, "w, lane", (f"w[{row} + lane]" for row in _LAW_ROWS.values()))
 _write_law = tuple_writer("w, lane", [f"w[{row} + lane]" for row in _LAW_ROWS.values()])
+
+
+class Resisted(NamedTuple):
+    """The fields of `params.Vehicle` that its running resistance needs."""
+
+    resistance_A_N: float
+    resistance_B_N_s_m: float
+    resistance_C_N_s2_m2: float
+
+
+# kernel: the running resistance of the vehicle of a lane
+resisted = tuple_builder(
+    Resisted,
+    "w, lane",
+    (f"w[{row} + lane]" for row in (RESISTANCE_A, RESISTANCE_B, RESISTANCE_C)),
+)
 
 
 def fits(params: Params) -> bool:
@@ -136,10 +182,11 @@ def fits(params: Params) -> bool:
 
 @kernel
 def load_constants(w, rig, params):
-    """Write the constants of a rig (0 to 3) into its lanes."""
+    """Write the constants of a rig (0 to RIGS - 1) into its lanes."""
     vehicle = params.vehicle
     brake = params.brake
     drive = params.drive
+    heat = params.heat
     for j in range(AXLES):
         at = rig * AXLES + j
 
@@ -170,6 +217,24 @@ def load_constants(w, rig, params):
         w[EPS1 + at] = params.patch.eps1
         w[DECAY_D + at] = 1.0 / params.law.A_d - 1.0
         w[DECAY_R + at] = 1.0 / params.law.A_r - 1.0
+
+        w[TICK + at] = params.tick_s
+        w[ROLLER_KGM2 + at] = drive.roller_inertia_kgm2
+        w[SPEED_LOOP + at] = drive.speed_loop_rad_s
+        w[OBSERVER_LOOP + at] = drive.observer_rad_s
+        w[AIR_K + at] = heat.air_K
+        w[DISC_J_K + at] = heat.disc_J_K
+        w[DISC_SHARE + at] = heat.disc_share
+        w[RATED_NM + at] = heat.rated_torque_Nm
+        w[MOTOR_RISE_K + at] = heat.motor_rise_K
+        w[MOTOR_HEAT_SHARE + at] = heat.motor_share
+        w[LOCK_ABOVE + at] = params.lock_above_m_s
+
+        w[MASS_KG + at] = vehicle.mass_kg
+        w[PITCH_S + at] = vehicle.pitch_time_constant_s
+        w[RESISTANCE_A + at] = vehicle.resistance_A_N
+        w[RESISTANCE_B + at] = vehicle.resistance_B_N_s_m
+        w[RESISTANCE_C + at] = vehicle.resistance_C_N_s2_m2
         _write_law(w, at, params.law)
 
         # a result must not depend on the stop that had this place before
@@ -201,8 +266,14 @@ def scatter(w, rig, state, target_Pa):
         w[MOTOR_WORK + at] = state.motor_work[j]
         w[FORCE + at] = state.contact_force[j]
         w[BRAKE_MEAN + at] = state.brake_mean[j]
+        w[OBSERVER + at] = state.observer[j]
+        w[DISC_K + at] = state.disc_temperature[j]
+        w[MOTOR_K + at] = state.motor_temperature[j]
+        w[HEATED_J + at] = state.brake_work_before[j]
+        w[LOCKED_S + at] = state.locked_since[j]
+        w[LONGEST_S + at] = state.longest_lock[j]
 
-        # the quantities of the vehicle, the same in all four lanes
+        # the quantities of the vehicle, the same in all its lanes
         w[V + at] = state.vehicle_speed[0]
         w[FELT + at] = state.felt_acceleration[0]
         w[RATE + at] = state.vehicle_acceleration[0]
@@ -212,6 +283,7 @@ def scatter(w, rig, state, target_Pa):
         w[TARGET + at] = target_Pa
         w[MOVING + at] = 1.0 - state.standing[0]
         w[AIR_NL + at] = 0.0
+        w[AIR_SUM_NL + at] = state.air_consumption[0]
 
 
 @kernel_inlined
@@ -233,11 +305,17 @@ def gather(w, rig, state):
         state.motor_work[j] = w[MOTOR_WORK + at]
         state.contact_force[j] = w[FORCE + at]
         state.brake_mean[j] = w[BRAKE_MEAN + at]
-        # the lanes hold the air of this tick
-        state.air_consumption[0] += w[AIR_NL + at]
+        state.motor_torque_demand[j] = w[MOTOR_DEMAND + at]
+        state.observer[j] = w[OBSERVER + at]
+        state.disc_temperature[j] = w[DISC_K + at]
+        state.motor_temperature[j] = w[MOTOR_K + at]
+        state.brake_work_before[j] = w[HEATED_J + at]
+        state.locked_since[j] = w[LOCKED_S + at]
+        state.longest_lock[j] = w[LONGEST_S + at]
 
-    # the quantities of the vehicle are the same in all four lanes; the first one is read
+    # the quantities of the vehicle are the same in all its lanes; the first one is read
     at = rig * AXLES
+    state.air_consumption[0] = air_NL(w, rig)
     state.vehicle_speed[0] = w[V + at]
     state.felt_acceleration[0] = w[FELT + at]
     state.vehicle_acceleration[0] = w[RATE + at]
@@ -245,3 +323,13 @@ def gather(w, rig, state):
     state.resistance_work[0] = w[RESISTANCE_WORK + at]
     state.brake_demand[0] = w[DEMAND + at]
     state.standing[0] = 1.0 - w[MOVING + at]
+
+
+@kernel_inlined
+def air_NL(w, rig):
+    """Return the air that a rig has used so far, with that of the present tick."""
+    at = rig * AXLES
+    total_NL = w[AIR_SUM_NL + at]
+    for j in range(at, at + AXLES):
+        total_NL += w[AIR_NL + j]
+    return total_NL

@@ -27,17 +27,17 @@ _LEAST_RAD_S = 1e-3
 
 
 @kernel
-def step(w, rigs):
-    """Advance all lanes by one step; `rigs` are the parameters of the four vehicles."""
+def step(w):
+    """Advance all lanes by one step."""
     pneumatics_and_motors(w)
     contacts(w)
     contacts_outside_domain(w)
     begin(w)
-    predict(w, rigs)
+    predict(w)
     contacts(w)
     contacts_outside_domain(w)
     finish(w)
-    move(w, rigs)
+    move(w)
 
 
 @kernel
@@ -215,18 +215,17 @@ def total(w, first, resistance_N):
 
 
 @kernel
-def predict(w, rigs):
+def predict(w):
     """Predict speed and felt acceleration of each vehicle for the end of the step."""
     for rig in range(RIGS):
         at = rig * AXLES
-        vehicle = rigs[rig]
         h = w[row.STEP + at]
         v = w[row.V + at]
         felt = w[row.FELT + at]
 
-        resistance_N = planar_vehicle.resistance(v, vehicle)
-        rate = -total(w, at, resistance_N) / vehicle.mass_kg
-        felt_rate = (rate - felt) / vehicle.pitch_time_constant_s
+        resistance_N = planar_vehicle.resistance(v, row.resisted(w, at))
+        rate = -total(w, at, resistance_N) / w[row.MASS_KG + at]
+        felt_rate = (rate - felt) / w[row.PITCH_S + at]
         for j in range(at, at + AXLES):
             w[row.V_END + j] = v + h * rate
             w[row.FELT_END + j] = felt + h * felt_rate
@@ -274,25 +273,24 @@ def finish(w):
 
 
 @kernel
-def move(w, rigs):
+def move(w):
     """Move every vehicle, and bring to rest those that hardly move."""
     for rig in range(RIGS):
         at = rig * AXLES
-        vehicle = rigs[rig]
         h = w[row.STEP + at]
         v = w[row.V + at]
         felt = w[row.FELT + at]
         if w[row.MOVING + at] == 0.0:
             # the body pitches back
-            broadcast(w, row.FELT, at, felt * math.exp(-h / vehicle.pitch_time_constant_s))
+            broadcast(w, row.FELT, at, felt * math.exp(-h / w[row.PITCH_S + at]))
             continue
 
         # the second stage of the vehicle, at the predicted values
         v2 = w[row.V_END + at]
         felt2 = w[row.FELT_END + at]
-        resistance_N = planar_vehicle.resistance(v2, vehicle)
-        rate = -total(w, at, resistance_N) / vehicle.mass_kg
-        felt_rate = (rate - felt2) / vehicle.pitch_time_constant_s
+        resistance_N = planar_vehicle.resistance(v2, row.resisted(w, at))
+        rate = -total(w, at, resistance_N) / w[row.MASS_KG + at]
+        felt_rate = (rate - felt2) / w[row.PITCH_S + at]
 
         # the mean of both stages moves it
         mean = 0.5 * (w[row.RATE_BEFORE + at] + rate)
@@ -314,7 +312,7 @@ def move(w, rigs):
 
 @kernel
 def broadcast(w, first_of_row, first_lane, value):
-    """Write a value of a vehicle into its four lanes."""
+    """Write a value of a vehicle into its lanes."""
     for j in range(first_lane, first_lane + AXLES):
         w[first_of_row + j] = value
 

@@ -55,19 +55,19 @@ print("seconds", min(stop("30") for _ in range(3)))
 # twelve stops in lanes, without the start of the program and without compiling
 LANES = """
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import four_stops
+from rollerrig.realtime.campaign import stops_in_lanes
 def stops(count):
     plans = [scenario.load("velim_a1", settings=[f"adhesion.mu_cd={0.04 + 0.002 * k}"]) for k in range(count)]
     begin_s = time.process_time()
-    list(four_stops.together(enumerate(plans)))
+    list(stops_in_lanes.together(enumerate(plans)))
     return time.process_time() - begin_s
 stops(4)
 print("seconds", min(stops(12) for _ in range(3)))
 """
 ALONE = """
 from rollerrig.realtime.bench import free
-from rollerrig.realtime.campaign import four_stops
-four_stops.fits = lambda plan: False
+from rollerrig.realtime.campaign import stops_in_lanes
+stops_in_lanes.fits = lambda plan: False
 """
 
 COLD = Task("first start of a run", command(*SHORT), cold=True)

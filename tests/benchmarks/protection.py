@@ -20,7 +20,7 @@ from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
-from rollerrig.realtime.campaign import four_stops
+from rollerrig.realtime.campaign import stops_in_lanes
 from rollerrig.rig.contact import adhesion
 from rollerrig.wsp_interface import signals
 
@@ -140,7 +140,7 @@ def unit_of(band: float) -> logic.Params:
 def _stops(jobs: list, unit: str | logic.Params) -> dict[tuple[str, int], StopFigures]:
     """Run stops; return the figures of each. A vehicle that does not stop has no distance."""
     result = {}
-    for finished in four_stops.together(jobs, unit):
+    for finished in stops_in_lanes.together(jobs, unit):
         channels = finished.channels
         stands = channels["vehicle_speed_m_s"][-1] < 0.1
         distance_m = float(channels["position_m"][-1]) if stands else math.inf

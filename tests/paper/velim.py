@@ -40,7 +40,7 @@ from rollerrig.configs import store
 from rollerrig.configs.table import number, read
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import four_stops
+from rollerrig.realtime.campaign import stops_in_lanes
 from rollerrig.wsp_interface import signals
 
 # what was found on group A
@@ -209,7 +209,7 @@ def over_contaminants(
 
     # the stops finish in any order
     stops = {}
-    for finished in four_stops.together(plans, unit):
+    for finished in stops_in_lanes.together(plans, unit):
         rows = np.column_stack(list(finished.channels.values()))
         stops[finished.tag] = reduced(free.moving(rows))
     values = np.array([_figures(stops[mu_cd]) for mu_cd in SCAN])

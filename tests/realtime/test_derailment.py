@@ -7,7 +7,7 @@ import pytest
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import derailment, free, scenario, tick_data
-from rollerrig.realtime.campaign import campaign, four_stops
+from rollerrig.realtime.campaign import campaign, stops_in_lanes
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.tick import TICK
 from rollerrig.rig.multibody import coach_state
@@ -77,7 +77,7 @@ def test_a_stop_of_a_campaign_ends_where_the_coach_derails_and_is_not_valid(coac
     coach_state.views(stop.data.buffer[SIZE:]).v[LATERAL_OF_WHEELSET_3] = 12.0
     stop.run()
 
-    finished = four_stops.finished(0, stop, memory)
+    finished = stops_in_lanes.finished(0, stop, memory)
     assert finished.channels["time_s"][-1] < 2.0
     summary = campaign.summarize(finished, "reference")
     assert summary["ended"] == "derailed"

@@ -11,7 +11,7 @@ from bench_process import BenchProcess
 from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, four_stops
+from rollerrig.realtime.campaign import campaign, stops_in_lanes
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
@@ -150,7 +150,7 @@ def test_a_unit_of_a_campaign_that_returns_no_number_makes_its_run_not_valid():
         calls.append(1)
         return float("nan") if len(calls) > 20 else 0
 
-    [finished] = four_stops.together([(0, plan)], unit)
+    [finished] = stops_in_lanes.together([(0, plan)], unit)
     summary = campaign.summarize(finished, "fails")
     assert summary["valid"] is False
     (reason,) = summary["invalid_because"]

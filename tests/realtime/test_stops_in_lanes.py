@@ -5,7 +5,7 @@ import pytest
 
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, four_stops
+from rollerrig.realtime.campaign import campaign, stops_in_lanes
 from rollerrig.wsp_interface import signals
 
 SHORT = ("initial_speed_m_s=8.0",)
@@ -51,7 +51,7 @@ def plans():
 @pytest.fixture(scope="module")
 def together(plans):
     """All cases, from stops that ran four at a time."""
-    return {finished.tag: finished for finished in four_stops.together(plans.items())}
+    return {finished.tag: finished for finished in stops_in_lanes.together(plans.items())}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -74,14 +74,14 @@ def test_the_figures_of_a_stop_among_others_are_those_of_the_stop_alone(case, pl
 
 
 def test_the_stops_in_the_other_places_change_no_bit_of_a_stop(plans, together):
-    [alone] = four_stops.together([("soap", plans["soap"])])
+    [alone] = stops_in_lanes.together([("soap", plans["soap"])])
     among = together["soap"]
     for name in signals.COLUMNS:
         assert np.array_equal(alone.channels[name], among.channels[name], equal_nan=True), name
 
 
 def test_without_a_unit_no_magnet_is_energised(plans):
-    [without] = four_stops.together([("soap", plans["soap"])], "none")
+    [without] = stops_in_lanes.together([("soap", plans["soap"])], "none")
     assert max(without.channels[f"magnets_{axle}"].max() for axle in (1, 2, 3, 4)) == 0.0
 
 
@@ -97,8 +97,8 @@ def test_without_a_unit_no_magnet_is_energised(plans):
 )
 def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=2.0", setting))
-    assert not four_stops.fits(plan)
-    [among] = four_stops.together([(0, plan)])
+    assert not stops_in_lanes.fits(plan)
+    [among] = stops_in_lanes.together([(0, plan)])
     alone = simulate(plan)
     for name in signals.COLUMNS:
         assert np.array_equal(among.channels[name], alone[name], equal_nan=True), name
@@ -106,6 +106,6 @@ def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
 
 def test_the_compiled_views_of_a_unit_are_those_of_the_unit():
     buffer = np.arange(float(logic.SIZE))
-    compiled = four_stops.see_unit.py_func(buffer)
+    compiled = stops_in_lanes.see_unit.py_func(buffer)
     for view, expected in zip(compiled, logic.views(buffer), strict=True):
         assert np.array_equal(view, expected)

@@ -1,0 +1,196 @@
+"""Runs many stops, several at a time in the vector lanes of a core, and each other one alone.
+
+A stop that is done waits until its place is given to the next stop.
+"""
+
+import itertools
+from collections.abc import Iterable, Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.errors import UnitError
+from rollerrig.firmware_sim import pole_wheel
+from rollerrig.firmware_sim.wsp import logic
+from rollerrig.realtime.bench import free
+from rollerrig.realtime.bench.scenario import Scenario
+from rollerrig.realtime.campaign import packed, ticks_in_lanes
+from rollerrig.realtime.campaign.ticks_in_lanes import Rows
+from rollerrig.realtime.loop.ring import Memory
+from rollerrig.realtime.loop.tick import DONE
+from rollerrig.rig.lanes import layout
+from rollerrig.rig.lanes.layout import RIGS
+from rollerrig.wsp_interface.events import Event
+
+_MOST_STEPS = 1 << 20  # in one call
+
+
+class Finished(NamedTuple):
+    """A stop that is done: the tag by which its caller knows it, and what it has left.
+
+    channels: samples (n,) by the names of the table of signals.
+    events, ended: as in `free.Stop`.
+    """
+
+    tag: Any
+    plan: Scenario
+    channels: dict[str, np.ndarray]
+    events: list[Event]
+    ended: str
+
+
+class _Placed(NamedTuple):
+    """A stop, the tag by which its caller knows it, and the memory of its samples."""
+
+    tag: Any
+    stop: free.Stop
+    memory: Memory
+
+
+def together(
+    jobs: Iterable[tuple[Any, Scenario]], unit: free.Unit = "reference"
+) -> Iterator[Finished]:
+    """Run many scenarios, RIGS at a time if possible; yield each that is done.
+
+    `jobs` are (tag, scenario). The results come in the order in which the stops are done. A result
+    does not depend on the stops in the other places. It differs from that of `free.simulate` by
+    rounding.
+    """
+    is_compiled = unit in ("reference", "none") or isinstance(unit, logic.Params)
+    fitting: list[tuple[Any, Scenario]] = []
+    for tag, plan in jobs:
+        if is_compiled and fits(plan):
+            fitting.append((tag, plan))
+        else:
+            yield _alone(tag, plan, unit)
+
+    stops = (_Placed(tag, *free.remembered(plan, unit)) for tag, plan in fitting)
+    for tag, stop, memory in _run(stops):
+        # these stops have no events: they have no faults, and a planar vehicle cannot derail
+        yield finished(tag, stop, memory)
+
+
+def _alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
+    """Run one stop. A failure of its unit is in its events. Raises ConfigError."""
+    free.check(plan)
+    stop, memory = free.remembered(plan, unit)
+    try:
+        stop.run()
+    except UnitError as error:
+        stop.fail(error)
+    return finished(tag, stop, memory)
+
+
+def finished(tag: Any, stop: free.Stop, memory: Memory) -> Finished:
+    """Return what a stop that is done has left."""
+    return Finished(tag, stop.plan, free.channels(memory.written), stop.events, stop.ended)
+
+
+def fits(plan: Scenario) -> bool:
+    """Whether a scenario may run together with others: one planar plant, no faults."""
+    return (
+        plan.rollers is None
+        and not plan.faults
+        and not plan["bus"]["arbitration"]
+        and layout.fits(plan.params)
+    )
+
+
+def _run(stops: Iterable[_Placed]) -> Iterator[_Placed]:
+    """Run stops RIGS at a time; yield each that is done. All must fit (`fits`)."""
+    waiting = iter(stops)
+    placed = dict(enumerate(itertools.islice(waiting, RIGS)))
+    rows = _memory(placed.values())
+    for rig, stop in placed.items():
+        _place(stop, rig, rows)
+
+    while placed:
+        # an empty place has the samples of another one, and does not run
+        samples = [placed[rig if rig in placed else min(placed)].memory.rows for rig in range(RIGS)]
+        ticks_in_lanes.run_ticks(rows, tuple(samples), _MOST_STEPS)
+        for rig, stop in list(placed.items()):
+            if not rows.control[rig, DONE]:
+                continue
+            stop.memory.header[:] = rows.header[rig]
+            yield stop
+            following = next(waiting, None)
+            if following is None:
+                del placed[rig]
+                rows.clock[rig, ticks_in_lanes.RUNS] = 0
+            else:
+                placed[rig] = following
+                rows = _with_room(rows, following)
+                _place(following, rig, rows)
+
+
+def _memory(stops: Iterable[_Placed]) -> Rows:
+    """Return memory with room for some stops."""
+    sizes = [_sizes(placed) for placed in stops]
+    return ticks_in_lanes.rows(*(max(size) for size in zip(*sizes, strict=True)))
+
+
+def _sizes(placed: _Placed) -> tuple[int, int, int, int]:
+    """Return the sizes of the tapes and of the dead time of a stop, as `rows` takes them."""
+    tapes = packed.tapes(placed.stop.data.params)
+    return (
+        tapes.tape.size,
+        tapes.whole.size,
+        _unit_tape(placed.stop).size,
+        placed.stop.data.delay.shape[0],
+    )
+
+
+def _unit_tape(stop: free.Stop) -> np.ndarray:
+    """Return the parameters of the units of a stop, empty without a unit."""
+    if not stop.reference_units:
+        return np.zeros(0)
+    return packed.unit_tape(stop.reference_units[0].params)
+
+
+def _with_room(rows: Rows, placed: _Placed) -> Rows:
+    """Return the memory, or a larger one with the same stops, with room for a further stop."""
+    fields = ("tape", "whole", "unit_tape", "delay")
+    given = {field: getattr(rows, field) for field in fields}
+    for field, size in zip(fields, _sizes(placed), strict=True):
+        missing = size - given[field].shape[1]
+        if missing > 0:
+            padding = [(0, 0), (0, missing), (0, 0)][: given[field].ndim]
+            given[field] = np.pad(given[field], padding)
+    return rows._replace(**given)
+
+
+def _place(placed: _Placed, rig: int, rows: Rows) -> None:
+    """Give a place to a stop that has not begun."""
+    stop = placed.stop
+    data = stop.data
+    tapes = packed.tapes(data.params)
+    rows.tape[rig, : tapes.tape.size] = tapes.tape
+    rows.whole[rig, : tapes.whole.size] = tapes.whole
+    unit_tape = _unit_tape(stop)
+    rows.unit_tape[rig, : unit_tape.size] = unit_tape
+    rows.units[rig] = 0.0
+    rows.buffer[rig] = data.buffer
+    rows.delay[rig, : data.delay.shape[0]] = data.delay
+    rows.control[rig] = data.control
+    rows.command[rig] = data.command
+    rows.row[rig] = data.row
+    rows.pulses[rig] = data.pulses
+    rows.sensor[rig] = data.sensor
+    rows.header[rig] = placed.memory.header
+
+    clock = rows.clock[rig]
+    clock[:] = 0
+    clock[ticks_in_lanes.RUNS] = 1
+    clock[ticks_in_lanes.RECORD_TICKS] = data.record_ticks
+    if stop.reference_units:
+        clock[ticks_in_lanes.SYNC_TICKS] = stop.plan.sync_ticks
+    clock[ticks_in_lanes.END_TICK] = data.end_tick
+    clock[ticks_in_lanes.STAND_TICKS] = data.stand_ticks
+    clock[ticks_in_lanes.IS_WATCHED] = int(_is_observed_each_tick(stop))
+    clock[ticks_in_lanes.SUBSTEPS] = data.params.substeps
+    layout.load_constants(rows.lanes, rig, data.params)
+
+
+def _is_observed_each_tick(stop: free.Stop) -> bool:
+    """Return whether the row of all signals, or what it is made of, acts in the next tick."""
+    return stop.data.sensor.model != pole_wheel.IDEAL or stop.data.params.effects.on_friction
