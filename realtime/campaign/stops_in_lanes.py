@@ -18,7 +18,7 @@ from rollerrig.realtime.campaign import packed, ticks_in_lanes
 from rollerrig.realtime.campaign.ticks_in_lanes import Rows
 from rollerrig.realtime.loop.ring import Memory
 from rollerrig.realtime.loop.tick import DONE
-from rollerrig.rig.lanes import layout
+from rollerrig.rig.lanes import layout, rail_cleaning
 from rollerrig.rig.lanes.layout import RIGS
 from rollerrig.wsp_interface.events import Event
 
@@ -187,10 +187,13 @@ def _place(placed: _Placed, rig: int, rows: Rows) -> None:
     clock[ticks_in_lanes.END_TICK] = data.end_tick
     clock[ticks_in_lanes.STAND_TICKS] = data.stand_ticks
     clock[ticks_in_lanes.IS_WATCHED] = int(_is_observed_each_tick(stop))
+    clock[ticks_in_lanes.CLEANS] = int(rail_cleaning.is_alone(data.params))
     clock[ticks_in_lanes.SUBSTEPS] = data.params.substeps
     layout.load_constants(rows.lanes, rig, data.params)
 
 
 def _is_observed_each_tick(stop: free.Stop) -> bool:
     """Return whether the row of all signals, or what it is made of, acts in the next tick."""
-    return stop.data.sensor.model != pole_wheel.IDEAL or stop.data.params.effects.on_friction
+    params = stop.data.params
+    friction_is_observed = params.effects.on_friction and not rail_cleaning.is_alone(params)
+    return stop.data.sensor.model != pole_wheel.IDEAL or friction_is_observed

@@ -23,7 +23,7 @@ from rollerrig.rig import brake, heat, plant
 from rollerrig.rig.compiled.generated import buffer_viewer, tuple_builder
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.compiled.state_type import state_in
-from rollerrig.rig.lanes import layout, quiet_tick, step
+from rollerrig.rig.lanes import layout, quiet_tick, rail_cleaning, step
 from rollerrig.rig.lanes.layout import RIGS
 from rollerrig.rig.state import SLOTS
 
@@ -40,7 +40,8 @@ LEFT = 8  # steps that are left in this tick
 QUIET = 9  # quiet ticks that follow this tick
 PASSED = 10  # quiet ticks since the last busy one
 STOOD = 11  # those of them that ended at standstill
-COLUMNS_OF_CLOCK = 12
+CLEANS = 12  # 1: the leading wheels clean the rail
+COLUMNS_OF_CLOCK = 13
 
 # a place at most this far ahead may be reached within a tick, beside the way at the present speed
 _SPEED_MARGIN_M_S = 1.0
@@ -123,6 +124,10 @@ def run_ticks(rows, samples, most):
     """
     clock = rows.clock
     for _ in range(most):
+        for rig in range(RIGS):
+            if clock[rig, RUNS] * clock[rig, CLEANS] != 0 and clock[rig, LEFT] == 0:
+                rail_cleaning.write_energy(rows.lanes)
+                break
         done = 0
         for rig in range(RIGS):
             if clock[rig, RUNS] == 0 or clock[rig, LEFT] > 0:
@@ -140,10 +145,12 @@ def run_ticks(rows, samples, most):
 
 @kernel
 def quiet(lanes, clock, rig):
-    """End the tick of a stop, and begin a quiet one: only the rig control acts."""
+    """End the tick of a stop, and begin a quiet one, in which only the rig control acts."""
     quiet_tick.end(lanes, rig)
     clock[rig, STOOD] += lanes[layout.MOVING + rig * AXLES] == 0.0
     hold_surface_speed(lanes, rig)
+    if clock[rig, CLEANS] != 0:
+        rail_cleaning.clean(lanes, rig)
     clock[rig, PASSED] += 1
     clock[rig, QUIET] -= 1
     clock[rig, LEFT] = clock[rig, SUBSTEPS]
@@ -285,6 +292,9 @@ def after(m, clock, lanes, rig):
     else:
         for axle in range(AXLES):
             plant.watch_lock(m.state, axle, params)
+            if clock[CLEANS] != 0:
+                # otherwise the observation has it
+                m.state.dissipated_energy[axle] = lanes[layout.ENERGY + rig * AXLES + axle]
     tick.count(m, now)
 
 

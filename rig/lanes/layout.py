@@ -17,6 +17,7 @@ torque without effects, pads without variation, no limit of the air supply, no f
 rollers that stay as they were prepared, no dynamic brake and no magnets.
 """
 
+import math
 from typing import NamedTuple
 
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
@@ -24,6 +25,8 @@ from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import creep_force
 from rollerrig.rig.contact.adhesion import Law
+from rollerrig.rig.mechanisms import applied
+from rollerrig.rig.mechanisms.mechanism import ALONE
 from rollerrig.rig.params import ROLLERS, TRACK, Params
 from rollerrig.rig.state import AXLES
 from rollerrig.rig.vehicle import INERTIA_KGM2, RADIUS_M
@@ -61,6 +64,8 @@ LANES = RIGS * AXLES
     HEATED_J,  # work of the brake up to the last tick
     LOCKED_S,  # length of the present lock
     LONGEST_S,  # longest lock
+    ENERGY,  # of one wheel, J/m, at the end of the last tick; only where the rail is cleaned
+    RAIL_WORK,  # of the wheels in front on a metre of rail, J/m
     # the state of its vehicle, the same in all its lanes
     V,
     FELT,  # lagged acceleration, which the pitch of the vehicle and the loads follow
@@ -131,14 +136,25 @@ LANES = RIGS * AXLES
     RESISTANCE_A,
     RESISTANCE_B,
     RESISTANCE_C,
+    CLEANING_GAIN,  # of the mechanism `rail_cleaning`; 0: the wheels do not clean the rail
+    CLEANING_J_M,
+    CONTAMINANT_ALONE,  # 1: the clean rail keeps its friction
+    AHEAD_M,  # distance of the axle in front; infinite for the first one
+    BASE_CD,  # friction of the contaminant on a rail that no wheel has cleaned
+    BASE_CR,
     _LAW,
-) = range(0, 92 * LANES, LANES)
+) = range(0, 100 * LANES, LANES)
 # the adhesion law: one row for each field of `Law`, in its order
 _LAW_ROWS = {name: _LAW + LANES * i for i, name in enumerate(Law._fields)}
 # friction of the contaminant: the state has it, not the constants
 MU_CD = _LAW_ROWS["mu_cd"]
 MU_CR = _LAW_ROWS["mu_cr"]
 SIZE = _LAW + LANES * len(Law._fields)
+
+# places in `Effects.values`
+_GAIN = applied.PLACE["rail_cleaning_gain"]
+_ENERGY_J_M = applied.PLACE["rail_cleaning_energy_J_m"]
+_ALONE = applied.PLACE[f"rail_cleaning_{ALONE.name}"]
 
 # kernels: the adhesion law of a lane, and its writer
 law_of_lane = tuple_builder(Law, "w, lane", (f"w[{row} + lane]" for row in _LAW_ROWS.values()))
@@ -235,6 +251,15 @@ def load_constants(w, rig, params):
         w[RESISTANCE_A + at] = vehicle.resistance_A_N
         w[RESISTANCE_B + at] = vehicle.resistance_B_N_s_m
         w[RESISTANCE_C + at] = vehicle.resistance_C_N_s2_m2
+
+        w[CLEANING_GAIN + at] = params.effects.values[_GAIN]
+        w[CLEANING_J_M + at] = params.effects.values[_ENERGY_J_M]
+        w[CONTAMINANT_ALONE + at] = params.effects.values[_ALONE]
+        w[AHEAD_M + at] = math.inf
+        if j > 0:
+            w[AHEAD_M + at] = params.axle_position_m[j] - params.axle_position_m[j - 1]
+        w[BASE_CD + at] = params.law.mu_cd
+        w[BASE_CR + at] = params.law.mu_cr
         _write_law(w, at, params.law)
 
         # a result must not depend on the stop that had this place before
@@ -272,6 +297,7 @@ def scatter(w, rig, state, target_Pa):
         w[HEATED_J + at] = state.brake_work_before[j]
         w[LOCKED_S + at] = state.locked_since[j]
         w[LONGEST_S + at] = state.longest_lock[j]
+        w[RAIL_WORK + at] = state.rail_work[j]
 
         # the quantities of the vehicle, the same in all its lanes
         w[V + at] = state.vehicle_speed[0]
@@ -312,6 +338,9 @@ def gather(w, rig, state):
         state.brake_work_before[j] = w[HEATED_J + at]
         state.locked_since[j] = w[LOCKED_S + at]
         state.longest_lock[j] = w[LONGEST_S + at]
+        state.rail_work[j] = w[RAIL_WORK + at]
+        state.friction_degraded[j] = w[MU_CD + at]
+        state.friction_recovered[j] = w[MU_CR + at]
 
     # the quantities of the vehicle are the same in all its lanes; the first one is read
     at = rig * AXLES

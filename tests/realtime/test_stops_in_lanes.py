@@ -1,11 +1,11 @@
-"""Stops that run four at a time against the same stops alone."""
+"""Stops that run in vector lanes against the same stops alone."""
 
 import numpy as np
 import pytest
 
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, stops_in_lanes
+from rollerrig.realtime.campaign import campaign, packed, stops_in_lanes, ticks_in_lanes
 from rollerrig.wsp_interface import signals
 
 SHORT = ("initial_speed_m_s=8.0",)
@@ -27,6 +27,11 @@ CASES = {
             "mechanisms.wheel_inertia_axle=3.0",
         ),
     ),
+    "a valve of no dead time": ("velim_a1", (*SHORT, "brake.dead_time_s=0.0")),
+    "a valve that changes between two cycles": ("velim_a1", (*SHORT, "brake.dead_time_s=0.013")),
+    "a cycle longer than a sample": ("velim_a1", (*SHORT, "bus.sync_period_s=0.03")),
+    "a sample in each tick": ("velim_a1", (*SHORT, "loop.record_hz=1000")),
+    "friction by work": ("velim_a1", (*SHORT, "mechanisms.rail_cleaning_gain=0.2")),
 }
 # small differences of large numbers, which rounding changes by more
 NOT_COMPARED = {
@@ -50,7 +55,7 @@ def plans():
 
 @pytest.fixture(scope="module")
 def together(plans):
-    """All cases, from stops that ran four at a time."""
+    """All cases, from stops that ran together."""
     return {finished.tag: finished for finished in stops_in_lanes.together(plans.items())}
 
 
@@ -104,8 +109,24 @@ def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
         assert np.array_equal(among.channels[name], alone[name], equal_nan=True), name
 
 
+def test_parameters_from_their_tapes_are_the_parameters(plans):
+    for plan in plans.values():
+        tapes = packed.tapes(plan.params)
+        again = packed.params.py_func(tapes.tape, tapes.whole)
+        assert flat(again) == flat(plan.params)
+    unit = logic.load()
+    assert packed.unit_params.py_func(packed.unit_tape(unit)) == unit
+
+
+def flat(values):
+    """Return all numbers in named tuples and arrays, in their order."""
+    if isinstance(values, np.ndarray | tuple):
+        return [number for value in values for number in flat(value)]
+    return [values]
+
+
 def test_the_compiled_views_of_a_unit_are_those_of_the_unit():
     buffer = np.arange(float(logic.SIZE))
-    compiled = stops_in_lanes.see_unit.py_func(buffer)
+    compiled = ticks_in_lanes.see_unit.py_func(buffer)
     for view, expected in zip(compiled, logic.views(buffer), strict=True):
         assert np.array_equal(view, expected)
