@@ -17,6 +17,9 @@ from rollerrig.configs.errors import ConfigError
 _SIMILAR = 0.6
 # names that a message suggests at most
 _MOST_SIMILAR = 3
+# Results of `read`, by `_key`: the rows, so that no others get their identity, and the values.
+_kept: dict[tuple[Any, ...], tuple[Any, dict[str, Any]]] = {}
+_MOST_KEPT = 1000
 
 
 class Row(NamedTuple):
@@ -60,10 +63,35 @@ def read(rows: Iterable[Row], given: Mapping[str, Any], where: str) -> dict[str,
 
     `where` is the beginning of messages: file and table. Raises ConfigError for an unknown or
     missing key, a wrong type or a value out of bounds.
+
+    A campaign checks the same few tables for each of its runs, so the last results are kept.
     """
+    key = _key(rows, given, where)
+    if key is not None and key in _kept:
+        return dict(_kept[key][1])
     table = {row.name: row for row in rows}
     known(given, table, lambda key: where)
-    return {name: check(row, given.get(name, row.default), where) for name, row in table.items()}
+    found = {name: check(row, given.get(name, row.default), where) for name, row in table.items()}
+    if key is not None:
+        if len(_kept) == _MOST_KEPT:
+            _kept.clear()
+        _kept[key] = (rows, found)
+    return dict(found)
+
+
+def _key(rows: Iterable[Row], given: Any, where: str) -> tuple[Any, ...] | None:
+    """Return what a result of `read` depends on; None where it is not to be kept."""
+    if not isinstance(rows, tuple) or not isinstance(given, Mapping):
+        return None
+    # 1, 1.0 and True are equal, but not the same to a row
+    values = tuple((name, type(value), value) for name, value in given.items())
+    key = (id(rows), where, values)
+    try:
+        hash(key)
+    except TypeError:
+        # a list
+        return None
+    return key
 
 
 def known(given: Any, allowed: Collection[str], where: Callable[[str], str]) -> None:

@@ -136,9 +136,13 @@ class Stop:
 
 def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Memory]:
     """Return a stop, and the memory in which its samples are collected."""
-    samples = int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2
-    memory = ring.Memory(samples, len(signals.COLUMNS))
+    memory = ring.Memory(most_samples(plan), len(signals.COLUMNS))
     return Stop(plan, tick_data.build(plan, memory), unit), memory
+
+
+def most_samples(plan: Scenario) -> int:
+    """Return the number of samples that a stop has at most."""
+    return int(plan["duration_max_s"] * plan["loop"]["record_hz"]) + 2
 
 
 def check(plan: Scenario) -> None:

@@ -7,7 +7,7 @@ scenario again, which repeats a run.
 
 import dataclasses
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -140,6 +140,8 @@ class Sources(NamedTuple):
 COMMAND_LINE = Sources(settings="--set", faults=catalogue.OPTION)
 PYTHON = Sources(settings="rollerrig.run(...)", faults="rollerrig.run(faults=...)")
 
+# what loads a configuration, as `store.load`
+Files = Callable[..., tuple[dict[str, Any], Path]]
 # one layer: the file or option that it is from, and its tables and keys
 Layer = tuple[str, Mapping[str, Any]]
 
@@ -181,16 +183,18 @@ def load(
     tables: Mapping[str, Any] | None = None,
     faults: tuple[str, ...] = (),
     sources: Sources = COMMAND_LINE,
+    files: Files = store.load,
 ) -> Scenario:
     """Load a scenario by name or path, with an extended model and `section.key=value` settings.
 
     `tables` are whole tables that win over those of the scenario, as a rig that is already running
     has them. `faults` are added to those of the scenario, as `faults.catalogue.parse` reads them.
-    `sources` are what gave settings and faults, for messages. Raises ConfigError, which says
-    where, what, what is allowed and how to fix it.
+    `sources` are what gave settings and faults, for messages. `files` loads the files; a campaign
+    keeps them for its next run. Raises ConfigError, which says where, what, what is allowed and how
+    to fix it.
     """
-    content, path = store.load("scenarios", name)
-    return read(content, path, model, settings, tables, faults, sources)
+    content, path = files("scenarios", name)
+    return read(content, path, model, settings, tables, faults, sources, files)
 
 
 def names() -> list[str]:
@@ -215,6 +219,7 @@ def read(
     tables: Mapping[str, Any] | None = None,
     faults: tuple[str, ...] = (),
     sources: Sources = COMMAND_LINE,
+    files: Files = store.load,
 ) -> Scenario:
     """Return a scenario, as `load` does, from the content of its file.
 
@@ -233,7 +238,7 @@ def read(
     layers: list[Layer] = []
     for short, kind in SETS.items():
         key = f"{short}_set"
-        content, at = store.load(kind, str(given.get(key, defaults[key])), path)
+        content, at = files(kind, str(given.get(key, defaults[key])), path)
         layers.append((str(at), content))
     own_tables = {key: value for key, value in given.items() if key not in defaults}
     layers.append((str(path), own_tables))

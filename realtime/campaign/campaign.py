@@ -7,6 +7,7 @@ chunks were spread: over the cores of this machine, or over a Dask cluster (`spr
 campaign keeps no rows of all runs (`large`).
 """
 
+import functools
 import hashlib
 import json
 import math
@@ -26,7 +27,7 @@ from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.table import choice, integer
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import bench_runs, design, stops_in_lanes, speed_steps, spreading
+from rollerrig.realtime.campaign import bench_runs, design, speed_steps, spreading, stops_in_lanes
 from rollerrig.realtime.record import figures, summary
 from rollerrig.wsp_interface import unit_choice
 
@@ -204,9 +205,9 @@ def _unit(name: str) -> str | free.UnitCall:
     return unit
 
 
-def resolve(plan: Plan, number: int) -> scenario.Scenario:
-    """Return the scenario of run `number`. Raises ConfigError."""
-    resolved = scenario.load(plan.head["scenario"], "", settings(plan, number))
+def resolve(plan: Plan, number: int, files: scenario.Files = store.load) -> scenario.Scenario:
+    """Return the scenario of run `number`, from `files`. Raises ConfigError."""
+    resolved = scenario.load(plan.head["scenario"], "", settings(plan, number), files=files)
     # a program of the user needs a bench with a bus, which refuses nothing that free pacing does
     if not unit_choice.command_of(plan.head["unit"]):
         free.check(resolved)
@@ -229,15 +230,17 @@ def _long_step_s(plan: Plan) -> float | None:
     return step_s if step_s > of_scenario_s else None
 
 
-def _with_long_step(plan: Plan, number: int) -> scenario.Scenario:
+def _with_long_step(
+    plan: Plan, number: int, files: scenario.Files = store.load
+) -> scenario.Scenario:
     """Return the scenario of a run with the step of the plan, if it runs in lanes. Raises
     ConfigError.
 
     Stops that run alone keep the step of the scenario: longer ones are checked in lanes only.
     """
     longer = (*settings(plan, number), f"loop.step_s={plan.head[STEP]!r}")
-    found = scenario.load(plan.head["scenario"], "", longer)
-    return found if stops_in_lanes.fits(found) else resolve(plan, number)
+    found = scenario.load(plan.head["scenario"], "", longer, files=files)
+    return found if stops_in_lanes.fits(found) else resolve(plan, number, files)
 
 
 def settings(plan: Plan, number: int) -> tuple[str, ...]:
@@ -312,7 +315,8 @@ def once(plan: Plan) -> dict[int, Row]:
     rows = _empty_rows(plan)
     has_long_step = _long_step_s(plan) is not None
     resolved = _with_long_step if has_long_step else resolve
-    _compute(plan, rows, lambda number: resolved(plan, number))
+    files = functools.cache(store.load)
+    _compute(plan, rows, lambda number: resolved(plan, number, files))
     return rows
 
 
@@ -335,7 +339,8 @@ def _compute(
                 row["error"] = str(error)
 
     unit = _unit(plan.head["unit"])
-    for finished in stops_in_lanes.together(jobs(), unit):
+    read = dict.fromkeys((*summary.CHANNELS, *speed_steps.CHANNELS))
+    for finished in stops_in_lanes.together(jobs(), unit, list(read)):
         row = rows[finished.tag]
         _fill(row, summarize(finished, plan.head["unit"]))
         row[STEP] = finished.plan["loop"][STEP]

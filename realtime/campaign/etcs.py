@@ -17,10 +17,10 @@ from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import (
     campaign,
     design,
-    stops_in_lanes,
     large,
     speed_steps,
     stopping,
+    stops_in_lanes,
 )
 from rollerrig.realtime.campaign.statistics import corrections, draws
 

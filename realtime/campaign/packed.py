@@ -8,7 +8,7 @@ what nobody reads.
 """
 
 import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, NamedTuple, get_type_hints
 
 import numpy as np

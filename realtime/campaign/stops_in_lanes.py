@@ -3,8 +3,9 @@
 A stop that is done waits until its place is given to the next stop.
 """
 
+import functools
 import itertools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.wsp import logic
-from rollerrig.realtime.bench import free
+from rollerrig.realtime.bench import free, tick_data
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.campaign import packed, ticks_in_lanes
 from rollerrig.realtime.campaign.ticks_in_lanes import Rows
@@ -20,6 +21,7 @@ from rollerrig.realtime.loop.ring import Memory
 from rollerrig.realtime.loop.tick import DONE
 from rollerrig.rig.lanes import layout, rail_cleaning
 from rollerrig.rig.lanes.layout import RIGS
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Event
 
 _MOST_STEPS = 1 << 20  # in one call
@@ -40,22 +42,30 @@ class Finished(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """A stop, the tag by which its caller knows it, and the memory of its samples."""
+    """A stop, the tag by which its caller knows it, and its samples, (columns, n)."""
 
     tag: Any
     stop: free.Stop
-    memory: Memory
+    samples: np.ndarray
 
 
 def together(
-    jobs: Iterable[tuple[Any, Scenario]], unit: free.Unit = "reference"
+    jobs: Iterable[tuple[Any, Scenario]],
+    unit: free.Unit = "reference",
+    columns: Sequence[str] = signals.COLUMNS,
 ) -> Iterator[Finished]:
     """Run many scenarios, RIGS at a time if possible; yield each that is done.
 
-    `jobs` are (tag, scenario). The results come in the order in which the stops are done. A result
-    does not depend on the stops in the other places. It differs from that of `free.simulate` by
-    rounding.
+    `jobs` are (tag, scenario). `columns` are the channels that the caller needs, at least. The
+    results come in the order in which the stops are done. A result does not depend on the stops in
+    the other places. It differs from that of `free.simulate` by rounding.
     """
+    parameters = functools.cache(logic.load)
+
+    def unit_of(plan: Scenario) -> free.Unit:
+        # the reference unit, whose file is read once
+        return parameters(plan["wsp_config"]) if unit == "reference" else unit
+
     is_compiled = unit in ("reference", "none") or isinstance(unit, logic.Params)
     fitting: list[tuple[Any, Scenario]] = []
     for tag, plan in jobs:
@@ -64,10 +74,20 @@ def together(
         else:
             yield _alone(tag, plan, unit)
 
-    stops = (_Placed(tag, *free.remembered(plan, unit)) for tag, plan in fitting)
-    for tag, stop, memory in _run(stops):
+    stops = (_placed(tag, plan, unit_of(plan), len(columns)) for tag, plan in fitting)
+    for placed, written in _run(stops, [signals.COLUMNS.index(name) for name in columns]):
+        channels = dict(zip(columns, placed.samples[:, :written], strict=True))
         # these stops have no events: they have no faults, and a planar vehicle cannot derail
-        yield finished(tag, stop, memory)
+        yield Finished(
+            placed.tag, placed.stop.plan, channels, placed.stop.events, placed.stop.ended
+        )
+
+
+def _placed(tag: Any, plan: Scenario, unit: free.Unit, columns: int) -> _Placed:
+    """Return a stop that has not begun, with memory for samples of so many columns."""
+    no_ring = Memory(1, 1)
+    stop = free.Stop(plan, tick_data.build(plan, no_ring), unit)
+    return _Placed(tag, stop, np.empty((columns, free.most_samples(plan))))
 
 
 def _alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
@@ -96,23 +116,25 @@ def fits(plan: Scenario) -> bool:
     )
 
 
-def _run(stops: Iterable[_Placed]) -> Iterator[_Placed]:
-    """Run stops RIGS at a time; yield each that is done. All must fit (`fits`)."""
+def _run(stops: Iterable[_Placed], kept: list[int]) -> Iterator[tuple[_Placed, int]]:
+    """Run stops RIGS at a time; yield each that is done, with the number of its samples.
+
+    All must fit (`fits`). `kept` are the columns of the row of all signals that a sample has.
+    """
     waiting = iter(stops)
     placed = dict(enumerate(itertools.islice(waiting, RIGS)))
-    rows = _memory(placed.values())
+    rows = _memory(placed.values(), kept)
     for rig, stop in placed.items():
         _place(stop, rig, rows)
 
     while placed:
         # an empty place has the samples of another one, and does not run
-        samples = [placed[rig if rig in placed else min(placed)].memory.rows for rig in range(RIGS)]
+        samples = [placed[rig if rig in placed else min(placed)].samples for rig in range(RIGS)]
         ticks_in_lanes.run_ticks(rows, tuple(samples), _MOST_STEPS)
         for rig, stop in list(placed.items()):
             if not rows.control[rig, DONE]:
                 continue
-            stop.memory.header[:] = rows.header[rig]
-            yield stop
+            yield stop, int(rows.written[rig])
             following = next(waiting, None)
             if following is None:
                 del placed[rig]
@@ -123,10 +145,10 @@ def _run(stops: Iterable[_Placed]) -> Iterator[_Placed]:
                 _place(following, rig, rows)
 
 
-def _memory(stops: Iterable[_Placed]) -> Rows:
-    """Return memory with room for some stops."""
+def _memory(stops: Iterable[_Placed], kept: list[int]) -> Rows:
+    """Return memory with room for some stops; `kept` as for `_run`."""
     sizes = [_sizes(placed) for placed in stops]
-    return ticks_in_lanes.rows(*(max(size) for size in zip(*sizes, strict=True)))
+    return ticks_in_lanes.rows(kept, *(max(size) for size in zip(*sizes, strict=True)))
 
 
 def _sizes(placed: _Placed) -> tuple[int, int, int, int]:
@@ -176,7 +198,7 @@ def _place(placed: _Placed, rig: int, rows: Rows) -> None:
     rows.row[rig] = data.row
     rows.pulses[rig] = data.pulses
     rows.sensor[rig] = data.sensor
-    rows.header[rig] = placed.memory.header
+    rows.written[rig] = 0
 
     clock = rows.clock[rig]
     clock[:] = 0

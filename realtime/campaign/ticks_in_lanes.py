@@ -7,11 +7,12 @@ the state from the lanes, and scatter it again. No bus, clock or Python code run
 The samples agree with those of `--pacing free` to rounding.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import GROUPS, UNIT_AXLES, axles_of_group
+from rollerrig.configs.vehicle import GROUPS, axles_of_group
 from rollerrig.firmware_sim import pole_wheel, rig_control
 from rollerrig.firmware_sim.pole_wheel import Sensor
 from rollerrig.firmware_sim.wsp import logic
@@ -64,7 +65,8 @@ class Rows(NamedTuple):
     row: np.ndarray  # the row of all signals
     pulses: np.ndarray  # (rigs, n, axles): memory of the speed sensors
     sensor: np.ndarray  # parameters of the sensors
-    header: np.ndarray  # int64, of the ring of samples
+    written: np.ndarray  # int64, number of samples so far
+    kept: np.ndarray  # int64, the columns of the row of all signals that a sample has
     clock: np.ndarray  # int64, with the columns above
     gather: np.ndarray  # (columns of a row,): as in `TickData`
     inputs: np.ndarray  # int64 (2 AXLES,): scratch, what the units receive
@@ -86,9 +88,12 @@ _see_sensor = tuple_builder(
 )
 
 
-def rows(tape_size: int, whole_size: int, unit_size: int, delay_ticks: int) -> Rows:
+def rows(
+    kept: Sequence[int], tape_size: int, whole_size: int, unit_size: int, delay_ticks: int
+) -> Rows:
     """Return memory for RIGS stops, none of which runs.
 
+    kept : the columns of the row of all signals that a sample has
     tape_size, whole_size, unit_size : the largest sizes of the tapes in `packed`
     delay_ticks : the most ticks of dead time, and one
     """
@@ -104,7 +109,8 @@ def rows(tape_size: int, whole_size: int, unit_size: int, delay_ticks: int) -> R
         row=np.zeros((RIGS, tick.gather().size)),
         pulses=np.zeros((RIGS, pole_wheel.MEMORY, AXLES)),
         sensor=np.zeros((RIGS, len(Sensor._fields))),
-        header=np.zeros((RIGS, 16), dtype=np.int64),
+        written=np.zeros(RIGS, dtype=np.int64),
+        kept=np.array(kept, dtype=np.int64),
         clock=np.zeros((RIGS, COLUMNS_OF_CLOCK), dtype=np.int64),
         gather=tick.gather(),
         inputs=np.zeros(2 * AXLES, dtype=np.int64),
@@ -119,7 +125,7 @@ def run_ticks(rows, samples, most):
     Parameters
     ----------
     rows : `Rows`
-    samples : the memory of the samples of each stop, float64 (n, columns)
+    samples : the memory of the samples of each stop, float64 (columns, n)
     most : the largest number of steps in this call
     """
     clock = rows.clock
@@ -203,7 +209,7 @@ def data_of(rows, samples, rig):
         published,
         rows.row[rig],
         rows.gather,
-        rows.header[rig],
+        nothing,
         samples,
         0,
         params,
@@ -234,7 +240,7 @@ def busy(rows, samples, rig):
         clock[BEGUN] = 0
         if m.control[DONE] != 0:
             return 1
-    target_Pa = before(m, rows, rig)
+    target_Pa = before(m, rows, samples, rig)
     layout.scatter(rows.lanes, rig, m.state, target_Pa)
     clock[QUIET] = quiet_ticks(m, clock, target_Pa)
     clock[BEGUN] = 1
@@ -243,7 +249,7 @@ def busy(rows, samples, rig):
 
 
 @kernel_inlined
-def before(m, rows, rig):
+def before(m, rows, samples, rig):
     """Do what precedes the physics of a tick; return the demanded pressure in Pa."""
     now = m.control[TICK]
     sync_ticks = rows.clock[rig, SYNC_TICKS]
@@ -255,11 +261,13 @@ def before(m, rows, rig):
             tick.run_unit_cycle(m, unit, group, rows.inputs)
         last = logic.Unit(see_last_unit(rows.units[rig, GROUPS - 1]), params)
         tick.run_unit_cycle(m, last, GROUPS - 1, rows.inputs)
-    tick.record(m, now)
+    if now % m.record_ticks == 0:
+        at = rows.written[rig]
+        for i in range(rows.kept.size):
+            samples[i, at] = m.row[rows.kept[i]]
+        rows.written[rig] = at + 1
     tick.obey(m)
-    return plant.prepare(
-        m.state, m.delay, m.command[:AXLES], m.command[tick.DEMAND], now, m.params
-    )
+    return plant.prepare(m.state, m.delay, m.command[:AXLES], m.command[tick.DEMAND], now, m.params)
 
 
 @kernel_inlined

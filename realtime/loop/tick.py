@@ -5,6 +5,7 @@ command its motors, advance the physics, observe, and publish a row of all signa
 ticks back to back (lockstep and free pacing); `loop` gives them deadlines.
 """
 
+import functools
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -148,7 +149,12 @@ def first_command() -> np.ndarray:
 
 def gather(names: Iterable[str] = tuple(SLOTS)) -> np.ndarray:
     """Return, for each column of a row, the slot of the state to copy into it, or -1 for none."""
-    wanted = frozenset(names)
+    return _gathered(frozenset(names)).copy()
+
+
+@functools.cache
+def _gathered(wanted: frozenset[str]) -> np.ndarray:
+    """Return the slots of `gather`, made once: a campaign needs them for each stop."""
     slots = np.full(len(signals.COLUMNS), -1, dtype=np.int64)
     for signal in signals.SIGNALS:
         if signal.name in SLOTS and signal.name in wanted - pole_wheel.COLUMNS:

@@ -20,11 +20,23 @@ import pyarrow as pa
 from rollerrig.realtime.record import brake_work, channels, validity
 from rollerrig.wsp_interface import braking
 from rollerrig.wsp_interface.events import Event
-from rollerrig.wsp_interface.signals import AXLES, BY_NAME, columns
+from rollerrig.wsp_interface.signals import AXLES, BY_NAME, COLUMNS, columns
 
 _UNKNOWN_BUS = {"frames": None, "dropped": None, "load_percent": None}
 # columns of the table of axles
 _SHOWN = ("sliding_mean_m_s", "sliding_std_m_s", "sliding_max_m_s", "longest_lock_s")
+# the signals that a summary reads
+_READ = (
+    *("time", "position", "vehicle_speed", "brake_demand", "air_consumption", "reservoir_least"),
+    *("sliding", "sliding_work", "longest_lock", "flat_length", "adhesion", "vents", "valve"),
+    *("tracking_error", "tick_lateness", "ticks_missed"),
+)
+# The channels that a summary reads. That of a vehicle with several brakes reads further ones.
+CHANNELS = (
+    tuple(column for name in _READ for column in columns(BY_NAME[name]))
+    if not brake_work.brakes()
+    else COLUMNS
+)
 Channel = Callable[[str], np.ndarray]
 
 
@@ -53,7 +65,8 @@ def of(
     def channel(name: str) -> np.ndarray:
         # a channel that was not recorded is NaN throughout
         if name in recorded_names:
-            return channels.values(columns[name])
+            # samples of a stop in memory are a column of an array, which many passes would stride
+            return np.ascontiguousarray(channels.values(columns[name]))
         return np.full(sample_count, np.nan)
 
     speed_m_s = channel("vehicle_speed_m_s")

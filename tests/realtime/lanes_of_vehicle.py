@@ -20,7 +20,10 @@ def plans_of(name):
     return {
         f"{name} {number}": scenario.load(
             name,
-            settings=(f"initial_speed_m_s={6.0 + number}", f"adhesion.mu_cd={0.03 + 0.01 * number}"),
+            settings=(
+                f"initial_speed_m_s={6.0 + number}",
+                f"adhesion.mu_cd={0.03 + 0.01 * number}",
+            ),
         )
         for number in range(RIGS + 1)
     }

@@ -6,6 +6,7 @@ import pytest
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import campaign, packed, stops_in_lanes, ticks_in_lanes
+from rollerrig.realtime.record import summary
 from rollerrig.wsp_interface import signals
 
 SHORT = ("initial_speed_m_s=8.0",)
@@ -27,8 +28,8 @@ CASES = {
             "mechanisms.wheel_inertia_axle=3.0",
         ),
     ),
-    "a valve of no dead time": ("velim_a1", (*SHORT, "brake.dead_time_s=0.0")),
-    "a valve that changes between two cycles": ("velim_a1", (*SHORT, "brake.dead_time_s=0.013")),
+    "a valve of no dead time": ("velim_a1", (*SHORT, "valve.dead_time_s=0.0")),
+    "a valve that changes between two cycles": ("velim_a1", (*SHORT, "valve.dead_time_s=0.013")),
     "a cycle longer than a sample": ("velim_a1", (*SHORT, "bus.sync_period_s=0.03")),
     "a sample in each tick": ("velim_a1", (*SHORT, "loop.record_hz=1000")),
     "friction by work": ("velim_a1", (*SHORT, "mechanisms.rail_cleaning_gain=0.2")),
@@ -83,6 +84,13 @@ def test_the_stops_in_the_other_places_change_no_bit_of_a_stop(plans, together):
     among = together["soap"]
     for name in signals.COLUMNS:
         assert np.array_equal(alone.channels[name], among.channels[name], equal_nan=True), name
+
+
+def test_a_summary_needs_only_the_channels_that_a_campaign_keeps(plans):
+    [whole] = stops_in_lanes.together([("soap", plans["soap"])])
+    [kept] = stops_in_lanes.together([("soap", plans["soap"])], columns=summary.CHANNELS)
+    assert list(kept.channels) == list(summary.CHANNELS)
+    assert campaign.summarize(kept, "reference") == campaign.summarize(whole, "reference")
 
 
 def test_without_a_unit_no_magnet_is_energised(plans):

@@ -15,8 +15,9 @@ from rolling import Rig
 from rollerrig.rig import heat, plant, vehicle, wheelset
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import adhesion
-from rollerrig.rig.lanes import layout, quiet_tick, step
+from rollerrig.rig.lanes import layout, quiet_tick, rail_cleaning, step
 from rollerrig.rig.lanes.layout import LANES, RIGS
+from rollerrig.rig.mechanisms import applied
 from rollerrig.rig.state import AXLES, SLOTS, views
 
 SEEDS = range(20)
@@ -290,6 +291,39 @@ def quiet(case):
         assert np.all(case.row("AIR_NL")[n] == 0.0)
 
 
+@kernel
+def friction_of_next_tick(state, params):
+    plant.observe(state, params)
+    plant.friction(state, params)
+
+
+def cleaning(case):
+    # a rail that the wheels clean, from the state at the beginning of the step
+    extra = {"rail_cleaning_gain": 0.2, "rail_cleaning_energy_J_m": 150.0}
+    for alone in (0.0, 1.0):
+        extra["rail_cleaning_contaminant_alone"] = alone
+        states = []
+        for n, rig in enumerate(case.rigs):
+            effects = applied.build({key: extra.get(key, 0.0) for key in applied.PLACE})
+            params = rig.params._replace(effects=effects)
+            assert rail_cleaning.is_alone(params)
+            assert not rail_cleaning.is_alone(rig.params)
+            state = views(case.before[n].copy())
+            state.friction_degraded[:] = params.law.mu_cd
+            state.friction_recovered[:] = params.law.mu_cr
+            layout.load_constants(case.w, n, params)
+            scatter(case.w, n, state, 0.0)
+            friction_of_next_tick(state, params)
+            states.append(state)
+        rail_cleaning.write_energy(case.w)
+        for n in case.moving():
+            assert_close(case.row("ENERGY")[n], states[n].dissipated_energy)
+            rail_cleaning.clean(case.w, n)
+            assert_close(case.row("RAIL_WORK")[n], states[n].rail_work)
+            assert_close(case.row("MU_CD")[n], states[n].friction_degraded)
+            assert_close(case.row("MU_CR")[n], states[n].friction_recovered)
+
+
 def force_of(case, n, j):
     """Return (T, secant slope) of an axle at the beginning of the step, by `wheelset`."""
     s = views(case.before[n])
@@ -410,6 +444,8 @@ TWINS = {
     "layout.gather": round_trip,
     "layout.air_NL": quiet,
     "quiet_tick.end": quiet,
+    "rail_cleaning.write_energy": cleaning,
+    "rail_cleaning.clean": cleaning,
     "step.step": whole_step,
     "step.stage": one_stage,
     "step.predict": prediction,
@@ -425,7 +461,7 @@ TWINS = {
 
 def test_every_kernel_of_the_lanes_has_a_twin():
     kernels = set()
-    for module in (layout, quiet_tick, step):
+    for module in (layout, quiet_tick, rail_cleaning, step):
         short = module.__name__.rpartition(".")[2]
         for name, value in vars(module).items():
             if isinstance(value, Dispatcher) and value.py_func.__module__ == module.__name__:
