@@ -26,14 +26,14 @@ from rich.table import Table
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
-from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE
+from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, COACH_AXLES
 from rollerrig.realtime.benchmarks import figures, older_checkout
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign
 
 PLAN = "low_adhesion"
-# scenarios of the plan by the number of axles; stops with more axles run alone, at one step
-SCENARIOS = {2: "bogie_low", 4: "velim_a1"}
+# scenarios of the plan by the number of axles
+SCENARIOS = {2: "bogie_low", 4: "velim_a1", 6: "tram_low", 8: "multiple_unit_low"}
 # longer steps that are compared with the step of the scenario, and stops of the comparison
 STEPS_S = (2e-4, 5e-4, 1e-3)
 COMPARED = 60
@@ -111,6 +111,11 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             "and other programs used the rest"
         ],
     }
+
+
+def section() -> str:
+    """Return the heading of the figures on a page: each number of axles has a section."""
+    return "campaign" if AXLES == COACH_AXLES else f"campaign with {AXLES} axles"
 
 
 def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None) -> Result:

@@ -123,6 +123,8 @@ def _run(stops: Iterable[_Placed], kept: list[int]) -> Iterator[tuple[_Placed, i
     """
     waiting = iter(stops)
     placed = dict(enumerate(itertools.islice(waiting, RIGS)))
+    if not placed:
+        return
     rows = _memory(placed.values(), kept)
     for rig, stop in placed.items():
         _place(stop, rig, rows)

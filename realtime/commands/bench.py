@@ -13,6 +13,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, COACH_AXLES
 from rollerrig.realtime.commands import clone, output
 
 
@@ -206,6 +207,8 @@ def call(given: argparse.Namespace) -> int:
 
     console = output.console()
     command = " ".join(["rollerrig", *sys.argv[1:]])
+    if AXLES != COACH_AXLES:
+        command = f"{AXLES_VARIABLE}={AXLES} {command}"
     results = {}
     # a name that is given twice runs once
     for name in dict.fromkeys(given.name):
@@ -218,7 +221,8 @@ def call(given: argparse.Namespace) -> int:
             console.print(table)
             console.print("\n".join(lines))
         if given.markdown:
-            figures.put(given.markdown, name, command, table, lines)
+            heading = module.section() if hasattr(module, "section") else name
+            figures.put(given.markdown, heading, command, table, lines)
     if given.json:
         print(json.dumps(results))
 

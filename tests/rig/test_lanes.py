@@ -317,9 +317,12 @@ def cleaning(case):
             states.append(state)
         rail_cleaning.write_energy(case.w)
         for n in case.moving():
-            assert_close(case.row("ENERGY")[n], states[n].dissipated_energy)
+            # below SMALL_M_S the lanes have the secant at that sliding; 150 J/m clean the rail
+            expected = states[n].dissipated_energy
+            np.testing.assert_allclose(case.row("ENERGY")[n], expected, rtol=CLOSE, atol=1e-6)
             rail_cleaning.clean(case.w, n)
-            assert_close(case.row("RAIL_WORK")[n], states[n].rail_work)
+            expected = states[n].rail_work
+            np.testing.assert_allclose(case.row("RAIL_WORK")[n], expected, rtol=CLOSE, atol=1e-6)
             assert_close(case.row("MU_CD")[n], states[n].friction_degraded)
             assert_close(case.row("MU_CR")[n], states[n].friction_recovered)
 
