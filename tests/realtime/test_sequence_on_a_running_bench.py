@@ -1,12 +1,15 @@
 """A sequence on a running bench: its report states what that bench plays, or nothing is judged."""
 
 import json
+import shlex
 from html import escape
 
 from bench_process import BenchProcess
 
 from rollerrig.realtime import cli
 from rollerrig.wsp_interface import harness_client
+from rollerrig.wsp_interface.sequences import running_bench
+from rollerrig.wsp_interface.sequences import sequence as sequence_file
 
 SEQUENCE = """title = "A stop from walking pace on low adhesion"
 criteria = "none"
@@ -61,8 +64,10 @@ def test_a_bench_with_other_adhesion_than_the_sequence_starts_from_is_refused(tm
         end(running)
     assert status == 1
     assert sequence["result"] == "error"
-    assert "the bench does not have the [start] of the sequence: adhesion." in sequence["error"]
-    assert "instead of" in sequence["error"]
+    assert (
+        "the bench does not have the [start] of the sequence: the adhesion is soap instead of low; "
+        "adhesion.initial_adhesion is 0 instead of 0.065"
+    ) in sequence["error"]
     command = "rollerrig run velim_a1 --harness --set initial_speed_m_s=2.5 --set adhesion=low"
     assert command in sequence["error"]
     # the page states no conditions of a run that was not played
@@ -111,3 +116,10 @@ def test_friction_that_an_earlier_harness_has_set_is_not_reported_as_that_of_the
     (warning,) = sequence["warnings"]
     assert "before the sequence began. Not known: the faults that were injected" in warning
     assert escape(warning) in page
+
+
+def test_the_command_that_starts_a_bench_runs_nothing_of_a_sequence_in_a_shell(tmp_path):
+    path = tmp_path / "slow.toml"
+    path.write_text(SEQUENCE.replace('"low"', '"$(touch x).toml"'))
+    command = running_bench.start_command(sequence_file.load(path))
+    assert "adhesion=$(touch x).toml" in shlex.split(command)

@@ -7,6 +7,7 @@ warning, and the report has the values of the bench.
 
 import json
 import math
+import shlex
 from collections.abc import Mapping
 from typing import Any
 
@@ -58,6 +59,9 @@ def check_scenario(
         else:
             others.append(text)
 
+    if sequence.adhesion and any(text.startswith("adhesion.") for text in stated):
+        name = f"{actual.get('adhesion_set')} instead of {wanted.get('adhesion_set')}"
+        stated.insert(0, f"the adhesion is {name}")
     if stated:
         raise UnitError(
             f"pre-condition: the bench does not have the [start] of the sequence: "
@@ -116,8 +120,10 @@ def start_command(sequence: Sequence) -> str:
         for key, value in content.items():
             settings.append(f"{table}.{key}={_text(value)}")
     settings.append("stand_s=60")
-    options = " ".join(f"--set {setting}" for setting in settings)
-    command = f"rollerrig run {sequence.scenario or DEFAULT_SCENARIO} --harness {options}"
+    # a user pastes the command into a shell, where a name must not become a command
+    options = " ".join(f"--set {shlex.quote(setting)}" for setting in settings)
+    scenario = shlex.quote(sequence.scenario or DEFAULT_SCENARIO)
+    command = f"rollerrig run {scenario} --harness {options}"
     if in_file:
         command += f" (and {', '.join(f'[[{table}]]' for table in in_file)} of the sequence in a "
         command += "scenario file)"
