@@ -402,7 +402,9 @@ def kind_of(name: Any, where: str) -> Kind:
                 "give the vehicle this equipment"
             )
     wrong = f"kind = {name!r} is not a fault" if name else "kind, the name of the fault, is missing"
-    raise ConfigError(f"{where}: {wrong}{table.nearest(str(name or ''), BY_NAME)}")
+    # a dump valve has two magnets, and the faults are those of a magnet
+    meant = str(name or "").replace("dump_valve", "magnet").replace("valve", "magnet")
+    raise ConfigError(f"{where}: {wrong}{table.nearest(meant, BY_NAME)}")
 
 
 def parse(text: str, source: str = OPTION) -> Fault:

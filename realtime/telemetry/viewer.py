@@ -283,8 +283,9 @@ def _entity_names(folders: Sequence[Path]) -> list[str]:
 def open_run(paths: Sequence[Path | str]) -> dict[str, Any]:
     """Open runs in the viewer, if there is a display.
 
-    Returns a dictionary: `file` is the .rrd file, `opened` is whether a window was opened, and
-    `command` shows the file in a browser. Raises ConfigError if a path is not a run.
+    Returns a dictionary: `file` is the .rrd file, `opened` is whether a window was opened,
+    `because` is the reason if none was, and `command` shows the file in a browser. Raises
+    ConfigError if a path is not a run.
     """
     if len(paths) == 1:
         file = recording_file(paths[0])
@@ -293,10 +294,15 @@ def open_run(paths: Sequence[Path | str]) -> dict[str, Any]:
         os.close(handle)
         file = overlay(paths, Path(name))
 
-    opened = has_display()
-    if opened:
+    result: dict[str, Any] = {"file": str(file), "opened": has_display()}
+    if result["opened"]:
         spawn("--port", "auto", str(file))
-    return {"file": str(file), "opened": opened, "command": serve_command(str(file))}
+    else:
+        result["because"] = (
+            "this machine has no display (DISPLAY and WAYLAND_DISPLAY are not set); the command "
+            "shows the run in a browser, and view --png draws it"
+        )
+    return result | {"command": serve_command(str(file))}
 
 
 def picture(

@@ -110,6 +110,14 @@ def wheel_speeds(rig, from_s, to_s):
 # --- all faults ---
 
 
+@pytest.mark.parametrize("name", ["dump_valve_stuck", "valve_stuck"])
+def test_a_stuck_valve_is_answered_with_the_faults_of_its_magnets(name):
+    with pytest.raises(ConfigError) as refused:
+        catalogue.parse(f"{name} axle=1", "fault")
+    assert "did you mean 'hold_magnet_stuck' or 'vent_magnet_stuck'?" in str(refused.value)
+    assert f"'{name}' is not a fault" in str(refused.value)
+
+
 @pytest.mark.conformance("Faults", "every fault: begins and is lifted, recorded")
 @pytest.mark.parametrize("kind", [kind.name for kind in catalogue.CATALOGUE])
 def test_every_fault_of_the_catalogue_is_recorded_when_it_begins_and_when_it_is_lifted(rig, kind):

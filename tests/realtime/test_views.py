@@ -356,6 +356,8 @@ def test_without_a_display_the_result_is_a_command_for_a_browser(folder, monkeyp
         monkeypatch.delenv(name, raising=False)
     result = viewer.open_run([folder])
     assert result["opened"] is False
+    assert "no display" in result["because"]
+    assert "DISPLAY" in result["because"]
     # this run had no recording, so there is a new one
     assert result["file"] == str(folder / "run.rrd")
     assert result["command"].startswith("rerun --serve-web --bind 127.0.0.1 ")
