@@ -22,6 +22,8 @@ from rollerrig.rig.identify.train_recorder.findings import (
     Delay,
     DropOut,
     Finding,
+    OffsetOrDelay,
+    ScaleOrOffset,
     SharedPlace,
     Sliding,
     Slipping,
@@ -246,6 +248,14 @@ def sentence(finding: Finding) -> str:
                 f"shows {factor.factor:.3f} times the speed while the speed changes: another wheel "
                 "radius, or the wheel slips; record steady rolling to distinguish them"
             )
+        case OffsetOrDelay() as rivals:
+            return (
+                f"an offset of {rivals.offset_m_s:+.2g} m/s or a delay of {rivals.delay_s:+.2g} s: "
+                "while the vehicle brakes at one rate they look alike; record steady driving to "
+                "distinguish them"
+            )
+        case ScaleOrOffset() as rivals:
+            return _scale_or_offset_sentence(rivals)
         case SpeedScatter() as scatter:
             return (
                 f"scatters by {finding.size:.2f} m/s from sample to sample, "
@@ -313,6 +323,15 @@ def _line_sentence(finding: Finding, line: SpeedLine) -> str:
     elif finding.name == "speed_scale":
         text += "; no wheel radius differs so much: a setting, a unit, or steady slip"
     return text
+
+
+def _scale_or_offset_sentence(rivals: ScaleOrOffset) -> str:
+    lowest, highest = rivals.speeds_m_s
+    return (
+        f"reads {rivals.scale_percent:+.2g} % or {rivals.offset_m_s:+.2g} m/s against all wheels: a "
+        f"factor and an offset look alike, because most speeds lie between {lowest:.0f} and "
+        f"{highest:.0f} m/s; record low and high speeds to distinguish them"
+    )
 
 
 def _slide_sentence(size_m_s: float, sliding: Sliding) -> str:

@@ -30,6 +30,10 @@ _REASONS = {
     judged.UNSTEADY: "the ratio to the vehicle varies by {0:.1f} % between blocks: the wheel slips "
     "or the vehicle turns; add yaw_rate_rad_s, or record straight rolling",
     judged.NO_RANGE: "the speeds lie between {0:.1f} and {1:.1f} m/s; record several speeds",
+    judged.FEW_VISITS: "low or high speed occurs once only, where a curve or a slope looks like an "
+    "offset; record low and high speeds several times",
+    judged.OFFSET_OR_DELAY: "a delay of {0:.2g} s looks like an offset of {1:.2g} m/s while the vehicle "
+    "brakes at one rate; record steady driving",
     judged.ONE_DATE: "all runs have one date, or only one date has enough data",
     judged.NOT_BRAKED: "the vehicle brakes for {0:.1f} s only",
     judged.TURNS: "the speeds differ because the vehicle turns, and there is no reference; add "

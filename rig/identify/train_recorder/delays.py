@@ -3,7 +3,8 @@
 Its interval comes from a bootstrap over blocks. With two channels only it cannot be decided which
 of them is wrong: the later one is reported, with the other. A wheel that slips has no delay, and
 neither has a channel whose speed differs by a factor: a delay adds the same speed at all speeds
-while the vehicle brakes steadily, a wrong radius adds a share of the speed.
+while the vehicle brakes steadily, a wrong radius adds a share of the speed. An offset adds the same
+speed, too. Only steady driving, or another rate of braking, distinguishes it from a delay.
 """
 
 from typing import NamedTuple
@@ -19,7 +20,12 @@ from rollerrig.rig.identify.train_recorder.alignment import (
     align,
     slope,
 )
-from rollerrig.rig.identify.train_recorder.findings import Delay, Finding, SpeedFactor
+from rollerrig.rig.identify.train_recorder.findings import (
+    Delay,
+    Finding,
+    OffsetOrDelay,
+    SpeedFactor,
+)
 from rollerrig.rig.identify.train_recorder.recording import Run
 
 # s. Delays are tried in these steps.
@@ -51,6 +57,8 @@ class Lag(NamedTuple):
     share_left: float = 0.0  # error that is left, over the error without a delay
     # factor of the speed that fits better than any delay, and the error that it leaves
     factor: float | None = None
+    # offset of the speed that fits as well as the delay, m/s
+    offset_m_s: float | None = None
 
     def reversed(self) -> "Lag":
         """The lag of the other side of the comparison."""
@@ -128,9 +136,17 @@ class _DelaySearch:
             self._decide(reference, lag, "")
 
     def _estimate(self, name: str, against: list[str]) -> Lag | None:
-        """Return the lag of a channel; None, and a finding, if a factor fits better."""
+        """Return the lag of a channel; None, and a finding, if it may be a factor or an offset."""
         lag = _lag(self.aligned, self.scales, name, against, self._rng)
-        if lag is None or lag.factor is None:
+        if lag is None:
+            return None
+        if lag.offset_m_s is not None:
+            if self._is_beyond_normal(name, lag) and lag.share_left < limit.LATE_SHARE:
+                self.unknown.append(_offset_or_delay(name, lag.offset_m_s, lag))
+                # one of both has to be corrected for the next steps
+                self.delays[name] = lag.delay_s
+            return None
+        if lag.factor is None:
             return lag
         is_large = abs(lag.factor - 1.0) > limit.LATE_FACTOR
         if is_large and lag.share_left < limit.LATE_SHARE and name != self.reference:
@@ -155,10 +171,7 @@ class _DelaySearch:
 
     def _decide(self, name: str, lag: Lag, against: str) -> None:
         """Report a lag beyond the delay that is normal for the channel; else only corrects it."""
-        normal_s = max(self.channels[name].delay_s, 0.0)
-        if name == self.reference or against == self.reference:
-            normal_s += self._creepage_s()
-        is_late = lag.low_s > normal_s + self.late_s
+        is_late = self._is_beyond_normal(name, lag, against)
         is_early = lag.high_s < -self.late_s and len(self.names) > 2 and name != self.reference
         if (is_late or is_early) and lag.share_left < limit.LATE_SHARE:
             self.delays[name] = lag.delay_s
@@ -180,10 +193,33 @@ class _DelaySearch:
             # normal for this channel: corrected, not reported
             self.delays[name] = lag.delay_s
 
+    def _is_beyond_normal(self, name: str, lag: Lag, against: str = "") -> bool:
+        """Return whether a channel is later than its normal delay."""
+        normal_s = max(self.channels[name].delay_s, 0.0)
+        if name == self.reference or against == self.reference:
+            normal_s += self._creepage_s()
+        return lag.low_s > normal_s + self.late_s
+
     def _creepage_s(self) -> float:
         """Return the delay of a reference that creepage in driving and braking looks like, s."""
         speeds = np.concatenate([a.vehicle for a in self.aligned])
         return limit.CREEPAGE_S2_M * float(np.nanmedian(speeds))
+
+
+def _offset_or_delay(name: str, offset_m_s: float, lag: Lag) -> Finding:
+    """Return the finding that a channel has an offset or a delay."""
+    return Finding(
+        name="unknown",
+        channels=(name,),
+        run="",
+        start_s=0.0,
+        end_s=0.0,
+        size=lag.delay_s,
+        low=lag.low_s,
+        high=lag.high_s,
+        unit="s",
+        details=OffsetOrDelay(offset_m_s, lag.delay_s),
+    )
 
 
 class Delays(NamedTuple):
@@ -211,8 +247,9 @@ def _lag(
     name: str,
     against: list[str],
     rng: np.random.Generator,
+    offset_m_s: float = 0.0,
 ) -> Lag | None:
-    """Return how late a channel is against the median of others.
+    """Return how late a channel is against the median of others, without an offset that it has.
 
     The result is None where nothing changes, where the wheel slips, and where the best delay is at
     the edge of the search. It has a factor and no delay where a factor fits better than any delay.
@@ -238,7 +275,7 @@ def _lag(
         # capped error (delays, samples) of the channel for each delay of the grid
         t = a.time_s[picked]
         shifted = faults.at(a.run.channels[name], t + _GRID_S[:, None])
-        corrected = scale.get(name, AS_RECORDED).corrected(shifted)
+        corrected = scale.get(name, AS_RECORDED).corrected(shifted) - offset_m_s
         error = np.abs(corrected - base[picked])
         error = np.where(np.isfinite(error), np.minimum(error, limit.CAP_M_S), np.nan)
 
@@ -275,11 +312,78 @@ def _lag(
     drawn = rng.integers(0, len(costs), (_REPLICATES, len(costs)))
     best_s = _least_cost(costs.sum(axis=0)[None])[0]
     low_s, high_s = np.quantile(_least_cost(costs[drawn].sum(axis=1)), (0.025, 0.975))
-    return Lag(
+    lag = Lag(
         delay_s=float(best_s),
         low_s=float(min(low_s, best_s) - _DELAY_STEP_S),
         high_s=float(max(high_s, best_s) + _DELAY_STEP_S),
         share_left=float(total_cost[best]) / max(without_delay, 1e-9),
+    )
+    if offset_m_s:
+        return lag
+    rival = _offset_rival(aligned, scales, name, against, lag.delay_s)
+    if max(rival.error, limit.RIVAL_M_S) < limit.OFFSET_SCATTER * rival.error_of_delay:
+        # the channel has an offset: a delay shows beside it only
+        return _lag(aligned, scales, name, against, rng, rival.offset_m_s)
+    is_visible = rival.error_of_neither > max(rival.error / limit.OFFSET_SCATTER, limit.RIVAL_M_S)
+    if is_visible and rival.error < max(
+        rival.error_of_delay / limit.OFFSET_SCATTER, limit.RIVAL_M_S
+    ):
+        return lag._replace(offset_m_s=rival.offset_m_s)
+    return lag
+
+
+class _OffsetRival(NamedTuple):
+    """The offset of a channel that fits best, and what it, a delay, and neither leave, m/s."""
+
+    offset_m_s: float
+    error: float
+    error_of_delay: float
+    error_of_neither: float
+
+
+def _offset_rival(
+    aligned: list[Aligned],
+    scales: list[dict[str, Scale]],
+    name: str,
+    against: list[str],
+    delay_s: float,
+) -> _OffsetRival:
+    """Return the offset of a channel that is the rival of a delay.
+
+    All blocks in motion count: in steady driving an offset shows, and a delay does not. Means over
+    blocks are compared, because the noise of single samples hides the difference.
+    """
+    undelayed: list[np.ndarray] = []
+    delayed: list[np.ndarray] = []
+    for a, scale in zip(aligned, scales, strict=True):
+        if name not in a.run.channels:
+            continue
+        present = [other for other in against if other in a.names]
+        base = faults.median(np.array([a.speed[:, a.names.index(other)] for other in present]))
+        moves = base > a.slowest_m_s
+        channel = a.run.channels[name]
+        scale_of_channel = scale.get(name, AS_RECORDED)
+        differences = []
+        for shift_s in (0.0, delay_s):
+            values = faults.at(channel, a.time_s + shift_s)
+            differences.append(scale_of_channel.corrected(values) - base)
+        known = moves & np.isfinite(differences[0]) & np.isfinite(differences[1])
+        if not known.any():
+            continue
+        _, block = np.unique(a.blocks()[known], return_inverse=True)
+        count = np.bincount(block)
+        for means, difference in zip((undelayed, delayed), differences, strict=True):
+            means.append(np.bincount(block, difference[known]) / count)
+    without_delay = np.concatenate(undelayed)
+    offset_m_s = float(np.median(without_delay))
+    by_offset = np.minimum(np.abs(without_delay - offset_m_s), limit.CAP_M_S)
+    by_delay = np.minimum(np.abs(np.concatenate(delayed)), limit.CAP_M_S)
+    by_neither = np.minimum(np.abs(without_delay), limit.CAP_M_S)
+    return _OffsetRival(
+        offset_m_s=offset_m_s,
+        error=float(by_offset.mean()),
+        error_of_delay=float(by_delay.mean()),
+        error_of_neither=float(by_neither.mean()),
     )
 
 

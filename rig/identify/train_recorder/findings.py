@@ -151,6 +151,21 @@ class SpeedFactor(NamedTuple):
     factor: float
 
 
+class OffsetOrDelay(NamedTuple):
+    """`unknown`: an offset of a speed, or a delay while the vehicle brakes at one rate."""
+
+    offset_m_s: float
+    delay_s: float  # positive: late
+
+
+class ScaleOrOffset(NamedTuple):
+    """`unknown`: the reference differs from all wheels by a factor or by an offset."""
+
+    scale_percent: float
+    offset_m_s: float
+    speeds_m_s: tuple[float, float]  # lowest and highest speed of the recording
+
+
 class SpeedScatter(NamedTuple):
     """`unknown`: a speed scatters from sample to sample."""
 
@@ -172,6 +187,8 @@ Details = (
     | SharedPlace
     | SpeedOffset
     | SpeedFactor
+    | OffsetOrDelay
+    | ScaleOrOffset
     | SpeedScatter
 )
 

@@ -13,6 +13,7 @@ import numpy as np
 from rollerrig.rig.identify.train_recorder import clock_rate, driving, faults, scales, slides
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
+from rollerrig.rig.identify.train_recorder.findings import Finding, OffsetOrDelay
 from rollerrig.rig.identify.train_recorder.recording import Run
 from rollerrig.rig.identify.train_recorder.rolling import Rolling
 from rollerrig.rig.identify.train_recorder.scales import ChannelFit
@@ -50,6 +51,8 @@ FEW_CHANGES = "few_changes"
 FEW_BLOCKS = "few_blocks"
 UNSTEADY = "unsteady"
 NO_RANGE = "no_range"
+FEW_VISITS = "few_visits"
+OFFSET_OR_DELAY = "offset_or_delay"
 ONE_DATE = "one_date"
 NOT_BRAKED = "not_braked"
 NO_HARDEST = "no_hardest"
@@ -213,12 +216,15 @@ def _scale_checks(fit: Rolling) -> list[Check]:
 
     fits = [channel for channels in fit.scales.fits.values() for channel in channels]
     with_dates = [channel for channel in fits if channel.dates]
-    steady = [channel for channel in with_dates if channel.is_steady]
+    steady = [c for c in with_dates if c.is_steady and not c.is_ambiguous]
     if not with_dates:
         lowest_m_s = max(a.slowest_m_s for a in fit.aligned)
         reason = (float(limit.LEAST_BLOCKS), fit.aligned[0].block_s, lowest_m_s, _quiet_s(fit))
         return [_not_judged(name, FEW_BLOCKS, reason) for name in names]
-    varying = tuple(channel.name for channel in with_dates if not channel.is_steady)
+    if not steady and any(channel.is_ambiguous for channel in with_dates):
+        rivals = _offset_or_delay([c for c in with_dates if c.is_ambiguous])
+        return [_not_judged(name, OFFSET_OR_DELAY, rivals) for name in names]
+    varying = tuple(c.name for c in with_dates if not c.is_steady or c.is_ambiguous)
     scatter = max((100.0 * channel.worst_scatter for channel in with_dates), default=0.0)
     if not steady:
         return [_not_judged(name, UNSTEADY, (scatter,), varying) for name in names]
@@ -226,7 +232,7 @@ def _scale_checks(fit: Rolling) -> list[Check]:
         _radius_check(steady, fit.scales.tests, varying, scatter),
         _step_check(steady, fit.scales.tests),
         _scale_check(fit.aligned, steady, varying, scatter),
-        _offset_check(steady),
+        _offset_check(steady, fit.delays.unknown),
     ]
 
 
@@ -278,15 +284,33 @@ def _scale_check(
     return Check("speed_scale", True, 100.0 * smallest, "%", reason, values, varying)
 
 
-def _offset_check(steady: list[ChannelFit]) -> Check:
+def _offset_or_delay(rivals: list[ChannelFit]) -> tuple[float, ...]:
+    """Return the delay, s, and the offset, m/s, that cannot be distinguished."""
+    late_s = float(np.median([abs(channel.late_s or 0.0) for channel in rivals]))
+    offset_m_s = float(np.median([abs(channel.offset_m_s) for channel in rivals]))
+    return late_s, offset_m_s
+
+
+def _offset_check(steady: list[ChannelFit], unknown: list[Finding]) -> Check:
+    rivals = [finding.details for finding in unknown]
+    offset_or_delay = [rival for rival in rivals if isinstance(rival, OffsetOrDelay)]
+    if offset_or_delay:
+        values = (abs(offset_or_delay[0].delay_s), abs(offset_or_delay[0].offset_m_s))
+        return _not_judged("speed_offset", OFFSET_OR_DELAY, values)
+    late = [channel for channel in steady if channel.late_s is not None]
+    if len(late) == len(steady):
+        return _not_judged("speed_offset", OFFSET_OR_DELAY, _offset_or_delay(late))
     with_range = [channel for channel in steady if channel.has_range]
     if not with_range:
         lowest = min(channel.speeds_m_s[0] for channel in steady)
         highest = max(channel.speeds_m_s[1] for channel in steady)
         return _not_judged("speed_offset", NO_RANGE, (lowest, highest))
+    with_visits = [c for c in with_range if c.visits.visits >= limit.OFFSET_VISITS]
+    if not with_visits:
+        return _not_judged("speed_offset", FEW_VISITS)
     smallest = max(
         limit.LEAST_OFFSET_M_S + channel.offset_error_m_s * channel.line.quantile
-        for channel in with_range
+        for channel in with_visits
     )
     return Check("speed_offset", True, smallest, "m/s")
 

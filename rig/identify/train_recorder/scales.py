@@ -28,8 +28,15 @@ from rollerrig.rig.identify.train_recorder.alignment import (
     align,
     base_speed,
     quiet,
+    slope,
 )
-from rollerrig.rig.identify.train_recorder.findings import Finding, SpeedLine, WheelRadius
+from rollerrig.rig.identify.train_recorder.findings import (
+    Finding,
+    OffsetOrDelay,
+    ScaleOrOffset,
+    SpeedLine,
+    WheelRadius,
+)
 from rollerrig.rig.identify.train_recorder.recording import Run
 
 # standard deviation of a normal distribution over its median absolute deviation
@@ -76,11 +83,21 @@ class Wheel(NamedTuple):
 class _Block(NamedTuple):
     """Means over one block of one channel."""
 
+    run: str
     date: str
     speed: float  # of the vehicle, m/s
+    change_m_s2: float  # of the vehicle's speed
     share: float  # of the channel beyond the vehicle
     yaw_rad_s: float
     error: float  # standard error of `share` by noise
+
+
+class _Visits(NamedTuple):
+    """Blocks at low and at high speed, and how many times the vehicle visits the rarer ones."""
+
+    slow_blocks: int
+    fast_blocks: int
+    visits: int
 
 
 class ChannelFit(NamedTuple):
@@ -91,11 +108,16 @@ class ChannelFit(NamedTuple):
     line: Wheel  # rho of a fit of scale and offset
     offset_m_s: float  # of the same fit
     offset_error_m_s: float
-    has_offset: bool
+    offset_is_significant: bool
+    has_offset: bool  # significant, shown by several visits, and no delay explains it
     scatter: float  # of the ratio between blocks, beyond noise
     scatter_in_motion: float  # the same, also while the vehicle is driven or braked
     typical: float  # median of the ratio less one
     speeds_m_s: tuple[float, float]  # lowest and highest
+    visits: _Visits
+    # delay of the vehicle's speed, s, that explains a significant offset as well; None if none does
+    late_s: float | None = None
+    normal_late_s: float = 0.0  # largest delay of the vehicle's speed that is normal
 
     @property
     def is_steady(self) -> bool:
@@ -115,8 +137,13 @@ class ChannelFit(NamedTuple):
 
     @property
     def has_range(self) -> bool:
-        """Whether the speeds differ enough to distinguish scale and offset."""
-        return self.speeds_m_s[1] > limit.OFFSET_RANGE * self.speeds_m_s[0]
+        """Whether the speeds differ enough, and often enough, to distinguish scale and offset."""
+        return _has_range(self.speeds_m_s, self.visits)
+
+    @property
+    def is_ambiguous(self) -> bool:
+        """Whether a delay beyond the normal one explains an offset as well."""
+        return self.late_s is not None and not 0.0 <= self.late_s <= self.normal_late_s
 
 
 class _Level(NamedTuple):
@@ -127,10 +154,14 @@ class _Level(NamedTuple):
 
 
 class Scales(NamedTuple):
-    """Scales of each channel in each run, the findings, and the fits by vehicle."""
+    """Scales of each channel in each run, the findings, and the fits by vehicle.
+
+    `unknown` are differences that several causes explain.
+    """
 
     of_runs: list[dict[str, Scale]]
     found: list[Finding]
+    unknown: list[Finding]
     fits: dict[str, list[ChannelFit]]
     tests: int
 
@@ -139,6 +170,7 @@ def fit(runs: list[Run], delay_s: dict[str, float], block_s: float) -> Scales:
     """Return the scales of all channels, and the statistically significant findings."""
     aligned = [align(run, delay_s, {}, block_s) for run in runs]
     by_vehicle: dict[str, list[Aligned]] = {}
+    unknown: list[Finding] = []
     for a in aligned:
         by_vehicle.setdefault(a.run.vehicle_id, []).append(a)
 
@@ -155,8 +187,11 @@ def fit(runs: list[Run], delay_s: dict[str, float], block_s: float) -> Scales:
             name = finding.channels[0]
             for a in group:
                 scale_of[vehicle_id, name, a.run.date] = scale
+            if finding.name == "unknown":
+                unknown.append(found.pop())
             group = [align(a.run, delay_s, {name: scale}, block_s) for a in group]
             fits[vehicle_id] = fit_channels(group)
+        unknown += _offsets_or_delays(group, fits[vehicle_id])
         tests = max(sum(len(channel.dates) for channel in fits[vehicle_id]), tests)
 
         is_pair = not any(a.has_reference for a in group) and len(fits[vehicle_id]) == 1
@@ -173,10 +208,36 @@ def fit(runs: list[Run], delay_s: dict[str, float], block_s: float) -> Scales:
         for name in run.channels:
             scales[name] = scale_of.get((run.vehicle_id, name, run.date), AS_RECORDED)
         of_runs.append(scales)
-    return Scales(of_runs, found, fits, tests)
+    return Scales(of_runs, found, unknown, fits, tests)
 
 
 # --- blocks ---
+
+
+def _has_range(speeds_m_s: tuple[float, float], visits: _Visits) -> bool:
+    """Whether blocks at low and at high speed distinguish scale and offset."""
+    is_wide = speeds_m_s[1] > limit.OFFSET_RANGE * speeds_m_s[0]
+    return is_wide and min(visits.slow_blocks, visits.fast_blocks) >= limit.OFFSET_BLOCKS
+
+
+def _visits(rows: list[_Block], speeds_m_s: tuple[float, float]) -> _Visits:
+    """Return the blocks below and above the middle of the speeds, and the visits of the vehicle.
+
+    Blocks in a row on one side of the middle are one visit. They share one curve or one slope.
+    """
+    middle_m_s = float(np.sqrt(speeds_m_s[0] * speeds_m_s[1]))
+    slow_visits = 0
+    fast_visits = 0
+    before: tuple[str, bool] | None = None
+    slow_blocks = 0
+    for row in rows:
+        is_slow = row.speed < middle_m_s
+        slow_blocks += int(is_slow)
+        if (row.run, is_slow) != before:
+            slow_visits += int(is_slow)
+            fast_visits += int(not is_slow)
+        before = (row.run, is_slow)
+    return _Visits(slow_blocks, len(rows) - slow_blocks, min(slow_visits, fast_visits))
 
 
 def fit_channels(group: list[Aligned]) -> list[ChannelFit]:
@@ -184,6 +245,7 @@ def fit_channels(group: list[Aligned]) -> list[ChannelFit]:
     blocks: dict[str, list[_Block]] = {}
     in_motion: dict[str, list[_Block]] = {}
     rounding: dict[str, float] = {}
+    normal_late_s = _normal_late_s(group)
     for a in group:
         base = base_speed(a)
         if base is None:
@@ -201,10 +263,19 @@ def fit_channels(group: list[Aligned]) -> list[ChannelFit]:
             rounding[name] = max(rounding.get(name, 0.0), error)
 
     return [
-        _fit_channel(name, rows, in_motion[name], rounding[name])
+        _fit_channel(name, rows, in_motion[name], rounding[name], normal_late_s)
         for name, rows in blocks.items()
         if len(rows) >= limit.LEAST_BLOCKS
     ]
+
+
+def _normal_late_s(group: list[Aligned]) -> float:
+    """Return the largest delay of the reference that is normal, s; 0 without a reference."""
+    normal_s = 0.0
+    for a in group:
+        for reference in a.run.of("reference"):
+            normal_s = max(normal_s, reference.delay_s + limit.late_s(a.step_s))
+    return normal_s
 
 
 def _blocks(a: Aligned, name: str, base: np.ndarray, is_quiet: np.ndarray) -> list[_Block]:
@@ -213,6 +284,7 @@ def _blocks(a: Aligned, name: str, base: np.ndarray, is_quiet: np.ndarray) -> li
     good = is_quiet & np.isfinite(speed) & np.isfinite(base)
     noise = np.hypot(a.noise_m_s[a.names.index(name)], _base_error(a))
     number_of_block = a.blocks()
+    change_m_s2 = np.nan_to_num(slope(a.time_s, base, max(1.0, 2.5 * a.step_s)))
     rows = []
     for k in np.unique(number_of_block[good]):
         part = good & (number_of_block == k)
@@ -222,8 +294,10 @@ def _blocks(a: Aligned, name: str, base: np.ndarray, is_quiet: np.ndarray) -> li
         yaw = a.yaw_rad_s[part]
         rows.append(
             _Block(
+                run=a.run.name,
                 date=a.run.date,
                 speed=mean,
+                change_m_s2=float(change_m_s2[part].mean()),
                 share=float(speed[part].sum() / base[part].sum()) - 1.0,
                 yaw_rad_s=float(np.nanmean(yaw)) if np.isfinite(yaw).any() else 0.0,
                 # the noise of a receiver is not white: a quarter of the samples is independent
@@ -250,9 +324,18 @@ def _rounding_error(a: Aligned, name: str, base: np.ndarray, is_quiet: np.ndarra
 
 
 def _fit_channel(
-    name: str, rows: list[_Block], in_motion: list[_Block], rounding: float
+    name: str,
+    rows: list[_Block],
+    in_motion: list[_Block],
+    rounding: float,
+    normal_late_s: float,
 ) -> ChannelFit:
-    """Return the fit of one speed to its blocks [R2], which are part of those in motion."""
+    """Return the fit of one speed to its blocks [R2], which are part of those in motion.
+
+    A reference that is late by d makes an offset of d times the change of the speed. If such a
+    delay explains a significant offset as well, the two cannot be distinguished. A delay that is
+    normal is subtracted.
+    """
     speed = np.array([row.speed for row in rows])
     share = np.array([row.share for row in rows])
     noise = float(np.median([row.error for row in rows]))
@@ -267,24 +350,36 @@ def _fit_channel(
         coefficients = robust_fit(turning, share, weight)
         share = share - coefficients[-1] * yaw / speed
 
-    line = np.column_stack([is_date, 1.0 / speed])
-    robust_line = robust_fit(line, share, weight)
-    offset = float(robust_line[-1])
-    errors = np.maximum(_bootstrap(line, share, weight), _jackknife(line, share, weight))
-    offset_error = float(errors[-1])
-
-    ratio_only = robust_fit(is_date, share, weight)
-    scatter_of_ratio = _spread((share - is_date @ ratio_only) * speed)
-    scatter_of_line = _spread((share - line @ robust_line) * speed)
     speeds = (float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95)))
-    quantile = student.ppf(1.0 - 0.5 * limit.ALPHA, max(min(len(rows), 12) - 2, 2))
-    has_offset = bool(
-        speeds[1] > limit.OFFSET_RANGE * speeds[0]
-        and abs(offset) - limit.LEAST_OFFSET_M_S > quantile * offset_error
-        and scatter_of_line < limit.OFFSET_SCATTER * scatter_of_ratio
+    visits = _visits(rows, speeds)
+    by_late = np.array([row.change_m_s2 for row in rows]) / speed
+    fit = _fit_offset(is_date, share, speed)
+    late_s = None
+    subtracted_late_s = 0.0
+    offset_is_significant = _has_range(speeds, visits) and fit.is_significant
+    if offset_is_significant:
+        late_s = _late_s(is_date, by_late, share, speed, fit.scatter)
+        if late_s is not None and 0.0 <= late_s <= normal_late_s:
+            subtracted_late_s = late_s
+    elif _has_range(speeds, visits):
+        # a delay beside an offset scatters the ratio where the vehicle brakes and drives
+        beside_late = _fit_offset(is_date, share, speed, by_late)
+        if beside_late.is_significant and abs(beside_late.late_s) <= limit.LATEST_S:
+            offset_is_significant = True
+            fit = beside_late
+            subtracted_late_s = fit.late_s
+    has_offset = offset_is_significant and late_s is None and visits.visits >= limit.OFFSET_VISITS
+    offset = fit.offset_m_s if has_offset else 0.0
+    if not has_offset and late_s is None:
+        subtracted_late_s = 0.0
+    level = share - offset / speed - subtracted_late_s * by_late
+    share_in_motion = np.array(
+        [
+            row.share - (offset + subtracted_late_s * row.change_m_s2) / row.speed
+            for row in in_motion
+        ]
     )
-    level = share - offset / speed if has_offset else share
-    by_choice = _error_of_choice(level, in_motion, offset if has_offset else 0.0)
+    by_choice = _error_of_choice(level, share_in_motion, np.array([row.speed for row in in_motion]))
     wheels = {}
     for k, date in enumerate(dates):
         of_date = level[is_date[:, k] > 0.0]
@@ -292,32 +387,102 @@ def _fit_channel(
             continue
         error = float(np.hypot(_error_of_level(of_date), rounding))
         if has_offset:
-            error = float(np.hypot(error, offset_error * np.median(1.0 / speed)))
+            error = float(np.hypot(error, fit.offset_error_m_s * np.median(1.0 / speed)))
         wheels[date] = Wheel(float(np.median(of_date)), error, of_date.size, by_choice)
 
     middle = level - is_date @ robust_fit(is_date, level, weight)
     scatter = np.sqrt(max(_spread(middle) ** 2 - noise**2, 0.0))
-    share_in_motion = np.array([row.share for row in in_motion])
-    if has_offset:
-        share_in_motion -= offset / np.array([row.speed for row in in_motion])
     noise_in_motion = float(np.median([row.error for row in in_motion]))
     scatter_in_motion = np.sqrt(max(_spread(share_in_motion) ** 2 - noise_in_motion**2, 0.0))
     return ChannelFit(
         name=name,
         dates=wheels,
-        line=Wheel(
-            radius=float(np.median(robust_line[:-1])),
-            error=float(np.hypot(np.median(errors[:-1]), limit.SYSTEMATIC_RADIUS)),
-            blocks=len(rows),
-        ),
-        offset_m_s=offset,
-        offset_error_m_s=offset_error,
+        line=Wheel(radius=fit.ratio, error=fit.ratio_error, blocks=len(rows)),
+        offset_m_s=fit.offset_m_s,
+        offset_error_m_s=fit.offset_error_m_s,
+        offset_is_significant=offset_is_significant,
         has_offset=has_offset,
         scatter=float(scatter),
         scatter_in_motion=float(scatter_in_motion),
         typical=float(np.median(share)),
         speeds_m_s=speeds,
+        visits=visits,
+        late_s=late_s,
+        normal_late_s=normal_late_s,
     )
+
+
+class _OffsetFit(NamedTuple):
+    """Scale and offset of one fit [R2], with standard errors, and the scatter that is left, m/s."""
+
+    ratio: float
+    ratio_error: float
+    offset_m_s: float
+    offset_error_m_s: float
+    is_significant: bool  # of the offset
+    scatter: float
+    late_s: float = 0.0  # delay of the vehicle's speed, if it is part of the fit
+
+
+def _fit_offset(
+    is_date: np.ndarray,
+    share: np.ndarray,
+    speed: np.ndarray,
+    by_late: np.ndarray | None = None,
+) -> _OffsetFit:
+    """Return the fit of scales by date and one offset to the shares of blocks.
+
+    `by_late` is the change of the speed over the speed. With it a delay of the vehicle's speed is
+    part of the fit.
+    """
+    weight = np.sqrt(speed)
+    without = is_date
+    if by_late is not None:
+        without = np.column_stack([is_date, by_late])
+    line = np.column_stack([without, 1.0 / speed])
+    robust_line = robust_fit(line, share, weight)
+    offset = float(robust_line[-1])
+    errors = np.maximum(_bootstrap(line, share, weight), _jackknife(line, share, weight))
+    offset_error = float(errors[-1])
+
+    scatter_without = _spread((share - without @ robust_fit(without, share, weight)) * speed)
+    scatter = _spread((share - line @ robust_line) * speed)
+    quantile = student.ppf(1.0 - 0.5 * limit.ALPHA, max(min(share.size, 12) - 2, 2))
+    is_significant = bool(
+        abs(offset) - limit.LEAST_OFFSET_M_S > quantile * offset_error
+        and scatter < limit.OFFSET_SCATTER * scatter_without
+    )
+    dates = is_date.shape[1]
+    return _OffsetFit(
+        ratio=float(np.median(robust_line[:dates])),
+        ratio_error=float(np.hypot(np.median(errors[:dates]), limit.SYSTEMATIC_RADIUS)),
+        offset_m_s=offset,
+        offset_error_m_s=offset_error,
+        is_significant=is_significant,
+        scatter=scatter,
+        late_s=0.0 if by_late is None else float(robust_line[-2]),
+    )
+
+
+def _late_s(
+    is_date: np.ndarray,
+    by_late: np.ndarray,
+    share: np.ndarray,
+    speed: np.ndarray,
+    scatter_of_line: float,
+) -> float | None:
+    """Return the delay of the vehicle's speed that explains the shares as well as an offset, s.
+
+    `by_late` is the change of the speed over the speed, and `scatter_of_line`, m/s, what scale and
+    offset leave. The result is None if every delay up to LATEST_S leaves more than that, and more
+    than RIVAL_M_S.
+    """
+    columns = np.column_stack([is_date, by_late])
+    robust_late = robust_fit(columns, share, np.sqrt(speed))
+    late_s = float(robust_late[-1])
+    scatter = _spread((share - columns @ robust_late) * speed)
+    explains = scatter < max(scatter_of_line / limit.OFFSET_SCATTER, limit.RIVAL_M_S)
+    return late_s if explains and abs(late_s) <= limit.LATEST_S else None
 
 
 def _spread(values: np.ndarray) -> float:
@@ -344,18 +509,18 @@ def _error_of_level(shares: np.ndarray) -> float:
     return float(np.hypot(max(of_blocks, of_stretches), limit.SYSTEMATIC_RADIUS))
 
 
-def _error_of_choice(level: np.ndarray, in_motion: list[_Block], offset_m_s: float) -> float:
+def _error_of_choice(
+    level: np.ndarray, share_in_motion: np.ndarray, speed_in_motion: np.ndarray
+) -> float:
     """Return the error of a ratio by the choice of blocks: quiet ones, or all in motion.
 
     The ratio over all motion is that of the distances, without blocks in which the wheel slides.
     """
     middle = float(np.median(level))
-    speed = np.array([row.speed for row in in_motion])
-    share = np.array([row.share for row in in_motion]) - offset_m_s / speed
-    rolls = np.abs(share - middle) < limit.SLIDE_SHARE
+    rolls = np.abs(share_in_motion - middle) < limit.SLIDE_SHARE
     if not rolls.any():
         return 0.0
-    of_motion = float(np.average(share[rolls], weights=speed[rolls]))
+    of_motion = float(np.average(share_in_motion[rolls], weights=speed_in_motion[rolls]))
     return 0.5 * abs(of_motion - middle)
 
 
@@ -433,29 +598,34 @@ def _reference_finding(
     is_common = bool(np.ptp(typical) < _COMMON_SPREAD * abs(middle))
     offsets = np.array([channel.offset_m_s for channel in steady])
     offset = float(np.median(offsets))
-    offset_is_common = all(channel.has_offset for channel in steady) and bool(
-        np.ptp(offsets) < _COMMON_SPREAD * abs(offset)
+    has_offsets = all(
+        channel.offset_is_significant and channel.late_s is None for channel in steady
     )
+    offset_is_common = has_offsets and bool(np.ptp(offsets) < _COMMON_SPREAD * abs(offset))
     if not is_common or not (abs(middle) > limit.COMMON_SHARE or offset_is_common):
         return None
 
-    has_range = all(channel.has_range for channel in steady)
-    ratio = middle
-    error = max(np.ptp(typical), limit.SYSTEMATIC_RADIUS)
-    offset_error = 0.0
     blocks = min(channel.line.blocks for channel in steady)
-    if has_range:
-        ratio = float(np.median([channel.line.radius for channel in steady]))
-        error = max(channel.line.error for channel in steady)
-        offset_error = max(channel.offset_error_m_s for channel in steady)
-    else:
-        offset = 0.0
+    if not all(channel.has_range for channel in steady):
+        speeds_m_s = (
+            min(channel.speeds_m_s[0] for channel in steady),
+            max(channel.speeds_m_s[1] for channel in steady),
+        )
+        error = float(max(np.ptp(typical), limit.SYSTEMATIC_RADIUS))
+        quantile = Wheel(middle, error, blocks).quantile
+        return _scale_or_offset(references[0].name, middle, error * quantile, speeds_m_s)
+
+    ratio = float(np.median([channel.line.radius for channel in steady]))
+    error = max(channel.line.error for channel in steady)
+    offset_error = max(channel.offset_error_m_s for channel in steady)
 
     # wheels read (1 + ratio) V + offset of the reference: the inverse line is that of the reference
     scale = Scale(1.0 / (1.0 + ratio) - 1.0, -offset / (1.0 + ratio))
     quantile = Wheel(ratio, float(error), blocks).quantile
+    # a small ratio is one of the radii of the wheels
+    has_small_ratio = abs(ratio) < limit.COMMON_SHARE and offset_is_common
     finding = _line_finding(
-        "speed_offset" if abs(middle) < limit.COMMON_SHARE else "speed_scale",
+        "speed_offset" if has_small_ratio else "speed_scale",
         references[0].name,
         scale,
         float(error) * quantile,
@@ -463,6 +633,66 @@ def _reference_finding(
         of_reference=True,
     )
     return finding, scale
+
+
+def _scale_or_offset(
+    channel: str, ratio: float, half_ratio: float, speeds_m_s: tuple[float, float]
+) -> tuple[Finding, Scale]:
+    """Return the finding that the reference differs by a factor or by an offset, and its scale.
+
+    The wheels read (1 + `ratio`) times the reference. All speeds lie between `speeds_m_s`.
+    """
+    scale = Scale(1.0 / (1.0 + ratio) - 1.0)
+    percent = 100.0 * scale.ratio
+    middle_m_s = float(np.mean(speeds_m_s))
+    finding = Finding(
+        name="unknown",
+        channels=(channel,),
+        run="",
+        start_s=0.0,
+        end_s=0.0,
+        size=percent,
+        low=percent - 100.0 * half_ratio,
+        high=percent + 100.0 * half_ratio,
+        unit="%",
+        details=ScaleOrOffset(percent, scale.ratio * middle_m_s, speeds_m_s),
+    )
+    return finding, scale
+
+
+def _offsets_or_delays(group: list[Aligned], fits: list[ChannelFit]) -> list[Finding]:
+    """Return the speeds whose offset may as well be a delay beyond the normal one.
+
+    If most of the wheels have it, it is one of the reference.
+    """
+    ambiguous = [channel for channel in fits if channel.is_ambiguous]
+    references = [channel.name for a in group for channel in a.run.of("reference")]
+    found = []
+    if references and 2 * len(ambiguous) > len(fits):
+        offset_m_s = -float(np.median([channel.offset_m_s for channel in ambiguous]))
+        late_s = float(np.median([channel.late_s or 0.0 for channel in ambiguous]))
+        half_m_s = max(channel.offset_error_m_s * channel.line.quantile for channel in ambiguous)
+        return [_offset_or_delay(references[0], offset_m_s, half_m_s, late_s)]
+    for channel in ambiguous:
+        half_m_s = channel.offset_error_m_s * channel.line.quantile
+        late_s = -(channel.late_s or 0.0)
+        found.append(_offset_or_delay(channel.name, channel.offset_m_s, half_m_s, late_s))
+    return found
+
+
+def _offset_or_delay(channel: str, offset_m_s: float, half_m_s: float, late_s: float) -> Finding:
+    return Finding(
+        name="unknown",
+        channels=(channel,),
+        run="",
+        start_s=0.0,
+        end_s=0.0,
+        size=offset_m_s,
+        low=offset_m_s - half_m_s,
+        high=offset_m_s + half_m_s,
+        unit="m/s",
+        details=OffsetOrDelay(offset_m_s, late_s),
+    )
 
 
 def _line_finding(
@@ -504,7 +734,7 @@ def _judge(
     channel: ChannelFit, names: tuple[str, ...], vehicle_id: str, tests: int
 ) -> tuple[list[Finding], dict[str, Scale]]:
     """Return the findings about one speed, and its scale by date."""
-    if not channel.is_steady or not channel.dates:
+    if not channel.is_steady or not channel.dates or channel.is_ambiguous:
         return [], {}
     found = []
     offset_m_s = 0.0

@@ -149,8 +149,18 @@ LEAST_OFFSET_M_S = 0.1
 # Chosen.
 OFFSET_RANGE = 1.3
 
+# blocks at low and at high speed. Fewer do not distinguish scale and offset. Chosen.
+OFFSET_BLOCKS = 3
+
+# visits of low and of high speed. One visit shares one curve or one slope: it shows no offset of a
+# wheel. Chosen.
+OFFSET_VISITS = 2
+
 # share of the scatter about a line through the origin. An offset must leave less. Chosen.
 OFFSET_SCATTER = 0.8
+
+# m/s. If an offset and a delay leave less than this, they cannot be distinguished. Chosen.
+RIVAL_M_S = 0.025
 
 # s. One and a half samples at 10 Hz. Creepage in braking looks like 0.04 s.
 LATE_S = 0.15

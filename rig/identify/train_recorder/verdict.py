@@ -18,6 +18,7 @@ from rollerrig.rig.identify.train_recorder.findings import (
 )
 from rollerrig.rig.identify.train_recorder.judged import Check
 from rollerrig.rig.identify.train_recorder.recording import Recording, Run
+from rollerrig.rig.identify.train_recorder.rolling import Rolling
 from rollerrig.rig.identify.train_recorder.slides import Slide
 
 # samples of a speed. A run in which no speed has more is left out after the checks of the sensors.
@@ -80,7 +81,7 @@ def explain(recording: Recording) -> Account:
     slips, slipping_flags = driving.find(aligned, sliding_flags)
     found += slips
 
-    unknown = list(fit.delays.unknown)
+    unknown = _rivals(fit)
     for a, sliding, slipping in zip(aligned, sliding_flags, slipping_flags, strict=True):
         unknown += _unexplained_blocks(a, sliding | slipping)
 
@@ -95,6 +96,13 @@ def explain(recording: Recording) -> Account:
         checks=judged.checks(runs, fit),
         elapsed_s=time.perf_counter() - begun_s,
     )
+
+
+def _rivals(fit: Rolling) -> list[Finding]:
+    """Return the speeds with a difference that several causes explain, each of them once."""
+    by_delays = {name for finding in fit.delays.unknown for name in finding.channels}
+    by_scales = [f for f in fit.scales.unknown if not by_delays.intersection(f.channels)]
+    return list(fit.delays.unknown) + by_scales
 
 
 def _has_speed(run: Run) -> bool:

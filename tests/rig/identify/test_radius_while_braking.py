@@ -50,8 +50,10 @@ def test_a_radius_in_braking_alone_is_unknown_and_no_delay(tmp_path, factor):
     assert factors[0].low <= 100.0 * (factor - 1.0) <= factors[0].high
 
 
-def test_a_true_delay_in_braking_is_found(tmp_path):
+def test_a_delay_in_braking_at_one_rate_is_unknown_because_an_offset_looks_alike(tmp_path):
     account = explained(tmp_path, delay_s=0.8)
-    (late,) = [one for one in account.findings if one.name == "speed_sensor_delay"]
+    assert account.verdict == "unexplained"
+    (late,) = account.unknown
     assert late.channels == ("axle 3",)
     assert late.low <= 0.8 <= late.high
+    assert late.details.offset_m_s == pytest.approx(0.8 * DECELERATION_M_S2, rel=0.1)
