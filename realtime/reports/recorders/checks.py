@@ -22,6 +22,8 @@ _REASONS = {
     judged.FEW_SPEEDS: "there is no reference and there are fewer than three speeds; add "
     "reference_speed_m_s",
     judged.SHORT: "the recording is too short",
+    judged.LOW_RATE: "at {1:.2g} samples per second a jump of the stamps looks like a gap; record at "
+    "least {0:.2g} samples per second",
     judged.ON_CHANGE: "the recorder logs only changes, so missing samples and held values are normal",
     judged.FEW_CHANGES: "the speed changes too little, the wheel slips, or a factor of its speed fits "
     "better; record starts, stops and steady rolling",

@@ -72,6 +72,17 @@ _ZERO_M_S = 1e-9
 # s. A vehicle may keep its slope through a gap of this length.
 _SHORT_GAP_S = 3.0
 
+# samples on each side of a jump of the stamps: at most and at least
+_SIDE_SAMPLES = 15
+_LEAST_SIDE_SAMPLES = 8
+
+# s. Longest interval of the samples with which a forward step of the clock shows.
+SLOWEST_CLOCK_S = limit.CLOCK_SIDE_S / _LEAST_SIDE_SAMPLES
+
+# samples and percentile of their changes that show how much a speed usually changes in a sample
+_USUAL_SAMPLES = 50
+_USUAL_PERCENTILE = 99.0
+
 
 class Stretch(NamedTuple):
     """Samples first to last of a channel, both included."""
@@ -102,6 +113,7 @@ def find(run: Run) -> tuple[Run, list[Finding]]:
 
     run, more = _stamps(run)
     found += more
+    run, _ = on_change.updates(run)
     run = run._replace(hardest_m_s2=hardest_m_s2(run))
     for check in (_missing, _old_messages, _lines, _zeros, _held):
         run, more = check(run)
@@ -498,14 +510,16 @@ def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
     of most: a vehicle that runs on through a gap returns to both by chance only. One channel at
     least must contradict a gap.
     """
-    before = slice(max(k - 14, 0), k + 1)
-    after = slice(k + 1, k + 16)
+    step_s = group[0].step_s
+    samples = min(_SIDE_SAMPLES, int(limit.CLOCK_SIDE_S / step_s))
+    before = slice(max(k - samples + 1, 0), k + 1)
+    after = slice(k + 1, k + 1 + samples)
     seen = []
     for channel in group:
         if channel.quantity not in (*_SPEEDS, "position"):
             continue
         sides = [_side(channel, part, shift) for part, shift in ((before, 0.0), (after, size_s))]
-        if min(time_s.size for time_s, _ in sides) >= 8:
+        if min(time_s.size for time_s, _ in sides) >= _LEAST_SIDE_SAMPLES:
             seen.append(_continuity(sides, channel, size_s))
     if not seen or not all(continuity.value_goes_on for continuity in seen):
         return False
@@ -599,12 +613,29 @@ def _last_jump_at_start(speeds: list[Channel], hardest_vehicle_m_s2: float) -> i
     between_speeds = np.isfinite(jump) & (np.minimum(v[:, :-1], v[:, 1:]) > 0.0)
     jump[~between_speeds] = 0.0
 
+    # what speeds often do is no sign of old messages: pulses that are counted in short intervals
+    usual_m_s = limit.JUMP_FACTOR * _usual_jump_m_s(speeds)
     # a single wheel may lock or recover between two samples
     hardest_m_s2 = hardest_vehicle_m_s2 * (limit.WHEEL_FACTOR if len(speeds) == 1 else 1.0)
     possible = hardest_m_s2 * np.diff(time_s[: count + 1])
-    excess = jump.min(axis=0) - possible - limit.JUMP_M_S
+    excess = jump.min(axis=0) - np.maximum(possible + limit.JUMP_M_S, usual_m_s)
     jumps = np.flatnonzero(excess > 0.0)
     return int(jumps[-1]) if jumps.size else None
+
+
+def _usual_jump_m_s(speeds: list[Channel]) -> float:
+    """Return the change between two samples that all speeds rarely exceed together, m/s.
+
+    The first seconds are left out, because old messages are searched for there. The result is 0
+    if few samples are left.
+    """
+    time_s = speeds[0].time_s
+    later = time_s > time_s[0] + limit.START_S
+    if np.count_nonzero(later) < _USUAL_SAMPLES:
+        return 0.0
+    changes = np.abs(np.diff([channel.values[later] for channel in speeds])).min(axis=0)
+    known = changes[np.isfinite(changes)]
+    return float(np.percentile(known, _USUAL_PERCENTILE)) if known.size else 0.0
 
 
 # --- sensors ---
@@ -674,7 +705,13 @@ def _is_off_rounding(values: np.ndarray, quantum: float) -> bool:
 
 @_each_speed
 def _zeros(run: Run, channel: Channel) -> Iterator[Hit]:
-    """Find zeros that come and go faster than a wheel can lock or take up speed."""
+    """Find zeros that come and go faster than a wheel can lock or take up speed.
+
+    A speed from few pulses in each interval is zero where no pulse falls into one.
+    """
+    changes = np.abs(np.diff(channel.values))
+    moves = changes[np.isfinite(changes) & (changes > 0.0)]
+    usual_m_s = float(np.median(moves)) if moves.size > _USUAL_SAMPLES else 0.0
     for stretch in stretches(np.abs(channel.values) < _ZERO_M_S):
         edges_m_s = []
         for outside, inside in (
@@ -685,6 +722,7 @@ def _zeros(run: Run, channel: Channel) -> Iterator[Hit]:
             if speed_m_s is not None:
                 edges_m_s.append(speed_m_s)
         fastest_m_s = limit.zero_jump_m_s(run.hardest_m_s2, channel.step_s)
+        fastest_m_s = max(fastest_m_s, limit.JUMP_FACTOR * usual_m_s)
         if edges_m_s and min(edges_m_s) > fastest_m_s:
             yield Hit("sensor_dropout", stretch.first, stretch.last, DropOut((findings.ZEROS,)))
 

@@ -46,6 +46,7 @@ ONE_SPEED_NO_POSITION = "one_speed_no_position"
 NO_REFERENCE = "no_reference"
 FEW_SPEEDS = "few_speeds"
 SHORT = "short"
+LOW_RATE = "low_rate"
 ON_CHANGE = "on_change"
 FEW_CHANGES = "few_changes"
 FEW_BLOCKS = "few_blocks"
@@ -115,6 +116,8 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     """Return the checks of units, stamps and sensors; the run that shows least counts."""
     speeds = [channel for run in runs for channel in run.of("speed", "reference")]
     step_s = max(channel.step_s for channel in speeds)
+    # a slow sensor has the stamps of the others
+    stamps_s = min(channel.step_s for channel in speeds)
     hardest_m_s2 = max(run.hardest_m_s2 for run in runs)
     on_change = any(run.logs_on_change for run in runs)
     several = all(len(run.of("speed", "reference")) > 1 for run in runs)
@@ -135,7 +138,7 @@ def _file_checks(runs: list[Run]) -> list[Check]:
         Check(
             "clock_step",
             True,
-            step_s + max(limit.LEAST_STEP_S, 2.0 * step_s),
+            stamps_s + max(limit.LEAST_STEP_S, 2.0 * stamps_s),
             "s",
         ),
         _rate_check(runs),
@@ -156,6 +159,9 @@ def _file_checks(runs: list[Run]) -> list[Check]:
             found.append(Check(name, True, smallest_s, "s"))
     if on_change:
         found[1] = _not_judged("clock_step", ON_CHANGE)
+    elif stamps_s > faults.SLOWEST_CLOCK_S:
+        rates_hz = (1.0 / faults.SLOWEST_CLOCK_S, 1.0 / stamps_s)
+        found[1] = _not_judged("clock_step", LOW_RATE, rates_hz)
     return found
 
 

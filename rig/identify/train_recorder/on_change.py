@@ -1,8 +1,14 @@
-"""Recognises a recorder that logs a row only when a value changes, and fills its intervals.
+"""Recognises which samples are news: logging on change, and sensors that are slower than the file.
 
-Such a recorder leaves long intervals in which nothing changes by more than its deadband. A gap of a
-recorder that logs every sample has no such bound: after it the speed has moved on.
+A recorder that logs a row only when a value changes leaves long intervals in which nothing changes
+by more than its deadband. They are filled. A gap of a recorder that logs every sample has no such
+bound: after it the speed has moved on.
+
+A sensor that is slower than the file, such as a receiver at 1 Hz in a file at 100 Hz, repeats each
+value. Its repeated values are no measurements, and only its updates are kept.
 """
+
+import itertools
 
 import numpy as np
 
@@ -29,6 +35,17 @@ _ROW_SHARE = 0.35
 
 # long intervals of a recorder that has a single row for each stop. Chosen.
 _STOPS = 2
+
+# samples. A sensor whose values are held for fewer is not called slow.
+_SLOW_SAMPLES = 3
+
+# changes of the value, of how many rounding steps, that show how long a sensor holds its values
+_LEAST_UPDATES = 10
+_FAST_STEPS = 2.0
+
+# share of these intervals that must agree, and the share by which they may differ. Chosen.
+_REGULAR = 0.7
+_REGULAR_SHARE = 0.25
 
 
 def resampled(run: Run) -> Run | None:
@@ -61,6 +78,58 @@ def resampled(run: Run) -> Run | None:
     # in the order of the recording
     ordered = {name: channels[name] for name in run.channels}
     return run._replace(channels=ordered, logs_on_change=True)
+
+
+def updates(run: Run) -> tuple[Run, dict[str, float]]:
+    """Return a run with the updates of its slow sensors, and the usual interval of each of them, s.
+
+    Samples between two updates are NaN.
+    """
+    channels = dict(run.channels)
+    intervals_s = {}
+    for channel in run.of(*_SPEEDS):
+        samples = update_samples(channel)
+        if samples < _SLOW_SAMPLES:
+            continue
+        intervals_s[channel.name] = samples * channel.step_s
+        channels[channel.name] = _updates_of(channel, samples)
+    return run._replace(channels=channels), intervals_s
+
+
+def update_samples(channel: Channel) -> int:
+    """Return every how many samples a channel has a new value; 1 if any sample may be new.
+
+    Values that change by one rounding step only do not count, because a rounded value is held, too.
+    """
+    values = channel.values
+    if not np.isfinite(values).all():
+        return 1
+    changes = np.abs(np.diff(values))
+    changed = np.flatnonzero(changes > 0.0)
+    if changed.size < _LEAST_UPDATES:
+        return 1
+    held = np.diff(changed)
+    # the value moved on by several rounding steps while it was held
+    is_fast = changes[changed[1:]] > _FAST_STEPS * channel.quantum
+    if np.count_nonzero(is_fast) < _LEAST_UPDATES:
+        return 1
+    usual = int(np.median(held[is_fast]))
+    near = np.abs(held[is_fast] - usual) <= max(1.0, _REGULAR_SHARE * usual)
+    early = held < (1.0 - 2.0 * _REGULAR_SHARE) * usual - 1.0
+    is_regular = np.mean(near) > _REGULAR and np.mean(early) < 1.0 - _REGULAR
+    return usual if is_regular else 1
+
+
+def _updates_of(channel: Channel, samples: int) -> Channel:
+    """Return a channel without the repeated values between updates `samples` apart."""
+    values = channel.values
+    is_update = np.concatenate([[True], np.diff(values) != 0.0])
+    update = np.append(np.flatnonzero(is_update), values.size)
+    for first, after in itertools.pairwise(update):
+        # updates in between had the same value
+        equal = round((after - first) / samples) - 1
+        is_update[first + samples * np.arange(1, equal + 1)] = True
+    return channel._replace(values=np.where(is_update, values, np.nan))
 
 
 def deadband(group: list[Channel]) -> float | None:

@@ -82,7 +82,9 @@ def _timing_s(a: Aligned, late: Delays) -> float:
     references = a.run.of("reference")
     if not references:
         return 0.5 * a.step_s
+    # between two values of the reference its speed is not known
+    half_step_s = 0.5 * max(a.step_s, references[0].step_s)
     lag = late.lags.get(references[0].name)
     if lag is None:
-        return max(references[0].delay_s, 0.5 * a.step_s)
-    return max(0.5 * (lag.high_s - lag.low_s), 0.5 * a.step_s)
+        return max(references[0].delay_s, half_step_s)
+    return max(0.5 * (lag.high_s - lag.low_s), half_step_s)

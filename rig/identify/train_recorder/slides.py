@@ -15,6 +15,7 @@ and a running resistance R of at most RESISTANCE_M_S2.
 from typing import NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig.identify.train_recorder import faults
@@ -36,6 +37,9 @@ _SAME_EPISODE_S = 2.0
 
 # s. Wheels roll when their speeds have been close together for this time.
 _ROLLING_S = 2.0
+
+# s. A wheel that is faster than the vehicle was in this time spins. Slides of all wheels last less.
+_BEFORE_S = 30.0
 
 # m/s^2. A vehicle that loses less speed is not braked, and its wheels do not slide.
 _BRAKED_M_S2 = -0.1
@@ -100,7 +104,25 @@ def _spins(a: Aligned) -> np.ndarray:
     is_braked = np.nan_to_num(slope(a.time_s, middle)) < _BRAKED_M_S2
     least = np.maximum(limit.SLIDE_M_S, limit.SLIP_SHARE * np.nan_to_num(middle))
     excess = np.nan_to_num(a.speed - middle[:, None])
-    return (excess > least[:, None]) & ~is_braked[:, None]
+    # a braked vehicle does not become faster than it was
+    was_m_s = _fastest_before(a, middle)
+    is_too_fast = a.speed > (was_m_s + least)[:, None]
+    spins = (excess > least[:, None]) & (~is_braked[:, None] | is_too_fast)
+    # an episode begins and ends where the wheel leaves the others and returns to them
+    begun = excess > np.maximum(limit.SLIDE_LEAST_M_S, 0.5 * limit.SLIDE_SHARE * middle)[:, None]
+    for j in range(spins.shape[1]):
+        for stretch in stretches(begun[:, j]):
+            part = slice(stretch.first, stretch.last + 1)
+            spins[part, j] = spins[part, j].any()
+    return spins
+
+
+def _fastest_before(a: Aligned, middle: np.ndarray) -> np.ndarray:
+    """Return the largest median of the speeds in the 30 s before each sample, m/s, (n,)."""
+    count = max(round(_BEFORE_S / a.step_s), 1)
+    plain = np.where(np.isfinite(middle), middle, -np.inf)
+    padded = np.concatenate([np.full(count, -np.inf), plain])
+    return np.asarray(sliding_window_view(padded, count + 1).max(axis=1))
 
 
 def can_be_seen(a: Aligned) -> bool:

@@ -29,6 +29,10 @@ CLOCK_SLOPE_SHARE = 0.5
 # share of the change of a short gap. The value must jump less at a clock step. Chosen.
 CLOCK_JUMP_SHARE = 0.25
 
+# s. Samples on each side of a jump of the stamps. A vehicle keeps its curvature for as long; at low
+# rates they are too few to show a clock step. Chosen.
+CLOCK_SIDE_S = 4.0
+
 # share of the error at equal rates. At another rate of the clock less must be left. Chosen.
 RATE_SHARE = 0.25
 
@@ -60,6 +64,9 @@ JUMP_M_S = 1.0
 
 # m/s. A wheel does not lock, or take up speed again, by this much between two samples.
 ZERO_JUMP_M_S = 2.0
+
+# multiples of the usual change between two samples. A larger one is a jump. Chosen.
+JUMP_FACTOR = 3.0
 
 # s. A value that is held for longer, while the other channels move, is stuck.
 STUCK_S = 1.0
