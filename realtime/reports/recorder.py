@@ -17,6 +17,7 @@ from rollerrig.rig.identify.train_recorder.findings import (
     NAMES,
     ClockRate,
     ClockStep,
+    CopyOfChannel,
     CopySource,
     Cycle,
     Delay,
@@ -225,6 +226,11 @@ def sentence(finding: Finding) -> str:
             return f"held at {stuck.speed_m_s:.2f} m/s"
         case CopySource() as source:
             return f"the same samples as {source.run} from {source.start_s:.1f} s on; they are left out"
+        case CopyOfChannel() as copy:
+            return (
+                f"has the values of {copy.channel} in every sample: one sensor, or one column, counts "
+                "twice; it is left out"
+            )
         case Delay() as delay:
             return _delay_sentence(finding.size, delay)
         case WheelRadius() as radius:
@@ -244,16 +250,9 @@ def sentence(finding: Finding) -> str:
             direction = "faster" if offset.faster else "slower"
             return f"{direction} than the vehicle, which is not braked hard there"
         case SpeedFactor() as factor:
-            return (
-                f"shows {factor.factor:.3f} times the speed while the speed changes: another wheel "
-                "radius, or the wheel slips; record steady rolling to distinguish them"
-            )
+            return _factor_sentence(finding, factor)
         case OffsetOrDelay() as rivals:
-            return (
-                f"an offset of {rivals.offset_m_s:+.2g} m/s or a delay of {rivals.delay_s:+.2g} s: "
-                "while the vehicle brakes at one rate they look alike; record steady driving to "
-                "distinguish them"
-            )
+            return _offset_or_delay_sentence(finding, rivals)
         case ScaleOrOffset() as rivals:
             return _scale_or_offset_sentence(rivals)
         case SpeedScatter() as scatter:
@@ -323,6 +322,30 @@ def _line_sentence(finding: Finding, line: SpeedLine) -> str:
     elif finding.name == "speed_scale":
         text += "; no wheel radius differs so much: a setting, a unit, or steady slip"
     return text
+
+
+def _factor_sentence(finding: Finding, factor: SpeedFactor) -> str:
+    of_what = f"the speed of {factor.rival}" if factor.rival else "the speed"
+    causes = "another wheel radius, or the wheel slips"
+    if factor.rival:
+        causes = "another wheel radius of one of the two, or one of them slips"
+    return (
+        f"{finding.channels[0]} shows {factor.factor:.3f} times {of_what} while the speed changes: "
+        f"{causes}; record steady rolling to distinguish them"
+    )
+
+
+def _offset_or_delay_sentence(finding: Finding, rivals: OffsetOrDelay) -> str:
+    text = (
+        f"{finding.channels[0]} has an offset of {rivals.offset_m_s:+.2g} m/s or a delay of "
+        f"{rivals.delay_s:+.2g} s"
+    )
+    if rivals.rival:
+        text += f", or {rivals.rival} has it with the other sign"
+    return text + (
+        ": while the vehicle brakes at one rate they look alike; record steady driving to "
+        "distinguish them"
+    )
 
 
 def _scale_or_offset_sentence(rivals: ScaleOrOffset) -> str:

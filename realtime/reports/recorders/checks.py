@@ -22,13 +22,11 @@ _REASONS = {
     judged.FEW_SPEEDS: "there is no reference and there are fewer than three speeds; add "
     "reference_speed_m_s",
     judged.SHORT: "the recording is too short",
-    judged.LOW_RATE: "at {1:.2g} samples per second a jump of the stamps looks like a gap; record at "
-    "least {0:.2g} samples per second",
     judged.ON_CHANGE: "the recorder logs only changes, so missing samples and held values are normal",
-    judged.FEW_CHANGES: "the speed changes too little, the wheel slips, or a factor of its speed fits "
-    "better; record starts, stops and steady rolling",
-    judged.FEW_BLOCKS: "{0:.0f} blocks of {1:.0f} s above {2:.2g} m/s without hard braking are "
-    "needed, the recording has {3:.0f} s; record steady driving",
+    judged.FEW_CHANGES: "the speed changes too little, the wheel slips, or a factor or an offset of its "
+    "speed fits as well; record starts, stops and steady rolling",
+    judged.FEW_BLOCKS: "steady driving is missing: {0:.0f} s above {1:.2g} m/s without hard braking are "
+    "needed, and {2:.0f} s of the recording are so",
     judged.UNSTEADY: "the ratio to the vehicle varies by {0:.1f} % between blocks: the wheel slips "
     "or the vehicle turns; add yaw_rate_rad_s, or record straight rolling",
     judged.NO_RANGE: "the speeds lie between {0:.1f} and {1:.1f} m/s; record several speeds",
@@ -93,6 +91,8 @@ def size(check: Check) -> str:
     if check.name in ("slide", "driving_slip"):
         shortest_s, judged_s = check.values
         text += f" for {shortest_s:.2g} s, in {judged_s:.0f} s"
+    elif check.name == "sensor_stuck" and check.values:
+        text += f" while the others change by {check.values[0]:.2g} m/s"
     return text
 
 

@@ -142,7 +142,8 @@ class _DelaySearch:
             return None
         if lag.offset_m_s is not None:
             if self._is_beyond_normal(name, lag) and lag.share_left < limit.LATE_SHARE:
-                self.unknown.append(_offset_or_delay(name, lag.offset_m_s, lag))
+                rival = self._rival(name, against)
+                self.unknown.append(_offset_or_delay(name, rival, lag.offset_m_s, lag))
                 # one of both has to be corrected for the next steps
                 self.delays[name] = lag.delay_s
             return None
@@ -150,15 +151,21 @@ class _DelaySearch:
             return lag
         is_large = abs(lag.factor - 1.0) > limit.LATE_FACTOR
         if is_large and lag.share_left < limit.LATE_SHARE and name != self.reference:
-            self.unknown.append(self._factor_finding(name, lag.factor))
+            rival = self._rival(name, against)
+            self.unknown.append(self._factor_finding(name, rival, lag.factor))
         return None
 
-    def _factor_finding(self, name: str, factor: float) -> Finding:
+    def _rival(self, name: str, against: list[str]) -> str:
+        """Return the other one of two speeds, which may as well be wrong; "" for several speeds."""
+        is_pair = len(against) == 1 and name != self.reference
+        return against[0] if is_pair else ""
+
+    def _factor_finding(self, name: str, rival: str, factor: float) -> Finding:
         percent = 100.0 * (factor - 1.0)
         step = 100.0 * float(_FACTORS[1] - _FACTORS[0])
         return Finding(
             name="unknown",
-            channels=(name,),
+            channels=(name, rival) if rival else (name,),
             run="",
             start_s=0.0,
             end_s=0.0,
@@ -166,7 +173,7 @@ class _DelaySearch:
             low=percent - step,
             high=percent + step,
             unit="%",
-            details=SpeedFactor(factor),
+            details=SpeedFactor(factor, rival),
         )
 
     def _decide(self, name: str, lag: Lag, against: str) -> None:
@@ -206,11 +213,11 @@ class _DelaySearch:
         return limit.CREEPAGE_S2_M * float(np.nanmedian(speeds))
 
 
-def _offset_or_delay(name: str, offset_m_s: float, lag: Lag) -> Finding:
-    """Return the finding that a channel has an offset or a delay."""
+def _offset_or_delay(name: str, rival: str, offset_m_s: float, lag: Lag) -> Finding:
+    """Return the finding that a channel has an offset or a delay, or else its `rival` has it."""
     return Finding(
         name="unknown",
-        channels=(name,),
+        channels=(name, rival) if rival else (name,),
         run="",
         start_s=0.0,
         end_s=0.0,
@@ -218,7 +225,7 @@ def _offset_or_delay(name: str, offset_m_s: float, lag: Lag) -> Finding:
         low=lag.low_s,
         high=lag.high_s,
         unit="s",
-        details=OffsetOrDelay(offset_m_s, lag.delay_s),
+        details=OffsetOrDelay(offset_m_s, lag.delay_s, rival),
     )
 
 

@@ -15,6 +15,7 @@ from rollerrig.rig.identify.train_recorder import findings, on_change
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.findings import (
     ClockStep,
+    CopyOfChannel,
     CopySource,
     Details,
     DropOut,
@@ -76,7 +77,10 @@ _SHORT_GAP_S = 3.0
 _SIDE_SAMPLES = 15
 _LEAST_SIDE_SAMPLES = 8
 
-# s. Longest interval of the samples with which a forward step of the clock shows.
+# s. After a gap of this length no vehicle has the same speed and slope as before.
+LONG_JUMP_S = 60.0
+
+# s. Longest interval of the samples with which a shorter step of the clock shows.
 SLOWEST_CLOCK_S = limit.CLOCK_SIDE_S / _LEAST_SIDE_SAMPLES
 
 # samples and percentile of their changes that show how much a speed usually changes in a sample
@@ -102,7 +106,7 @@ class Hit(NamedTuple):
 
 def find(run: Run) -> tuple[Run, list[Finding]]:
     """Return a run without its faults, and the faults. `copies` finds copies between runs."""
-    found: list[Finding] = []
+    run, found = equal_channels(run)
     run, more = _units(run)
     found += more
 
@@ -511,7 +515,9 @@ def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
     least must contradict a gap.
     """
     step_s = group[0].step_s
-    samples = min(_SIDE_SAMPLES, int(limit.CLOCK_SIDE_S / step_s))
+    samples = _SIDE_SAMPLES
+    if size_s < LONG_JUMP_S:
+        samples = min(samples, int(limit.CLOCK_SIDE_S / step_s))
     before = slice(max(k - samples + 1, 0), k + 1)
     after = slice(k + 1, k + 1 + samples)
     seen = []
@@ -773,6 +779,8 @@ def _held(run: Run, channel: Channel) -> Iterator[Hit]:
         others_move_m_s = float(np.ptp(known_others)) if known_others.size > 1 else 0.0
         jump_m_s = abs(v[last + 1] - v[last]) if last + 1 < v.size else 0.0
         possible_m_s = limit.jump_m_s(run.hardest_m_s2, t[min(last + 1, t.size - 1)] - t[last])
+        # one more pulse or rounding step is no jump
+        possible_m_s += channel.quantum
 
         all_freeze = others_move_m_s == 0.0 and jump_m_s > possible_m_s
         moved_m_s = max(least_move_m_s, _HELD_FACTOR * step_m_s)
@@ -883,6 +891,39 @@ def copies(runs: list[Run]) -> tuple[list[Run], list[Finding]]:
                 run, [_without(run.channels[name], [part]) for name in group.names]
             )
     return runs, found
+
+
+def equal_channels(run: Run) -> tuple[Run, list[Finding]]:
+    """Return a run without speeds that repeat another speed in every sample, and the findings.
+
+    Two sensors do not agree in all of so many different values, even if these are rounded. The
+    later channel is left out.
+    """
+    found = []
+    kept: list[Channel] = []
+    channels = dict(run.channels)
+    for channel in run.of(*_SPEEDS):
+        original = next((other for other in kept if _repeats(channel, other)), None)
+        if original is None:
+            kept.append(channel)
+            continue
+        part = Stretch(0, channel.time_s.size - 1)
+        details = CopyOfChannel(original.name)
+        found.append(_lasting("copy", channel, (channel.name,), run, part, details))
+        del channels[channel.name]
+    return run._replace(channels=channels), found
+
+
+def _repeats(channel: Channel, other: Channel) -> bool:
+    """Whether a channel has the values of another one in every sample, and enough of them."""
+    if not np.array_equal(channel.time_s, other.time_s):
+        return False
+    if not np.array_equal(channel.values, other.values, equal_nan=True):
+        return False
+    known = channel.values[np.isfinite(channel.values)]
+    changes = np.count_nonzero(np.diff(known))
+    has_content = known.size * channel.bits >= limit.COPY_BITS
+    return bool(changes >= limit.EQUAL_CHANGES and has_content)
 
 
 def _speed_groups(runs: list[Run]) -> list[_Group]:

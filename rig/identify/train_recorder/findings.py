@@ -79,6 +79,12 @@ class CopySource(NamedTuple):
     start_s: float
 
 
+class CopyOfChannel(NamedTuple):
+    """`copy`: a channel repeats another channel in every sample."""
+
+    channel: str
+
+
 class Delay(NamedTuple):
     """`speed_sensor_delay`: the other side of the comparison. A positive size means late."""
 
@@ -149,6 +155,7 @@ class SpeedFactor(NamedTuple):
     """`unknown`: a speed differs by a factor from the others while the vehicle brakes."""
 
     factor: float
+    rival: str = ""  # of two speeds the other one, which may as well be wrong
 
 
 class OffsetOrDelay(NamedTuple):
@@ -156,6 +163,7 @@ class OffsetOrDelay(NamedTuple):
 
     offset_m_s: float
     delay_s: float  # positive: late
+    rival: str = ""  # of two speeds the other one, which may as well be wrong
 
 
 class ScaleOrOffset(NamedTuple):
@@ -179,6 +187,7 @@ Details = (
     | DropOut
     | StuckValue
     | CopySource
+    | CopyOfChannel
     | Delay
     | WheelRadius
     | SpeedLine

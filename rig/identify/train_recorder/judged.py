@@ -46,7 +46,6 @@ ONE_SPEED_NO_POSITION = "one_speed_no_position"
 NO_REFERENCE = "no_reference"
 FEW_SPEEDS = "few_speeds"
 SHORT = "short"
-LOW_RATE = "low_rate"
 ON_CHANGE = "on_change"
 FEW_CHANGES = "few_changes"
 FEW_BLOCKS = "few_blocks"
@@ -160,8 +159,8 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     if on_change:
         found[1] = _not_judged("clock_step", ON_CHANGE)
     elif stamps_s > faults.SLOWEST_CLOCK_S:
-        rates_hz = (1.0 / faults.SLOWEST_CLOCK_S, 1.0 / stamps_s)
-        found[1] = _not_judged("clock_step", LOW_RATE, rates_hz)
+        # a shorter jump of the stamps looks like a gap
+        found[1] = Check("clock_step", True, faults.LONG_JUMP_S, "s")
     return found
 
 
@@ -176,7 +175,7 @@ def _stuck_check(runs: list[Run], several: bool, fastest_m_s: float) -> Check:
     ]
     if max(moves_m_s) > fastest_m_s:
         return _not_judged("sensor_stuck", SLOW, (max(moves_m_s), fastest_m_s))
-    return Check("sensor_stuck", True, limit.STUCK_S, "s")
+    return Check("sensor_stuck", True, limit.STUCK_S, "s", "", (max(moves_m_s),))
 
 
 def _rate_check(runs: list[Run]) -> Check:
@@ -225,7 +224,8 @@ def _scale_checks(fit: Rolling) -> list[Check]:
     steady = [c for c in with_dates if c.is_steady and not c.is_ambiguous]
     if not with_dates:
         lowest_m_s = max(a.slowest_m_s for a in fit.aligned)
-        reason = (float(limit.LEAST_BLOCKS), fit.aligned[0].block_s, lowest_m_s, _quiet_s(fit))
+        needed_s = limit.LEAST_BLOCKS * fit.aligned[0].block_s
+        reason = (needed_s, lowest_m_s, _quiet_s(fit))
         return [_not_judged(name, FEW_BLOCKS, reason) for name in names]
     if not steady and any(channel.is_ambiguous for channel in with_dates):
         rivals = _offset_or_delay([c for c in with_dates if c.is_ambiguous])

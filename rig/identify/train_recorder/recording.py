@@ -469,7 +469,7 @@ def quantum(values: np.ndarray) -> float:
     changes = np.concatenate([[True], np.diff(known) != 0.0])
     decimal = _decimal_step(known[changes])
     levels = np.unique(known)
-    if levels.size * _SAMPLES_PER_LEVEL > known.size or not 3 < levels.size < _MOST_LEVELS:
+    if levels.size * _SAMPLES_PER_LEVEL > known.size or not 1 < levels.size < _MOST_LEVELS:
         return decimal
     return max(decimal, _even_step(levels))
 

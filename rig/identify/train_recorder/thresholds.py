@@ -88,6 +88,9 @@ COPY_SAMPLES = 50
 # does not.
 COPY_CHANGES = 20
 
+# changes of a speed. If another speed makes all of them in the same samples, it is a copy. Chosen.
+EQUAL_CHANGES = 200
+
 # share. A ratio this close to the ratio of two units is a wrong unit. The nearest two ratios differ
 # by 0.28.
 UNIT_SHARE = 0.06
