@@ -14,7 +14,7 @@ import json
 import re
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -131,6 +131,9 @@ def judge_rover_wheels(result: Result) -> str:
     return "right"
 
 
+# % of the radius, by GNSS over the whole drive of the car
+COMMA_DRIVE_RADII = (0.85, 0.80, 0.94, 0.99)
+
 COMMA_WHEELS = ("wheel_fl_m_s", "wheel_fr_m_s", "wheel_rl_m_s", "wheel_rr_m_s")
 
 
@@ -138,19 +141,22 @@ def comma_radii() -> list[float]:
     return [radius_percent("comma_60s_mit", wheel, "gnss_speed_m_s") for wheel in COMMA_WHEELS]
 
 
-def judge_comma(result: Result) -> str:
-    found = causes(result, "wheel_radius")
-    by_axle = {cause["axles"][0]: cause for cause in found}
-    wrong = [
-        axle
-        for axle, true in enumerate(comma_radii(), start=1)
-        if axle not in by_axle or not holds(by_axle[axle], "size", true)
-    ]
-    if others(result, "wheel_radius"):
-        return f"partly: also {', '.join(others(result, 'wheel_radius'))}"
-    if wrong:
-        return f"partly: wheel {', '.join(map(str, wrong))} not, or outside of the interval"
-    return "right"
+def judge_comma(radii: Callable[[], Sequence[float]]) -> Callable[[Result], str]:
+    def judge(result: Result) -> str:
+        found = causes(result, "wheel_radius")
+        by_axle = {cause["axles"][0]: cause for cause in found}
+        wrong = [
+            axle
+            for axle, true in enumerate(radii(), start=1)
+            if axle not in by_axle or not holds(by_axle[axle], "size", true)
+        ]
+        if others(result, "wheel_radius"):
+            return f"partly: also {', '.join(others(result, 'wheel_radius'))}"
+        if wrong:
+            return f"partly: wheel {', '.join(map(str, wrong))} not, or outside of the interval"
+        return "right"
+
+    return judge
 
 
 def judge_obd(folder: str, *allowed: str) -> Callable[[Result], str]:
@@ -299,7 +305,16 @@ SETS = (
             "distances by GNSS and wheels: radii "
             f"{', '.join(f'{share:+.2f}' for share in comma_radii())} %; nothing else is known"
         ),
-        judge_comma,
+        judge_comma(comma_radii),
+    ),
+    Set(
+        "comma_50hz_mit",
+        lambda: (
+            "the same car; distances of the whole drive by GNSS: radii "
+            f"{', '.join(f'{share:+.2f}' for share in COMMA_DRIVE_RADII)} %; the receiver has a new "
+            "value every fifth row; the car turns at low speed"
+        ),
+        judge_comma(lambda: COMMA_DRIVE_RADII),
     ),
     Set(
         "obd_gap_mit",
