@@ -225,9 +225,9 @@ def test_the_memory_of_a_recorder_does_not_grow_with_the_length_of_its_run(begun
         if number % 6000 == 5999:
             taken.append(resident_MB(process))
     finish(to, process)
-    # the memory of Arrow and Rerun varies by 30 MB; rows that stay in memory (16 MB a minute) add
-    # up
-    assert max(taken[-4:]) < max(taken[:4]) + 40.0, taken
+    # the memory of Arrow and Rerun varies by 50 MB; rows that stay in memory (16 MB a minute) would
+    # add 128 MB
+    assert max(taken[-4:]) < max(taken[:4]) + 80.0, taken
     assert len(channels.load(folder)) == minutes * 6000
 
 
