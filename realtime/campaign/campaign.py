@@ -26,6 +26,7 @@ from rollerrig.configs import store, table, unpacking, user_files
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.table import choice, integer
+from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import bench_runs, design, speed_steps, spreading, stops_in_lanes
 from rollerrig.realtime.record import figures, summary
@@ -454,8 +455,8 @@ def claim(plan: Plan, out: Path) -> None:
     _check_same_step(plan, mark, out)
     if mark.exists() and _fingerprint(mark, out) != found:
         raise ConfigError(
-            f"{out} holds the results of another plan or version; give a new folder with --out, or "
-            "remove it"
+            f"{out} holds the results of another plan, scenario, unit or version; give a new folder "
+            "with --out, or remove it"
         )
     with writing(out):
         make_folder(out, "results")
@@ -507,7 +508,17 @@ def fingerprint(plan: Plan) -> str:
     head = dict(plan.head)
     # how many rows are kept changes no row
     rows_up_to = head.pop("rows_up_to")
-    of_plan: list[Any] = [head, plan.axes, design.identity(plan.points), columns]
+    # the scenario, with the files that it names, and the parameters of the reference unit
+    first = resolve(plan, plan.first)
+    unit = logic.load(first["wsp_config"]) if plan.head["unit"] == "reference" else None
+    of_plan: list[Any] = [
+        head,
+        plan.axes,
+        design.identity(plan.points),
+        columns,
+        scenario.digest(first),
+        unit,
+    ]
     if plan.steps is not None:
         of_plan.append(plan.steps)
     if plan.is_large:

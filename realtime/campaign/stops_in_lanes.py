@@ -42,11 +42,17 @@ class Finished(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """A stop, the tag by which its caller knows it, and its samples, (columns, n)."""
+    """A stop, the tag by which its caller knows it, and its memory.
+
+    samples: (columns, n).
+    tapes: the parameters of the plant. unit_tape: those of the units, empty without a unit.
+    """
 
     tag: Any
     stop: free.Stop
     samples: np.ndarray
+    tapes: packed.Tapes
+    unit_tape: np.ndarray
 
 
 def together(
@@ -87,7 +93,14 @@ def _placed(tag: Any, plan: Scenario, unit: free.Unit, columns: int) -> _Placed:
     """Return a stop that has not begun, with memory for samples of so many columns."""
     no_ring = Memory(1, 1)
     stop = free.Stop(plan, tick_data.build(plan, no_ring), unit)
-    return _Placed(tag, stop, np.empty((columns, free.most_samples(plan))))
+    units = stop.reference_units
+    return _Placed(
+        tag=tag,
+        stop=stop,
+        samples=np.empty((columns, free.most_samples(plan))),
+        tapes=packed.tapes(stop.data.params),
+        unit_tape=packed.unit_tape(units[0].params) if units else np.zeros(0),
+    )
 
 
 def _alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
@@ -155,20 +168,12 @@ def _memory(stops: Iterable[_Placed], kept: list[int]) -> Rows:
 
 def _sizes(placed: _Placed) -> tuple[int, int, int, int]:
     """Return the sizes of the tapes and of the dead time of a stop, as `rows` takes them."""
-    tapes = packed.tapes(placed.stop.data.params)
     return (
-        tapes.tape.size,
-        tapes.whole.size,
-        _unit_tape(placed.stop).size,
+        placed.tapes.tape.size,
+        placed.tapes.whole.size,
+        placed.unit_tape.size,
         placed.stop.data.delay.shape[0],
     )
-
-
-def _unit_tape(stop: free.Stop) -> np.ndarray:
-    """Return the parameters of the units of a stop, empty without a unit."""
-    if not stop.reference_units:
-        return np.zeros(0)
-    return packed.unit_tape(stop.reference_units[0].params)
 
 
 def _with_room(rows: Rows, placed: _Placed) -> Rows:
@@ -187,11 +192,10 @@ def _place(placed: _Placed, rig: int, rows: Rows) -> None:
     """Give a place to a stop that has not begun."""
     stop = placed.stop
     data = stop.data
-    tapes = packed.tapes(data.params)
+    tapes = placed.tapes
     rows.tape[rig, : tapes.tape.size] = tapes.tape
     rows.whole[rig, : tapes.whole.size] = tapes.whole
-    unit_tape = _unit_tape(stop)
-    rows.unit_tape[rig, : unit_tape.size] = unit_tape
+    rows.unit_tape[rig, : placed.unit_tape.size] = placed.unit_tape
     rows.units[rig] = 0.0
     rows.buffer[rig] = data.buffer
     rows.delay[rig, : data.delay.shape[0]] = data.delay

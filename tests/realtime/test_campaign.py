@@ -140,6 +140,25 @@ def test_a_result_folder_of_another_plan_is_refused(plan_file, tmp_path):
         campaign.open_result(campaign.load(plan_file("sobol", RANGES)), tmp_path / "out")
 
 
+@pytest.mark.parametrize("changed", ["short.toml", "unit.toml"])
+def test_a_campaign_whose_scenario_or_unit_has_changed_is_not_continued(
+    plan_file, tmp_path, changed
+):
+    unit = tmp_path / "unit.toml"
+    unit.write_text("cut_off_m_s = 1.0\n")
+    scenario = tmp_path / "short.toml"
+    scenario.write_text(f'wsp_config = "{unit}"\n{SCENARIO}')
+    name = plan_file()
+    campaign.open_result(campaign.load(name), tmp_path / "out")
+    campaign.open_result(campaign.load(name), tmp_path / "out")  # nothing has changed
+
+    edited = {"short.toml": ("3.8e5", "3.7e5"), "unit.toml": ("1.0", "1.1")}[changed]
+    path = tmp_path / changed
+    path.write_text(path.read_text().replace(*edited))
+    with pytest.raises(ConfigError, match="another plan, scenario, unit or version"):
+        campaign.open_result(campaign.load(name), tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("kind", "vary", "message"),
     [

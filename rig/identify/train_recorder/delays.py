@@ -166,9 +166,6 @@ class _DelaySearch:
         return Finding(
             name="unknown",
             channels=(name, rival) if rival else (name,),
-            run="",
-            start_s=0.0,
-            end_s=0.0,
             size=percent,
             low=percent - step,
             high=percent + step,
@@ -186,9 +183,6 @@ class _DelaySearch:
                 Finding(
                     name="speed_sensor_delay",
                     channels=(name,),
-                    run="",
-                    start_s=0.0,
-                    end_s=0.0,
                     size=lag.delay_s,
                     low=lag.low_s,
                     high=lag.high_s,
@@ -218,9 +212,6 @@ def _offset_or_delay(name: str, rival: str, offset_m_s: float, lag: Lag) -> Find
     return Finding(
         name="unknown",
         channels=(name, rival) if rival else (name,),
-        run="",
-        start_s=0.0,
-        end_s=0.0,
         size=lag.delay_s,
         low=lag.low_s,
         high=lag.high_s,

@@ -205,18 +205,18 @@ Details = (
 class Finding(NamedTuple):
     """A finding: where, when and on which channels, and its `size` with the 95 % interval.
 
-    Times are stamps of the run, in s. `run` is "" where the finding holds for all runs.
+    Times are stamps of the run, in s. A finding without a run holds for all runs, and has no times.
     """
 
     name: str  # one of NAMES
     channels: tuple[str, ...]
-    run: str
-    start_s: float
-    end_s: float
     size: float
     low: float
     high: float
     unit: str  # of size, low and high
     details: Details | None = None  # None for old_messages and interpolated
+    run: str = ""
+    start_s: float = 0.0
+    end_s: float = 0.0
     date: str = ""
     place_m: tuple[float, float] | None = None  # first and last position

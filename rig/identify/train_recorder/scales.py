@@ -648,9 +648,6 @@ def _scale_or_offset(
     finding = Finding(
         name="unknown",
         channels=(channel,),
-        run="",
-        start_s=0.0,
-        end_s=0.0,
         size=percent,
         low=percent - 100.0 * half_ratio,
         high=percent + 100.0 * half_ratio,
@@ -684,9 +681,6 @@ def _offset_or_delay(channel: str, offset_m_s: float, half_m_s: float, late_s: f
     return Finding(
         name="unknown",
         channels=(channel,),
-        run="",
-        start_s=0.0,
-        end_s=0.0,
         size=offset_m_s,
         low=offset_m_s - half_m_s,
         high=offset_m_s + half_m_s,
@@ -716,9 +710,6 @@ def _line_finding(
     return Finding(
         name=name,
         channels=(channel,),
-        run="",
-        start_s=0.0,
-        end_s=0.0,
         size=size,
         low=low,
         high=high,
@@ -816,9 +807,6 @@ def _radius_finding(
     return Finding(
         name=name,
         channels=channels,
-        run="",
-        start_s=0.0,
-        end_s=0.0,
         size=-100 * wheel.radius,
         low=-100 * (wheel.radius + half),
         high=-100 * (wheel.radius - half),

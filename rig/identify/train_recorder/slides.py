@@ -479,9 +479,6 @@ def places(aligned: list[Aligned], slides: list[Slide]) -> list[Finding]:
             Finding(
                 name="slippery_place",
                 channels=("position",),
-                run="",
-                start_s=0.0,
-                end_s=0.0,
                 size=length_m,
                 low=max(length_m - 2 * _PLACE_STEP_M, 0.0),
                 high=length_m + 2 * _PLACE_STEP_M,
