@@ -40,7 +40,7 @@ def check_scenario(
     `wanted` and `actual` are resolved scenarios: of the sequence, and of the bench. Raises
     UnitError if a value of `[start]` differs.
     """
-    stated: list[str] = []
+    stated: dict[str, str] = {}
     others: list[str] = []
     names_of_start = _names_of_start(sequence, wanted)
     wanted_leaves = _leaves(wanted)
@@ -55,17 +55,18 @@ def check_scenario(
             continue
         text = f"{name} is {_text(actual_value)} instead of {_text(wanted_value)}"
         if name in names_of_start:
-            stated.append(text)
+            stated[name] = text
         else:
             others.append(text)
 
-    if sequence.adhesion and any(text.startswith("adhesion.") for text in stated):
-        name = f"{actual.get('adhesion_set')} instead of {wanted.get('adhesion_set')}"
-        stated.insert(0, f"the adhesion is {name}")
     if stated:
+        texts = list(stated.values())
+        if sequence.adhesion and any(name.startswith("adhesion.") for name in stated):
+            sets = f"{actual.get('adhesion_set')} instead of {wanted.get('adhesion_set')}"
+            texts.insert(0, f"the adhesion is {sets}")
         raise UnitError(
             f"pre-condition: the bench does not have the [start] of the sequence: "
-            f"{'; '.join(stated)}. Start the bench with: {start_command(sequence)}"
+            f"{'; '.join(texts)}. Start the bench with: {start_command(sequence)}"
         )
     if not others:
         return []
