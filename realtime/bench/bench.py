@@ -51,13 +51,46 @@ PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
 _EXCEPTIONS_RECORDED = 20
 
 
+def check(plan: Scenario, given: Options) -> None:
+    """Refuse what cannot be run, before a file is written. Raises ConfigError."""
+    options.check(given, plan["modbus"]["enabled"])
+    if GROUPS > 1 and given.pacing == "free" and plan["bus"]["arbitration"]:
+        raise ConfigError(
+            f"{plan.name}: bus.arbitration with --pacing free and {AXLES} axles: how long the "
+            "frames of several units wait is known on the bus only; use --pacing lockstep, or "
+            "bus.arbitration=false"
+        )
+    panel.check_pacing(plan.faults, given.pacing)
+    for fault in plan.faults:
+        catalogue.check_equipped(fault, plan.resolved, plan.name)
+    wire_delay.check(plan, given.pacing)
+    if given.pacing != "free":
+        rig_bus.check_stored(plan)
+    if given.unit == "reference":
+        logic.load(plan["wsp_config"])
+    if given.fmus:
+        from rollerrig.firmware_sim.fmu import fmu_file
+
+        period_s = plan["bus"]["sync_period_s"]
+        fmus = fmu_file.check_all(given.fmus, given.unit_map, period_s)
+        if GROUPS > 1 and fmus[0].terminal:
+            raise ConfigError(
+                f"{plan.name}: {fmus[0].path.name} has a CAN port and is the unit of the leading "
+                f"group of axles, and a vehicle with {AXLES} axles has {GROUPS} groups, each "
+                "with a unit; allowed are an FMU without a CAN port (the bench starts one "
+                "instance for each group), --wsp reference, external and none"
+            )
+    if plan["modbus"]["enabled"]:
+        tls_context(plan["modbus"])
+
+
 class Bench:
     """One run. `on_progress` is called with a `Progress` now and then. Raises ConfigError."""
 
     def __init__(
         self, plan: Scenario, given: Options, on_progress: Callable[[Progress], None]
     ) -> None:
-        self._check(plan, given)
+        check(plan, given)
         run_folder.begin(given.out)
         with writing(given.out):
             write_text(given.out / run_folder.SCENARIO, scenario.dump(plan, given.harness))
@@ -66,39 +99,6 @@ class Bench:
         # message and exception of the failures that are recorded already
         self._exceptions: set[tuple[str, str]] = set()
         self._out_of_descriptors = False
-
-    @staticmethod
-    def _check(plan: Scenario, given: Options) -> None:
-        """Refuse what cannot be run, before a file is written. Raises ConfigError."""
-        options.check(given, plan["modbus"]["enabled"])
-        if GROUPS > 1 and given.pacing == "free" and plan["bus"]["arbitration"]:
-            raise ConfigError(
-                f"{plan.name}: bus.arbitration with --pacing free and {AXLES} axles: how long the "
-                "frames of several units wait is known on the bus only; use --pacing lockstep, or "
-                "bus.arbitration=false"
-            )
-        panel.check_pacing(plan.faults, given.pacing)
-        for fault in plan.faults:
-            catalogue.check_equipped(fault, plan.resolved, plan.name)
-        wire_delay.check(plan, given.pacing)
-        if given.pacing != "free":
-            rig_bus.check_stored(plan)
-        if given.unit == "reference":
-            logic.load(plan["wsp_config"])
-        if given.fmus:
-            from rollerrig.firmware_sim.fmu import fmu_file
-
-            period_s = plan["bus"]["sync_period_s"]
-            fmus = fmu_file.check_all(given.fmus, given.unit_map, period_s)
-            if GROUPS > 1 and fmus[0].terminal:
-                raise ConfigError(
-                    f"{plan.name}: {fmus[0].path.name} has a CAN port and is the unit of the leading "
-                    f"group of axles, and a vehicle with {AXLES} axles has {GROUPS} groups, each "
-                    "with a unit; allowed are an FMU without a CAN port (the bench starts one "
-                    "instance for each group), --wsp reference, external and none"
-                )
-        if plan["modbus"]["enabled"]:
-            tls_context(plan["modbus"])
 
     async def run(self) -> dict[str, Any]:
         """Run to the end and return the summary. Raises RollerrigError after closing the record."""

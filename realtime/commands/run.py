@@ -76,8 +76,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--also-without-wsp",
         action="store_true",
-        help="after the run, compute the same stop without WSP in free pacing, and print its "
-        "distance",
+        help="after the run, compute the same stop without WSP in free pacing, print its "
+        "distance, and record it in the folder without_wsp of the run",
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
@@ -170,6 +170,11 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         **processes,
     )
 
+    # what cannot be computed without WSP is refused before the run
+    options_without = without_wsp.options_in(out, options.seed)
+    if options.also_without_wsp:
+        bench.check(plan, options_without)
+
     progress_line = ProgressLine()
     summary = asyncio.run(bench.Bench(plan, bench_options, progress_line).run())
     progress_line.close()
@@ -177,9 +182,12 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
     items = [] if options.json else _items(summary, out)
     result = summary | {"folder": str(out)}
     if options.also_without_wsp:
-        without = without_wsp.simulate(plan)
+        without = without_wsp.record(plan, options_without, progress_line)
+        progress_line.close()
         result["without_wsp"] = without._asdict()
         items.append(without_wsp.sentence(without))
+        folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
+        items.append(f"compare both with: rollerrig compare {folders}")
     output.show(options, result, *items)
 
     if summary["invalid_because"]:

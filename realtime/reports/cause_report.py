@@ -18,6 +18,7 @@ from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.decide import estimates, gain, simulate, stopping
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.decide.coherence import Contradicted
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.estimates import Estimate
 from rollerrig.rig.identify.decide.evidence import ScoreTest
@@ -60,6 +61,9 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
         "remainder": remainder,
         "screened": [_screened(diagnosis, name) for name in not_reported],
         "set_aside": [_set_aside(identified) for identified in diagnosis.set_aside],
+        "contradicted": [
+            _contradicted(note.contradicted) for note in diagnosis.notes if note.contradicted
+        ],
         "findings": {
             "before": [_score_test(test) for test in diagnosis.score_tests],
             "behind": [_score_test(test) for test in diagnosis.remainder],
@@ -112,6 +116,15 @@ def _set_aside(identified: IdentifiedCause) -> dict[str, Any]:
         "name": identified.score_test.name,
         "likelihood": identified.likelihood_ratio,
         "confusable_with": list(identified.confusable),
+    }
+
+
+def _contradicted(contradicted: Contradicted) -> dict[str, Any]:
+    """Return the entry of a cause that won its fit and does not show what its mechanism demands."""
+    return {
+        "name": contradicted.cause.name,
+        "likelihood": contradicted.likelihood_ratio,
+        "what": contradicted.what.name.lower(),
     }
 
 

@@ -1,12 +1,18 @@
 """The same stop without WSP, computed at full speed, to show what the protection was worth."""
 
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-
-from rollerrig.realtime.bench import free
+from rollerrig.realtime.bench.bench import Bench
+from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.wsp_interface import braking, signals
+from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import braking
+
+# the folder of this stop, inside the folder of the run with WSP
+FOLDER = "without_wsp"
 
 
 class StopWithoutWsp(NamedTuple):
@@ -20,22 +26,32 @@ class StopWithoutWsp(NamedTuple):
     stop_distance_m: float
     braking_distance_m: float
     longest_lock_s: float  # of the wheelset that was locked longest
+    folder: str
 
 
-def simulate(plan: Scenario) -> StopWithoutWsp:
-    """Run a scenario in free pacing without a WSP unit.
+def options_in(run_folder: Path, seed: int) -> Options:
+    """Return the options of this stop, which is recorded inside a run's folder."""
+    return Options(pacing="free", unit="none", out=run_folder / FOLDER, seed=seed)
+
+
+def record(
+    plan: Scenario, options: Options, on_progress: Callable[[Progress], None]
+) -> StopWithoutWsp:
+    """Run a scenario in free pacing without a WSP unit, record it, and return its figures.
 
     Raises ConfigError where the scenario has a fault that needs a bus.
     """
-    rows = free.simulate(plan, "none")
-    last = rows[-1]
-    position_m = rows[:, signals.column("position")]
-    begin = braking.begin(rows[:, signals.column("brake_demand")]) or 0
+    summary = asyncio.run(Bench(plan, options, on_progress).run())
+    run = records.load(options.out)
+    position_m = run.column("position_m")
+    begin = braking.begin(run.column("brake_demand_Pa")) or 0
+    moved_m = float(position_m[-1])
     return StopWithoutWsp(
-        stopped=bool(last[signals.column("vehicle_speed")] <= braking.STANDS_M_S),
-        stop_distance_m=float(position_m[-1]),
-        braking_distance_m=float(position_m[-1] - position_m[begin]),
-        longest_lock_s=float(np.max(last[signals.span("longest_lock")])),
+        stopped=summary["stopped"],
+        stop_distance_m=moved_m,
+        braking_distance_m=moved_m - float(position_m[begin]),
+        longest_lock_s=max(axle["longest_lock_s"] for axle in summary["axles"]),
+        folder=str(options.out),
     )
 
 

@@ -51,6 +51,7 @@ def needed_for_a_verdict(report: dict[str, Any], causes: list[dict[str, Any]]) -
     return {
         "causes": causes_with_evidence,
         "set_aside": report.get("set_aside", []),
+        "contradicted": report.get("contradicted", []),
         "findings": findings,
         "notes": report.get("notes", []),
     }

@@ -33,7 +33,7 @@ from sealed import cases
 
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.data import dataset
-from rollerrig.rig.identify.decide import decision, evidence
+from rollerrig.rig.identify.decide import coherence, decision, evidence
 from rollerrig.rig.identify.decide import thresholds as decide_thresholds
 
 LIMITS = ("REMAINDER_SHARE", "OWN_REMAINDER_SHARE", "PARTLY_SHARE")
@@ -100,12 +100,25 @@ class KeptAnswer:
         self.sets = [{cause["name"], *cause["confusable_with"]} for cause in causes]
         self.rivals = [cause["evidence"]["rivals"] for cause in answer["causes"]]
 
+        # causes that won their fit and do not show the same everywhere
+        self.contradicted = [
+            coherence.Contradicted(
+                cause=SimpleNamespace(name=found["name"]),
+                likelihood_ratio=found["likelihood"],
+                what=coherence.Contradiction[found["what"].upper()],
+                windows=(),
+            )
+            for found in answer.get("contradicted", [])
+        ]
+
     def verdict_by(self, limits: tuple[float, ...]) -> str:
         """Return the verdict of `explain` by these values of LIMITS."""
         if self.refused:
             return "refused"
         vars(decide_thresholds).update(zip(LIMITS, limits, strict=True))
-        verdict, _ = decision.decide_verdict(self.causes, self.remainder, self.gain)
+        verdict, _ = decision.decide_verdict(
+            self.causes, self.remainder, self.gain, self.contradicted
+        )
         vars(decide_thresholds).update(zip(LIMITS, PRESENT_LIMITS, strict=True))
         return verdict
 

@@ -9,12 +9,13 @@ import shlex
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 from benchmarks import protection
 
 from rollerrig.configs import store
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import scenario
+from rollerrig.realtime.record import records
 from rollerrig.realtime.reports import without_wsp
 
 NEVER_VENTS = Path(__file__).parents[1] / "wsp_interface" / "never_vents.py"
@@ -103,21 +104,36 @@ def test_a_run_prints_the_same_stop_without_wsp(tmp_path, capsys):
     assert without["longest_lock_s"] > 5.0
     assert without["braking_distance_m"] > 1.1 * result["braking_distance_m"]
 
-    expected = without_wsp.simulate(scenario.load("velim_a1"))
-    assert expected._asdict() == without
-    distance = f"without WSP: {expected.braking_distance_m:,.0f} m"
-    assert without_wsp.sentence(expected).startswith(f"{distance}, wheels locked for ")
+    # the same stop is recorded, so that it can be compared and drawn
+    assert without["folder"] == str(tmp_path / "run" / "without_wsp")
+    alone = ("run", "velim_a1", "--pacing", "free", "--wsp", "none")
+    assert cli.main([*alone, "--out", str(tmp_path / "alone"), "--json"]) == 0
+    capsys.readouterr()
+    recorded = records.load(Path(without["folder"]))
+    expected = records.load(tmp_path / "alone")
+    for channel in recorded.table.column_names:
+        np.testing.assert_array_equal(recorded.column(channel), expected.column(channel), channel)
+    position_m = recorded.column("position_m")
+    assert without["stop_distance_m"] == position_m[-1]
+    assert without["braking_distance_m"] == position_m[-1] - position_m[0]
+
+
+def test_a_stop_that_cannot_run_without_a_bus_is_refused_before_the_run(tmp_path, capsys):
+    words = ("run", "velim_a1", "--also-without-wsp", "--fault", "frame_lost")
+    assert cli.main([*words, "--out", str(tmp_path / "run")]) == 2
+    assert "free" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize(
     ("stop", "text"),
     [
         (
-            without_wsp.StopWithoutWsp(True, 435.2, 415.2, 0.0),
+            without_wsp.StopWithoutWsp(True, 435.2, 415.2, 0.0, ""),
             "without WSP: 415 m, no wheel locked",
         ),
         (
-            without_wsp.StopWithoutWsp(False, 3951.8, 3931.8, 118.6),
+            without_wsp.StopWithoutWsp(False, 3951.8, 3931.8, 118.6, ""),
             "without WSP: 3,932 m and still moving, wheels locked for 119 s",
         ),
     ],
