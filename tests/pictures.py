@@ -43,6 +43,7 @@ TOP_OF = """
 const found = document.querySelector(arguments[0]);
 return found.getBoundingClientRect().top + window.scrollY;
 """
+HEIGHT_OF_PAGE = "return document.documentElement.scrollHeight"
 
 
 def rollerrig(folder, *words):
@@ -186,7 +187,7 @@ def desk(browser, _folder):
         page.click("Inject")
         page.shows("speed_sensor_stuck axle=1 begins")
         time.sleep(8.0)  # the message that it was injected is gone
-        save(screenshot(browser, 1180, 0, 1190), "desk")
+        save(screenshot(browser, 1180, 0, browser.execute_script(HEIGHT_OF_PAGE)), "desk")
         page.end()
         page.open_tab("Runs")
         resize(browser, 1280, 640)

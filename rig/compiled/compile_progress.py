@@ -2,8 +2,9 @@
 
 Kernels that only some commands use, such as those of campaigns, are compiled by the first of them.
 
-The first message appears before the first kernel is compiled, the next ones every few seconds, and
-the last one when no kernel has been compiled for as long.
+Numba must compile for a second before the first message appears, so that a few small kernels are
+not announced. The next messages appear every few seconds, and the last one soon after the last
+kernel.
 """
 
 import logging
@@ -17,7 +18,11 @@ from rollerrig.rig.compiled import numba_import
 from numba.core import event
 
 log = logging.getLogger(__name__)
+# s: of compiling before it is announced; between messages; without a kernel until it has ended
+ANNOUNCED_AFTER_S = 1.0
 PERIOD_S = 5.0
+ENDED_AFTER_S = 1.0
+_POLL_S = 0.1
 
 
 class _CompileListener(event.Listener):
@@ -26,21 +31,19 @@ class _CompileListener(event.Listener):
     def __init__(self) -> None:
         self.compiled = 0
         self._compiling_now = 0
-        # of time.monotonic; 0: numba has not begun
-        self._begin_s = 0.0
+        # of time.monotonic
         self._last_end_s = 0.0
+        self._thread: threading.Thread | None = None
 
     def on_start(self, event: Any) -> None:
         """Numba begins to compile a function; it calls this, also for functions inside it."""
         self._compiling_now += 1
         numba_import.load_array_functions()
-        if not self._begin_s:
-            self._begin_s = time.monotonic()
-            log.warning(
-                "compiling the kernels that no command here has used since the installation or a "
-                "change of them; they are kept for later commands (1 to 2 minutes) ..."
+        if self._thread is None:
+            self._thread = threading.Thread(
+                target=self._log_progress, name="compiling", daemon=True
             )
-            threading.Thread(target=self._log_progress, name="compiling", daemon=True).start()
+            self._thread.start()
 
     def on_end(self, event: Any) -> None:
         """Numba has compiled a function."""
@@ -49,18 +52,36 @@ class _CompileListener(event.Listener):
         self._last_end_s = time.monotonic()
 
     def _log_progress(self) -> None:
-        time.sleep(PERIOD_S)
-        while self._compiling_now or time.monotonic() - self._last_end_s < PERIOD_S:
+        """Log one stretch of compiling, until no kernel has been compiled for ENDED_AFTER_S."""
+        begin_s = time.monotonic()
+        compiled_before = self.compiled
+        next_message_s = begin_s + ANNOUNCED_AFTER_S
+        is_announced = False
+        while self._compiling_now or time.monotonic() - self._last_end_s < ENDED_AFTER_S:
+            time.sleep(_POLL_S)
+            now_s = time.monotonic()
+            if not self._compiling_now or now_s < next_message_s:
+                continue
+            next_message_s = now_s + PERIOD_S
+            if not is_announced:
+                is_announced = True
+                log.warning(
+                    "compiling the kernels that no command here has used since the installation "
+                    "or a change of them; they are kept for later commands (1 to 2 minutes) ..."
+                )
+            else:
+                log.warning(
+                    "compiling: %.0f s so far, %d kernels done",
+                    now_s - begin_s,
+                    self.compiled - compiled_before,
+                )
+        self._thread = None
+        if is_announced:
             log.warning(
-                "compiling: %.0f s so far, %d kernels done",
-                time.monotonic() - self._begin_s,
-                self.compiled,
+                "compiled %d kernels in %.0f s",
+                self.compiled - compiled_before,
+                self._last_end_s - begin_s,
             )
-            time.sleep(PERIOD_S)
-        log.warning(
-            "compiled %d kernels in %.0f s", self.compiled, self._last_end_s - self._begin_s
-        )
-        self._begin_s = 0.0
 
 
 _listener = _CompileListener()

@@ -52,6 +52,7 @@ def needed_for_a_verdict(report: dict[str, Any], causes: list[dict[str, Any]]) -
         "causes": causes_with_evidence,
         "set_aside": report.get("set_aside", []),
         "contradicted": report.get("contradicted", []),
+        "immaterial": report.get("immaterial", []),
         "findings": findings,
         "notes": report.get("notes", []),
     }

@@ -31,11 +31,11 @@ def started(*words, cache, out):
 )
 def test_a_first_start_announces_that_it_compiles_and_then_reports_its_progress(words, tmp_path):
     with started(*words, cache=tmp_path / "cache", out=tmp_path / "out") as process:
-        first_line = process.stderr.readline()
-
-        # the first two reports; the command may print its progress in between
+        # the announcement and the first two reports; the command prints its progress in between
+        announcements = 0
         kernels_done = []
         for line in process.stderr:
+            announcements += line.startswith("compiling the kernels")
             report = re.fullmatch(r"compiling: \d+ s so far, (\d+) kernels done\n", line)
             if report:
                 kernels_done.append(int(report[1]))
@@ -43,10 +43,26 @@ def test_a_first_start_announces_that_it_compiles_and_then_reports_its_progress(
                 break
         process.kill()
 
-    assert first_line.startswith("compiling the kernels")
+    assert announcements == 1
     assert len(kernels_done) == 2
     assert kernels_done == sorted(kernels_done)
     assert kernels_done[-1] > 0
+
+
+def test_a_kernel_that_is_compiled_within_a_moment_is_not_announced():
+    code = (
+        "import logging, time\n"
+        "logging.basicConfig()\n"
+        "from rollerrig.rig.compiled import compile_progress\n"
+        "import numba\n"
+        "compile_progress.ANNOUNCED_AFTER_S = 60.0\n"
+        "numba.njit(lambda x: x + 1)(1)\n"
+        "time.sleep(2.0)\n"
+        "print(compile_progress.has_compiled())"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
+    assert done.stderr == ""
 
 
 def test_kernels_that_are_in_the_cache_are_not_announced():
