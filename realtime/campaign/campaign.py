@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rollerrig.configs import store, table, unpacking, user_files
-from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.configs.errors import ConfigError, OtherVehicleError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.table import choice, integer
 from rollerrig.firmware_sim.wsp import logic
@@ -149,6 +149,8 @@ def _check_step(plan: Plan, path: Path) -> None:
     if _long_step_s(plan) is not None:
         try:
             _with_long_step(plan, plan.first)
+        except OtherVehicleError:
+            raise
         except ConfigError as error:
             raise ConfigError(
                 f"{path}: step_s = {plan.head[STEP]:g}: {error}; or set step_s = 0 for the step of "
@@ -163,6 +165,9 @@ def _check_values(plan: Plan, path: Path) -> None:
         for run in runs:
             try:
                 resolve(plan, run)
+            except OtherVehicleError:
+                # the caller starts a process that simulates this vehicle
+                raise
             except ConfigError as error:
                 raise ConfigError(
                     f"{path}: {axis}: run {run} draws a value that the scenario does not allow: "
