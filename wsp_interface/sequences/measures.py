@@ -38,6 +38,7 @@ from rollerrig.wsp_interface import braking, events
 from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
 
 LOCKED_M_S = 0.1  # a wheelset with a slower rim is locked
+DEEP_SLIP = 0.5  # share of the vehicle's speed by which a wheelset slides deeply
 SEGMENT_S = 10.0  # of [M2]
 REFERENCE_ABOVE_M_S = 5.0  # below this speed the unit's reference speed is not judged
 # energies of [M3] that count as 1
@@ -215,6 +216,29 @@ def mean_of_worst_m_s(sliding_m_s: np.ndarray) -> float:
     return float(sliding_m_s.mean(axis=1).max())
 
 
+def longest_stretch_s(time_s: np.ndarray, is_true: np.ndarray) -> float:
+    """Return the longest time without a break for which a condition, shape (n,), holds."""
+    longest_s = 0.0
+    begin_s = NAN
+    for now_s, holds in zip(time_s.tolist(), is_true.tolist(), strict=True):
+        if not holds:
+            begin_s = NAN
+            continue
+        if math.isnan(begin_s):
+            begin_s = now_s
+        longest_s = max(longest_s, now_s - begin_s)
+    return longest_s
+
+
+def _longest_deep_slide_s(record: Record) -> float:
+    """Return the longest time for which one wheelset slid deeply above lock_above_m_s."""
+    speed_m_s = record.braked("vehicle_speed_m_s")
+    fast = speed_m_s > record.scenario["rig"]["lock_above_m_s"]
+    deep = (sliding(record) > DEEP_SLIP * speed_m_s) & fast
+    time_s = record.braked("time_s")
+    return max(longest_stretch_s(time_s, of_one) for of_one in deep)
+
+
 def as_measured(record: Record) -> dict[str, float]:
     """Return the measures of sliding as they follow from the measured speeds, by name."""
     sliding_m_s = measured_sliding(record)
@@ -380,6 +404,14 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "longest lock of a wheelset above {rig[lock_above_m_s]:g} m/s",
         lambda r: max(r.finals["longest_lock"]),
+    ),
+    Measure(
+        "longest_deep_slide",
+        "s",
+        0.0,
+        "longest time for which one wheelset turned at less than half of the vehicle's speed, above "
+        "{rig[lock_above_m_s]:g} m/s; a lock is a part of it",
+        _longest_deep_slide_s,
     ),
     Measure(
         "sliding_max",
