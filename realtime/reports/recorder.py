@@ -217,7 +217,7 @@ def sentence(finding: Finding) -> str:
             return _clock_sentence(finding.size, step)
         case ClockRate() as rate:
             return (
-                f"the stamps of {rate.channel} run at {finding.size:g} times the rate of the wheels; "
+                f"the stamps of {rate.channel} run at {finding.size:.5g} times the rate of the wheels; "
                 "they are corrected below"
             )
         case DropOut() as drop_out:
@@ -382,7 +382,10 @@ def _place_sentence(finding: Finding, place: SharedPlace) -> str:
 
 def size(finding: Finding) -> str:
     """Return the size of a finding with its interval and unit."""
-    return f"{finding.size:.3g} ({finding.low:.3g} to {finding.high:.3g}) {finding.unit}"
+    # a clock that is a little fast has a rate near 1
+    digits = 5 if finding.name == "clock_rate" else 3
+    value, low, high = (f"{x:.{digits}g}" for x in (finding.size, finding.low, finding.high))
+    return f"{value} ({low} to {high}) {finding.unit}"
 
 
 def channels(account: Account, finding: Finding) -> str:

@@ -52,7 +52,7 @@ _REASONS = {
 # what a size means, where its unit does not show it
 _SIZES = {
     "wrong_unit": "a ratio of {0:.2g}",
-    "clock_rate": "{0:.3g} times",
+    "clock_rate": "{0:.4g} times",
     "old_messages": "a jump of {0:.2g} m/s after 0.5 s or more",
     "clock_step": "{0:.2g} s while the speed changes",
     "slippery_place": "{0:.0f} runs that slide",

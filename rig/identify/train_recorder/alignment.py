@@ -25,8 +25,13 @@ class Scale(NamedTuple):
     offset_m_s: float = 0.0
 
     def corrected(self, values: np.ndarray) -> np.ndarray:
-        """Return the true speed of recorded values."""
-        return (values - self.offset_m_s) / (1.0 + self.ratio)
+        """Return the true speed of recorded values.
+
+        A sensor that stands, or that is below its lowest speed, reads 0: the true speed is not
+        negative because of an offset.
+        """
+        speed = (values - self.offset_m_s) / (1.0 + self.ratio)
+        return np.where((values >= 0.0) & (speed < 0.0), 0.0, speed)
 
     def recorded(self, speed: np.ndarray) -> np.ndarray:
         """Return the values that a recorder has for a true speed."""

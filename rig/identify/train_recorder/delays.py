@@ -316,6 +316,10 @@ def _lag(
         high_s=float(max(high_s, best_s) + _DELAY_STEP_S),
         share_left=float(total_cost[best]) / max(without_delay, 1e-9),
     )
+    widest_s = max(lag.high_s, -lag.low_s)
+    if widest_s > limit.LATEST_S - 2 * _DELAY_STEP_S:
+        # the data do not bound the delay inside of the search
+        return None
     if offset_m_s:
         return lag
     rival = _offset_rival(aligned, scales, name, against, lag.delay_s)

@@ -54,6 +54,9 @@ MOVING_M_S = 0.5
 # samples in motion with a position. Fewer do not show a unit.
 _POSITION_SAMPLES = 20
 
+# ratio of speeds that no wheel reaches for long by slip: of m/s and km/h or mph. Chosen.
+_NO_SLIP_RATIO = 2.0
+
 # share by which speeds of one unit may differ
 _SAME_UNIT_SHARE = 0.1
 
@@ -65,6 +68,15 @@ _MOSTLY_STRAIGHT = 0.3
 _HELD_FACTOR = 3.0
 _HELD_STRETCHES = 10
 _HELD_SAMPLES_SHARE = 0.2
+
+# share of the motion of the other channels in a hold. If they end further away from their first
+# value, a stuck sensor jumps by at least this share of what it missed. Chosen.
+_MISSED_SHARE = 0.5
+
+# samples that such a jump may take, if they are no further apart than this, s. At longer intervals
+# the vehicle's motion in several samples is as large as the jump. Chosen.
+_JUMP_SAMPLES = 3
+_FAST_STEP_S = 0.25
 
 # m/s. A value closer to zero is a zero.
 _ZERO_M_S = 1e-9
@@ -112,8 +124,10 @@ def find(run: Run) -> tuple[Run, list[Finding]]:
 
     logged = on_change.resampled(run)
     if logged is not None:
-        # samples between changes are missing by design: no gap, line or held value is a fault
-        return logged._replace(hardest_m_s2=hardest_m_s2(logged)), found
+        # samples between changes are missing by design: no gap and no line is a fault
+        logged = logged._replace(hardest_m_s2=hardest_m_s2(logged))
+        logged, more = _held(logged)
+        return logged, found + more
 
     run, more = _stamps(run)
     found += more
@@ -371,6 +385,8 @@ def _scale_by_majority(run: Run, moving: dict[str, float]) -> dict[str, float]:
         ratios = channel.values[is_moving] / base_values[is_moving]
         ratio = float(np.median(ratios))
         near = np.abs(ratios / ratio - 1.0) < limit.UNIT_SHARE
+        if max(ratio, 1.0 / max(ratio, 1e-9)) > _NO_SLIP_RATIO:
+            near = np.abs(ratios / ratio - 1.0) < limit.UNIT_WIDE_SHARE
         if ratio > 0.0 and np.mean(near) > limit.UNIT_STEADY:
             scale[name] = ratio
     return scale
@@ -718,6 +734,7 @@ def _zeros(run: Run, channel: Channel) -> Iterator[Hit]:
     changes = np.abs(np.diff(channel.values))
     moves = changes[np.isfinite(changes) & (changes > 0.0)]
     usual_m_s = float(np.median(moves)) if moves.size > _USUAL_SAMPLES else 0.0
+    others = _others(run, channel)
     for stretch in stretches(np.abs(channel.values) < _ZERO_M_S):
         edges_m_s = []
         for outside, inside in (
@@ -728,9 +745,20 @@ def _zeros(run: Run, channel: Channel) -> Iterator[Hit]:
             if speed_m_s is not None:
                 edges_m_s.append(speed_m_s)
         fastest_m_s = limit.zero_jump_m_s(run.hardest_m_s2, channel.step_s)
+        if len(edges_m_s) == 2 and _is_not_braked(channel.time_s, others, stretch):
+            # nothing locks a wheel, however slowly its speed is sampled
+            fastest_m_s = limit.ZERO_JUMP_M_S
         fastest_m_s = max(fastest_m_s, limit.JUMP_FACTOR * usual_m_s)
         if edges_m_s and min(edges_m_s) > fastest_m_s:
             yield Hit("sensor_dropout", stretch.first, stretch.last, DropOut((findings.ZEROS,)))
+
+
+def _is_not_braked(time_s: np.ndarray, others: np.ndarray, stretch: Stretch) -> bool:
+    """Whether the median of the other speeds loses no speed from before a stretch to after it."""
+    before = others[stretch.first - 1]
+    after = others[stretch.last + 1]
+    passed_s = time_s[stretch.last + 1] - time_s[stretch.first - 1]
+    return bool(after - before > -limit.QUIET_M_S2 * passed_s)
 
 
 def _speed_next_to(channel: Channel, outside: int, inside: int) -> float | None:
@@ -748,22 +776,35 @@ def _missing(_: Run, channel: Channel) -> Iterator[Hit]:
     """Find cells without a value, of one channel while the others go on."""
     good = np.flatnonzero(np.isfinite(channel.values))
     longest_s = limit.gap_s(channel.step_s)
+    row_s = float(np.median(np.diff(channel.time_s)))
     for k in np.flatnonzero(np.diff(channel.time_s[good]) > longest_s):
         first = int(good[k]) + 1
         last = int(good[k + 1]) - 1
-        if last - first >= 1 and first > 0:
+        intervals_s = np.diff(channel.time_s[first - 1 : last + 2])
+        # a gap of all rows is a matter of the stamps
+        is_long = intervals_s[intervals_s < 2.5 * row_s].sum() > longest_s
+        if is_long and last - first >= 1 and first > 0:
             yield Hit("sensor_dropout", first, last, DropOut((findings.NO_VALUES,)))
 
 
 @_each_speed
 def _held(run: Run, channel: Channel) -> Iterator[Hit]:
-    """Find a value that stays while the other channels move, or ends in an impossible jump."""
-    v = channel.values
-    t = channel.time_s
-    others = _others(run, channel)
-    is_same = np.concatenate([np.diff(v) == 0.0, [False]]) & (np.abs(v) > _ZERO_M_S)
+    """Find a value that stays while the other channels move, or ends in an impossible jump.
+
+    Of a slow sensor only the updates count. A value is not held across a gap.
+    """
+    good = np.flatnonzero(np.isfinite(channel.values))
+    if good.size < 2:
+        return
+    known = channel._replace(time_s=channel.time_s[good], values=channel.values[good])
+    v = known.values
+    t = known.time_s
+    others = _others(run, known)
+    without_gap = np.diff(t) <= limit.gap_s(float(np.median(np.diff(t))))
+    is_same = np.concatenate([(np.diff(v) == 0.0) & without_gap, [False]]) & (np.abs(v) > _ZERO_M_S)
     held = stretches(is_same)
-    shortest_s = max(limit.STUCK_S, _HELD_FACTOR * _usually_held_s(channel, others, held))
+    shortest_s = limit.stuck_s(float(np.median(np.diff(t))), run.logs_on_change)
+    shortest_s = max(shortest_s, _HELD_FACTOR * _usually_held_s(known, others, held))
     # both the held value and the others are rounded
     other_quanta_m_s = [c.quantum for c in run.of(*_SPEEDS) if c.name != channel.name]
     step_m_s = max(channel.quantum, _step_after_hold(v, held)) + max(other_quanta_m_s, default=0.0)
@@ -784,8 +825,36 @@ def _held(run: Run, channel: Channel) -> Iterator[Hit]:
 
         all_freeze = others_move_m_s == 0.0 and jump_m_s > possible_m_s
         moved_m_s = max(least_move_m_s, _HELD_FACTOR * step_m_s)
-        if all_freeze or others_move_m_s > moved_m_s:
-            yield Hit("sensor_stuck", first, last, StuckValue(float(v[first])))
+        is_passed = others_move_m_s > moved_m_s and not _moves_on(known, last, known_others)
+        if all_freeze or is_passed:
+            yield Hit(
+                "sensor_stuck", int(good[first]), int(good[last]), StuckValue(float(v[first]))
+            )
+
+
+def _moves_on(channel: Channel, last: int, others: np.ndarray) -> bool:
+    """Whether a channel leaves its hold, which ends at sample `last`, without a jump.
+
+    A stuck sensor misses what the others moved in the hold, and jumps by it at the end. A sensor
+    that is right, and is compared with others at the wrong time, moves on as it does later. The
+    result is False where the others returned to their first value, or where the channel ends.
+    """
+    v = channel.values
+    missed_m_s = float(others[-1] - others[0])
+    if abs(missed_m_s) < _MISSED_SHARE * np.ptp(others):
+        return False
+    # resampled values may take some samples for a jump
+    most_samples = _JUMP_SAMPLES if channel.step_s <= _FAST_STEP_S else 1
+    if last + 2 * most_samples >= v.size:
+        return False
+    for samples in range(1, most_samples + 1):
+        jump_m_s = float(v[last + samples] - v[last])
+        later_m_s = float(v[last + 2 * samples] - v[last + samples])
+        beyond_motion_m_s = abs(jump_m_s - later_m_s)
+        is_along = jump_m_s * missed_m_s > 0.0
+        if is_along and beyond_motion_m_s > _MISSED_SHARE * abs(missed_m_s):
+            return False
+    return True
 
 
 def least_move_of_others(run: Run, channel: Channel) -> float:
@@ -923,7 +992,10 @@ def _repeats(channel: Channel, other: Channel) -> bool:
     known = channel.values[np.isfinite(channel.values)]
     changes = np.count_nonzero(np.diff(known))
     has_content = known.size * channel.bits >= limit.COPY_BITS
-    return bool(changes >= limit.EQUAL_CHANGES and has_content)
+    # two sensors with noise of more than a rounding step hardly agree in a single sample
+    is_fine = channel.noise > channel.quantum
+    least = limit.EQUAL_CHANGES_FINE if is_fine else limit.EQUAL_CHANGES
+    return bool(changes >= least and has_content)
 
 
 def _speed_groups(runs: list[Run]) -> list[_Group]:

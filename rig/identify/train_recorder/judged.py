@@ -147,15 +147,13 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     by_name = {
         "interpolated": max(limit.LINE_S, 8.0 * step_s),
         "sensor_dropout": limit.gap_s(step_s),
-        "sensor_stuck": limit.STUCK_S,
     }
     for name, smallest_s in by_name.items():
         if on_change:
             found.append(_not_judged(name, ON_CHANGE))
-        elif name == "sensor_stuck":
-            found.append(_stuck_check(runs, several, fastest_m_s))
         else:
             found.append(Check(name, True, smallest_s, "s"))
+    found.append(_stuck_check(runs, several, fastest_m_s, step_s))
     if on_change:
         found[1] = _not_judged("clock_step", ON_CHANGE)
     elif stamps_s > faults.SLOWEST_CLOCK_S:
@@ -164,7 +162,7 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     return found
 
 
-def _stuck_check(runs: list[Run], several: bool, fastest_m_s: float) -> Check:
+def _stuck_check(runs: list[Run], several: bool, fastest_m_s: float, step_s: float) -> Check:
     """Return the check of held values; `several`: each run has several speeds."""
     if not several:
         return _not_judged("sensor_stuck", ONE_SPEED)
@@ -175,13 +173,19 @@ def _stuck_check(runs: list[Run], several: bool, fastest_m_s: float) -> Check:
     ]
     if max(moves_m_s) > fastest_m_s:
         return _not_judged("sensor_stuck", SLOW, (max(moves_m_s), fastest_m_s))
-    return Check("sensor_stuck", True, limit.STUCK_S, "s", "", (max(moves_m_s),))
+    on_change = any(run.logs_on_change for run in runs)
+    shortest_s = limit.stuck_s(step_s, on_change)
+    return Check("sensor_stuck", True, shortest_s, "s", "", (max(moves_m_s),))
 
 
 def _rate_check(runs: list[Run]) -> Check:
     with_reference = [run for run in runs if run.of("reference") and run.of("speed")]
     if not with_reference:
         return _not_judged("clock_rate", NO_REFERENCE)
+    drifts = [clock_rate.smallest_drift(run) for run in with_reference]
+    known = [drift for drift in drifts if drift is not None]
+    if len(known) == len(drifts):
+        return Check("clock_rate", True, 1.0 + max(known), "times")
     if all(clock_rate.errors_by_rate(run) is None for run in with_reference):
         return _not_judged("clock_rate", FEW_CHANGES)
     return Check("clock_rate", True, _NEAREST_RATE, "times")

@@ -163,12 +163,25 @@ def deadband(group: list[Channel]) -> float | None:
 
 
 def _filled(channel: Channel, deadband_m_s: float) -> Channel:
-    """Return a channel with samples at even intervals, by linear interpolation."""
-    step_s = float(np.median(np.diff(channel.time_s)))
+    """Return a channel with samples at even intervals, by linear interpolation.
+
+    A speed that changes by more than the deadband across a long interval stayed until the next row,
+    and so does one that begins or ends at zero: a sensor may read zero up to some speed. Across
+    very long intervals such a speed is unknown: rows are missing.
+    """
+    intervals_s = np.diff(channel.time_s)
+    step_s = float(np.median(intervals_s))
     count = int((channel.time_s[-1] - channel.time_s[0]) / step_s) + 1
     time_s = channel.time_s[0] + step_s * np.arange(count)
-    return channel._replace(
-        time_s=time_s,
-        values=np.interp(time_s, channel.time_s, channel.values),
-        deadband_m_s=deadband_m_s,
-    )
+    values = np.interp(time_s, channel.time_s, channel.values)
+    if channel.quantity in _SPEEDS:
+        before = channel.values[:-1]
+        jumps = np.abs(np.diff(channel.values)) > _LONG_CHANGES * deadband_m_s
+        at_zero = (before == 0.0) | (channel.values[1:] == 0.0)
+        stays = jumps & (at_zero | (intervals_s > _LONG * step_s))
+        is_unknown = jumps & (before != 0.0) & (intervals_s > limit.BLOCK_S)
+        row = np.clip(np.searchsorted(channel.time_s, time_s, "right") - 1, 0, before.size - 1)
+        is_between = (time_s > channel.time_s[row]) & (time_s < channel.time_s[row + 1])
+        values = np.where(is_between & stays[row], before[row], values)
+        values[is_between & is_unknown[row]] = np.nan
+    return channel._replace(time_s=time_s, values=values, deadband_m_s=deadband_m_s)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import clock_rate, delays, scales
+from rollerrig.rig.identify.train_recorder import delays, scales
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, align, block_length_s
 from rollerrig.rig.identify.train_recorder.delays import Delays
 from rollerrig.rig.identify.train_recorder.findings import Finding
@@ -32,26 +32,19 @@ class Rolling(NamedTuple):
 
 def fit(runs: list[Run]) -> Rolling:
     """Return all runs with delays and scales corrected, and the findings about both."""
-    found: list[Finding] = []
-    corrected_runs = []
-    for run in runs:
-        corrected, more = clock_rate.corrected(run)
-        corrected_runs.append(corrected)
-        found += more
-
-    block_s = block_length_s(corrected_runs) if corrected_runs else 0.0
+    block_s = block_length_s(runs) if runs else 0.0
     late = Delays({}, [], {}, [])
     for _ in range(2):
-        scale = scales.fit(corrected_runs, late.delay_s, block_s)
-        if corrected_runs:
-            late = delays.fit(corrected_runs, scale.of_runs, block_s)
-    scale = scales.fit(corrected_runs, late.delay_s, block_s)
+        scale = scales.fit(runs, late.delay_s, block_s)
+        if runs:
+            late = delays.fit(runs, scale.of_runs, block_s)
+    scale = scales.fit(runs, late.delay_s, block_s)
 
     aligned = []
-    for run, scale_of_run in zip(corrected_runs, scale.of_runs, strict=True):
+    for run, scale_of_run in zip(runs, scale.of_runs, strict=True):
         a = _without_turning(align(run, late.delay_s, scale_of_run, block_s))
         aligned.append(a._replace(timing_s=_timing_s(a, late)))
-    return Rolling(aligned, found + late.found + scale.found, late, scale)
+    return Rolling(aligned, late.found + scale.found, late, scale)
 
 
 def _without_turning(a: Aligned) -> Aligned:

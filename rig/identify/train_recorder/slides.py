@@ -137,7 +137,7 @@ def can_be_seen(a: Aligned) -> bool:
     if a.has_reference or len(a.names) > 1 or a.run.hardest_is_given:
         return True
     v = vehicle(a)
-    return not _flags_of(a, v, v[:, None] - a.speed, scatter(a)).any()
+    return not _flags_of(a, v, _sliding(a, v), scatter(a)).any()
 
 
 def scatter(a: Aligned) -> np.ndarray:
@@ -162,7 +162,7 @@ def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
     for number_of_run, a in enumerate(aligned):
         v = vehicle(a)
         noise = scatter(a)
-        sliding = v[:, None] - a.speed
+        sliding = _sliding(a, v)
         slides_at = _sliding_flags(a, v, sliding, noise)
         flags.append(slides_at)
         for first, last in episodes(a, np.any(slides_at, axis=1)):
@@ -181,6 +181,20 @@ def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
     return slides, flags
 
 
+def _sliding(a: Aligned, v: np.ndarray) -> np.ndarray:
+    """Return by how much each speed is below the vehicle's at least, m/s, (n, m).
+
+    A sensor may read 0 below its lowest speed. So a wheel that reads 0 turns at up to that speed.
+    """
+    columns = []
+    for name, speed in zip(a.names, a.speed.T, strict=True):
+        recorded = a.run.channels[name].values
+        turns = recorded[recorded > 0.0]
+        lowest_m_s = float(turns.min()) if turns.size else 0.0
+        columns.append(v - np.where(speed == 0.0, np.minimum(lowest_m_s, v), speed))
+    return np.column_stack(columns)
+
+
 def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Return the smallest sliding that counts at each sample, m/s, (n, m).
 
@@ -191,10 +205,11 @@ def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
     change_m_s2 = np.abs(np.nan_to_num(slope(a.time_s, v, half_s)))
     share = np.maximum(limit.SLIDE_SHARE, limit.SLIDE_SHARE_M_S2 * change_m_s2)
     is_road_vehicle = a.run.hardest_m_s2 > limit.HARDEST_M_S2
-    if is_road_vehicle and not a.has_reference:
-        # the vehicle's speed is that of the fastest wheel, which is on the outer side of a curve
+    if is_road_vehicle:
+        # without a value of the reference the vehicle's speed is that of the fastest wheel, which
+        # is on the outer side of a curve
         in_curves = np.maximum(2.0 * limit.curve_share(v), limit.SLIDE_SHARE_CURVE)
-        share = np.maximum(share, in_curves)
+        share = np.where(np.isfinite(a.reference), share, np.maximum(share, in_curves))
     by_speed = share * v
     by_timing = change_m_s2 * a.timing_s
     quantum = max(
@@ -253,26 +268,41 @@ def _flags_of(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray)
             has_change = np.isfinite(change_m_s2[part]).any()
             mean_change = np.nanmean(change_m_s2[part]) if has_change else 0.0
             is_short = stretch.last - stretch.first + 1 < shortest
-            is_locked = a.has_reference and bool(
+            # a reference may have no values for a while
+            is_referenced = bool(np.isfinite(a.reference[part]).mean() > 0.5)
+            is_locked = is_referenced and bool(
                 np.mean(sliding[part, j]) > limit.LOCKED_SHARE * np.nanmean(v[part])
             )
             is_braked = mean_change <= _BRAKED_M_S2 or is_locked
             # wheels that fall together are those of a vehicle that brakes harder than assumed
-            is_together = not a.has_reference and _are_together(a.speed[part], threshold[part])
-            if is_short or not is_braked or is_together or is_mirrored(sliding[part], j):
+            is_together = not is_referenced and _are_together(
+                a.speed[part], threshold[part], shortest
+            )
+            # one speed alone falls because the vehicle brakes, or because the wheel slides
+            is_alone = not (
+                is_referenced
+                or a.run.hardest_is_given
+                or bool(np.any(np.isfinite(a.speed[part]).sum(axis=1) > 1))
+            )
+            is_none = is_short or is_together or is_alone or not is_braked
+            if is_none or is_mirrored(sliding[part], j):
                 flag[part, j] = False
     return flag
 
 
-def _are_together(speed: np.ndarray, threshold: np.ndarray) -> bool:
-    """Whether several speeds (n, m) never differ by more than the smallest slide."""
+def _are_together(speed: np.ndarray, threshold: np.ndarray, shortest: int) -> bool:
+    """Whether several speeds (n, m) never differ by more than the smallest slide for long enough.
+
+    `shortest` is the number of samples of the shortest slide.
+    """
     if speed.shape[1] < 2:
         return False
     known = np.isfinite(speed)
     fastest = np.max(np.where(known, speed, -np.inf), axis=1)
     slowest = np.min(np.where(known, speed, np.inf), axis=1)
     several = known.sum(axis=1) > 1
-    return not bool(np.any(several & (fastest - slowest > np.min(threshold, axis=1))))
+    differ = several & (fastest - slowest > np.min(threshold, axis=1))
+    return not any(part.last - part.first + 1 >= shortest for part in stretches(differ))
 
 
 def is_mirrored(difference: np.ndarray, j: int) -> bool:

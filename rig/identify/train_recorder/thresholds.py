@@ -36,6 +36,13 @@ CLOCK_SIDE_S = 4.0
 # share of the error at equal rates. At another rate of the clock less must be left. Chosen.
 RATE_SHARE = 0.25
 
+# s. A fast or slow clock must shift the reference by so much from the start to the end: ten times
+# the smallest delay at 10 Hz and above. Chosen.
+LEAST_DRIFT_S = 1.5
+
+# share of the error of the best delay. A fast or slow clock must leave less. Chosen.
+DRIFT_SHARE = 0.6
+
 # long intervals without a change. Fewer do not show that a recorder logs on change.
 CHANGE_INTERVALS = 10
 
@@ -68,8 +75,14 @@ ZERO_JUMP_M_S = 2.0
 # multiples of the usual change between two samples. A larger one is a jump. Chosen.
 JUMP_FACTOR = 3.0
 
-# s. A value that is held for longer, while the other channels move, is stuck.
+# s and samples. A value that is held for longer, while the other channels move, is stuck. At low
+# rates a vehicle that is compared at the wrong time may keep its speed for a few samples. Chosen.
 STUCK_S = 1.0
+STUCK_SAMPLES = 4.0
+
+# s. The same where a recorder logs only changes: held values are normal there. Set on a van whose
+# speed has steps of 1 km/h.
+STUCK_ON_CHANGE_S = 5.0
 
 # m/s. The other channels must move by this much while a value is held. That is many rounding steps.
 # For slow vehicles it is less; see `moved_m_s`.
@@ -91,6 +104,9 @@ COPY_CHANGES = 20
 # changes of a speed. If another speed makes all of them in the same samples, it is a copy. Chosen.
 EQUAL_CHANGES = 200
 
+# the same changes of a speed whose noise is larger than its rounding step. Chosen.
+EQUAL_CHANGES_FINE = 50
+
 # share. A ratio this close to the ratio of two units is a wrong unit. The nearest two ratios differ
 # by 0.28.
 UNIT_SHARE = 0.06
@@ -98,6 +114,10 @@ UNIT_SHARE = 0.06
 # share of the samples in motion that must have the ratio of two units. A wheel that slips has
 # different ratios. Chosen.
 UNIT_STEADY = 0.8
+
+# share. Samples this close to a ratio of m/s and km/h or mph have it: speeds that are compared at
+# the wrong time differ as much. The nearest two ratios differ by 0.28. Chosen.
+UNIT_WIDE_SHARE = 0.14
 
 # bits. Equal samples that carry less information are equal by chance. Chosen.
 COPY_BITS = 60.0
@@ -327,6 +347,12 @@ def slip_share(v: np.ndarray) -> np.ndarray:
 def late_s(step_s: float) -> float:
     """Return the smallest delay: one and a half samples at 10 Hz and below."""
     return max(LATE_S, 1.5 * step_s)
+
+
+def stuck_s(step_s: float, logs_on_change: bool) -> float:
+    """Return for how long the shortest stuck value is held."""
+    shortest = STUCK_ON_CHANGE_S if logs_on_change else STUCK_S
+    return max(shortest, STUCK_SAMPLES * step_s)
 
 
 def gap_s(step_s: float) -> float:

@@ -6,7 +6,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from rollerrig.rig.identify.train_recorder import driving, faults, judged, rolling, slides
+from rollerrig.rig.identify.train_recorder import (
+    clock_rate,
+    driving,
+    faults,
+    judged,
+    rolling,
+    slides,
+)
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, base_speed, slope
 from rollerrig.rig.identify.train_recorder.findings import (
@@ -65,7 +72,7 @@ def explain(recording: Recording) -> Account:
 
     runs = []
     for recorded in recording.runs:
-        run, more = faults.find(recorded)
+        run, more = _without_faults(recorded)
         runs.append(run)
         found += more
     runs, more = faults.copies(runs)
@@ -96,6 +103,25 @@ def explain(recording: Recording) -> Account:
         checks=judged.checks(runs, fit),
         elapsed_s=time.perf_counter() - begun_s,
     )
+
+
+def _without_faults(recorded: Run) -> tuple[Run, list[Finding]]:
+    """Return a run without the faults of its recorder, with one rate of all clocks; and the faults.
+
+    A reference at another rate is compared with the wheels at wrong times. So the sensors are
+    checked again after its stamps are corrected.
+    """
+    run, found = faults.find(recorded)
+    if not (run.of("speed") and run.of("reference")):
+        return run, found
+    rate = clock_rate.find(run)
+    if rate is None:
+        return run, found
+    if run.logs_on_change:
+        # its rows are filled already, by what all channels log together
+        return clock_rate.corrected(run, rate.size), [*found, rate]
+    run, found = faults.find(clock_rate.corrected(recorded, rate.size))
+    return run, [*found, rate]
 
 
 def _rivals(fit: Rolling) -> list[Finding]:
