@@ -152,7 +152,7 @@ VERBS = (
         "compare",
         results.compare_arguments,
         results.compare,
-        "compare runs: values with tolerances, and curves overlaid in Rerun",
+        "compare runs (values with tolerances, curves overlaid in Rerun), or two campaigns",
         "rollerrig compare runs/a runs/b --tolerance m_s=0.1",
     ),
     Verb(

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from rollerrig.realtime.record.records import Run
 
 DATASET = "dataset"  # a format of `export`
+# the file that only the folder of a campaign has, see `campaign.claim`
+PLAN = "plan.json"
 # rows of the table of differences; --json has all of them
 _TABLE_ROWS = 12
 _THIRDS = ("first third", "second third", "last third")
@@ -24,7 +26,10 @@ _THIRDS = ("first third", "second third", "last third")
 def compare_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `rollerrig compare`."""
     parser.add_argument(
-        "run", nargs="+", type=Path, help="folders of runs; the first is the reference"
+        "run",
+        nargs="+",
+        type=Path,
+        help="folders of runs, or of two campaigns; the first is the reference",
     )
     parser.add_argument(
         "--tolerance",
@@ -42,9 +47,14 @@ def compare_arguments(parser: argparse.ArgumentParser) -> None:
 def compare(options: argparse.Namespace) -> int:
     """Print the figures of several runs, and the channels that differ too much from the first run.
 
-    Returns FAILED if a channel exceeds its tolerance, otherwise INVALID if a run is not valid, and
-    otherwise PASS.
+    Two campaigns are compared as two samples of runs. Returns FAILED if a channel exceeds its
+    tolerance or a run of a campaign failed, otherwise INVALID if a run is not valid, and otherwise
+    PASS.
     """
+    campaigns = [folder for folder in options.run if (folder / PLAN).is_file()]
+    if campaigns:
+        return _compare_campaigns(options, campaigns)
+
     # imported here, so that the other verbs start quickly
     from rollerrig.realtime.record import compare as comparison
     from rollerrig.realtime.record import records
@@ -87,6 +97,47 @@ def compare(options: argparse.Namespace) -> int:
     if failed:
         return output.FAILED
     if warnings:
+        return output.INVALID
+    return output.PASS
+
+
+def _compare_campaigns(options: argparse.Namespace, campaigns: Sequence[Path]) -> int:
+    """Print how the second campaign differs from the first one. Raises ConfigError.
+
+    `campaigns` are those of the folders that hold a campaign.
+    """
+    from rollerrig.realtime.campaign import comparison
+    from rollerrig.realtime.reports.statistics import comparison as report
+
+    others = [folder for folder in options.run if folder not in campaigns]
+    if others:
+        raise ConfigError(
+            f"{campaigns[0]} holds a campaign, and {others[0]} does not; compare two campaigns, or "
+            "runs with each other"
+        )
+    if len(campaigns) != 2:
+        raise ConfigError(
+            f"{len(campaigns)} campaigns are given; compare two, as in: rollerrig compare "
+            "campaigns/a campaigns/b"
+        )
+    for option, value in (("--tolerance", options.tolerance), ("--out", options.out)):
+        if value:
+            raise ConfigError(f"{option} is for runs; compare two campaigns without it")
+
+    first, second = map(comparison.read, campaigns)
+    found = comparison.compare(first, second)
+    output.show(
+        options,
+        report.as_json(found) | {"warnings": report.warnings(found)},
+        report.run_table(found),
+        report.figure_table(found),
+        report.difference_table(found),
+        *report.sentences(found),
+        *report.worst_lines(found),
+    )
+    if first.found.failed or second.found.failed:
+        return output.FAILED
+    if first.found.not_valid or second.found.not_valid:
         return output.INVALID
     return output.PASS
 
