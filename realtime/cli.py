@@ -110,6 +110,7 @@ class Verb(NamedTuple):
     call: does the work and returns the exit status.
     summary: the help in one line; it begins with a lower-case letter and has no full stop.
     example: a command line that works.
+    session: lines of a shell that do a whole task, for verbs that need several commands.
     """
 
     name: str
@@ -117,6 +118,7 @@ class Verb(NamedTuple):
     call: Callable[[argparse.Namespace], int]
     summary: str
     example: str
+    session: tuple[str, ...] = ()
 
 
 VERBS = (
@@ -182,6 +184,22 @@ VERBS = (
         campaign.call,
         "do the many runs of a plan, in processes or on a Dask cluster",
         "rollerrig campaign low_adhesion --out campaigns/soap",
+        (
+            "# plan",
+            'echo \'scenario = "velim_a1"',
+            'design = "random"',
+            "runs = 40",
+            "[vary]",
+            '"adhesion.mu_cd" = { low = 0.03, high = 0.1 }\' > plan.toml',
+            "# run",
+            "rollerrig campaign plan.toml --out with_wsp",
+            "# continue after an interruption: the same command",
+            "rollerrig campaign plan.toml --out with_wsp",
+            "# compare with another unit, here with none",
+            "echo 'unit = \"none\"' | cat - plan.toml > without.toml",
+            "rollerrig campaign without.toml --out without_wsp",
+            "rollerrig compare with_wsp without_wsp",
+        ),
     ),
     Verb(
         "etcs",
@@ -306,11 +324,16 @@ def parser(raises: bool = False) -> argparse.ArgumentParser:
     for verb in VERBS:
         # not str.capitalize(), which would turn FMU into fmu
         sentence = verb.summary[0].upper() + verb.summary[1:] + "."
+        # the lines of a session stay lines
+        formatter = argparse.HelpFormatter
+        if verb.session:
+            formatter = argparse.RawDescriptionHelpFormatter
         sub = verbs.add_parser(
             verb.name,
             help=verb.summary,
             description=sentence,
-            epilog=f"example: {verb.example}",
+            epilog=_epilog(verb),
+            formatter_class=formatter,
             raises=raises,
         )
         verb.arguments(sub)
@@ -325,6 +348,14 @@ def parser(raises: bool = False) -> argparse.ArgumentParser:
         if verb.call is manual.call:
             sub.set_defaults(top=top)
     return top
+
+
+def _epilog(verb: Verb) -> str:
+    """Return the examples of a verb, which its help ends with."""
+    lines = [f"example: {verb.example}"]
+    if verb.session:
+        lines += ["", "a whole session:", *(f"  {line}" for line in verb.session)]
+    return "\n".join(lines)
 
 
 def _shortened(message: str) -> str:

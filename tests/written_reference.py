@@ -362,6 +362,8 @@ def command_line():
     for name, parser in _commands().items():
         verb = next(verb for verb in cli.VERBS if verb.name == name)
         lines += ["", f"## {name}", "", str(parser.description), "", f"    {verb.example}", ""]
+        if verb.session:
+            lines += ["A whole session:", "", *(f"    {line}" for line in verb.session), ""]
         rows = [row for action in parser._actions if (row := _argument(parser, action))]
         if rows:
             lines += ["| argument | meaning |", "|---|---|", *rows]

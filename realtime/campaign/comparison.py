@@ -315,15 +315,17 @@ def _unpaired(sides: tuple[Side, Side], name: str) -> Compared:
 
 def _corrected(compared: list[Compared]) -> list[Compared]:
     """Return figures with probabilities corrected together; the stopping distance keeps its own."""
-    together = []
+    tested: dict[int, differences.Difference] = {}
+    p_values: list[float] = []
     for place, figure in enumerate(compared):
-        tested = figure.difference is not None and figure.difference.p_value is not None
-        if tested and figure.name != DISTANCE:
-            together.append(place)
+        difference = figure.difference
+        if difference is None or difference.p_value is None or figure.name == DISTANCE:
+            continue
+        tested[place] = difference
+        p_values.append(difference.p_value)
     found = list(compared)
-    p_values = [found[place].difference.p_value for place in together]  # type: ignore[union-attr]
-    for place, p_value in zip(together, differences.corrected(p_values), strict=True):
-        difference = found[place].difference._replace(p_value=p_value)  # type: ignore[union-attr]
+    for place, p_value in zip(tested, differences.corrected(p_values), strict=True):
+        difference = tested[place]._replace(p_value=p_value)
         found[place] = found[place]._replace(difference=difference)
     return found
 

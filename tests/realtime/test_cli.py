@@ -28,6 +28,30 @@ def test_every_verb_shows_an_example_that_its_own_parser_takes(verb, capsys):
     assert cli.parser().parse_args(words[1:]).verb == verb.name
 
 
+@pytest.mark.parametrize(
+    "verb", [verb for verb in cli.VERBS if verb.session], ids=lambda verb: verb.name
+)
+def test_the_session_that_a_verb_shows_works_as_it_is_printed(verb, capsys, tmp_path):
+    with pytest.raises(SystemExit):
+        cli.main([verb.name, "--help"])
+    shown = capsys.readouterr().out.partition("a whole session:\n")[2]
+    # few runs, to save time
+    script = shown.replace("runs = 40", "runs = 4")
+    assert script != shown
+    path = f"{os.path.dirname(sys.executable)}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["bash", "-e"],
+        input=script,
+        text=True,
+        capture_output=True,
+        cwd=tmp_path,
+        env=os.environ | {"PATH": path},
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "without_wsp stops longer than with_wsp" in done.stdout
+
+
 def test_help_lists_every_verb(capsys):
     with pytest.raises(SystemExit):
         cli.main(["--help"])

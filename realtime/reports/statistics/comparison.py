@@ -29,7 +29,7 @@ def names(found: Comparison) -> tuple[str, str]:
 def figure_table(found: Comparison) -> Table:
     """Return the figures of both campaigns, as the page of each campaign has them."""
     first, second = names(found)
-    head = ("figure",)
+    head: tuple[str, ...] = ("figure",)
     for what in ("median", "95 %", "worst"):
         head += (f"{what}: {first}", f"{what}: {second}")
     rows = []
@@ -64,7 +64,7 @@ def difference_table(found: Comparison) -> Table:
     """Return by how much the second campaign differs from the first one in each figure."""
     first, second = names(found)
     change = "median change" if found.is_paired else "change of the median"
-    head = (f"{second} against {first}", change, f"confidence {_CONFIDENCE}")
+    head: tuple[str, ...] = (f"{second} against {first}", change, f"confidence {_CONFIDENCE}")
     if found.is_paired:
         head += ("worse", "better", "equal")
     head += ("more than chance?",)
@@ -171,8 +171,8 @@ def _verdict(found: Comparison, first: str, second: str) -> str:
 
 def _others(found: Comparison, second: str) -> str:
     """Return the other figures whose change is more than chance, as a sentence; "" without any."""
-    better = []
-    worse = []
+    better: list[str] = []
+    worse: list[str] = []
     for figure in found.compared:
         difference = figure.difference
         if figure.name == comparison.DISTANCE or difference is None:
