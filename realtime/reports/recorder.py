@@ -24,6 +24,7 @@ from rollerrig.rig.identify.train_recorder.findings import (
     DropOut,
     Finding,
     OffsetOrDelay,
+    RivalOffset,
     ScaleOrOffset,
     SharedPlace,
     Sliding,
@@ -159,6 +160,8 @@ def _finding_json(finding: Finding, axles: dict[str, int]) -> dict[str, Any]:
     if isinstance(finding.details, SpeedLine):
         result["parameters"]["scale"] = _parameter(*finding.details.scale_percent, "%")
         result["parameters"]["offset"] = _parameter(*finding.details.offset_m_s, "m/s")
+    if isinstance(finding.details, WheelRadius) and finding.details.rival is not None:
+        result["rival"] = {"name": "speed_offset", **finding.details.rival._asdict()}
     return result
 
 
@@ -302,7 +305,24 @@ def _radius_sentence(finding: Finding, radius: WheelRadius) -> str:
         )
     if radius.ambiguous:
         text += "; the data cannot distinguish which of the two is wrong"
+    if radius.rival is not None:
+        text += _rival_offset_words(radius.rival)
     return text
+
+
+def _rival_offset_words(rival: RivalOffset) -> str:
+    """Return the words for an offset that looks like a radius."""
+    lowest_m_s, highest_m_s = rival.speeds_m_s
+    if not rival.radius_percent:
+        return (
+            f", or its speed has an offset of {rival.offset_m_s:+.2g} m/s: the speeds of "
+            f"{lowest_m_s:.1f} to {highest_m_s:.1f} m/s do not distinguish the two"
+        )
+    return (
+        f", or its speed has an offset of {rival.offset_m_s:+.2g} m/s beside a radius of "
+        f"{rival.radius_percent:+.2g} %: low or high speed occurs once, which does not distinguish "
+        "the two"
+    )
 
 
 def _line_sentence(finding: Finding, line: SpeedLine) -> str:

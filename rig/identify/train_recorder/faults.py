@@ -467,16 +467,22 @@ def _check_clock(run: Run, group: list[Channel]) -> tuple[np.ndarray, list[Findi
 
         if open_jump is not None and backward:
             before = found[open_jump]
-            if abs(size_s + before.size) < 3.0 * half_s:
+            was_gap = before.name == "sensor_dropout"
+            # without samples for one more step than the stamps jump
+            jump_s = before.size - step_s if was_gap else before.size
+            if abs(size_s + jump_s) < 3.0 * half_s:
                 shift_s[k + 1 :] -= size_s
-                if before.name == "sensor_dropout":
+                if was_gap:
                     # it looked like a gap, and was not corrected
                     after_gap = int(np.searchsorted(time_s, before.start_s, "right"))
                     shift_s[after_gap:] += size_s
                 found[open_jump] = before._replace(
                     name="clock_step",
                     end_s=float(time_s[k]),
-                    details=_clock_details(before.size, half_s, returns=True),
+                    size=jump_s,
+                    low=jump_s - half_s,
+                    high=jump_s + half_s,
+                    details=_clock_details(jump_s, half_s, returns=True),
                 )
                 open_jump = None
                 continue

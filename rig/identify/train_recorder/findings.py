@@ -98,6 +98,19 @@ class WheelRadius(NamedTuple):
     vehicle_id: str
     until: str | None  # last date with this radius, None if the radius never steps
     ambiguous: bool  # two speeds without a reference: either of them may be wrong
+    # offset of the speed that these data cannot distinguish from the radius; None if they can
+    rival: "RivalOffset | None" = None
+
+
+class RivalOffset(NamedTuple):
+    """An offset of a speed that looks like a wheel radius.
+
+    `radius_percent` is the difference of the radius that is left beside it.
+    """
+
+    offset_m_s: float
+    radius_percent: float
+    speeds_m_s: tuple[float, float]  # lowest and highest speed of the recording
 
 
 class SpeedLine(NamedTuple):

@@ -33,6 +33,7 @@ from rollerrig.rig.identify.train_recorder.alignment import (
 from rollerrig.rig.identify.train_recorder.findings import (
     Finding,
     OffsetOrDelay,
+    RivalOffset,
     ScaleOrOffset,
     SpeedLine,
     WheelRadius,
@@ -746,7 +747,8 @@ def _judge(
     first = levels[0]
     if is_significant(first.mean, tests):
         until = first.dates[-1] if len(levels) > 1 else None
-        found.append(_level_finding(names, first.mean, first.dates[0], vehicle_id, until))
+        rival = _rival_offset(channel, first.mean)
+        found.append(_level_finding(names, first.mean, first.dates[0], vehicle_id, until, rival))
     for before, level in itertools.pairwise(levels):
         step = _difference(level.mean, before.mean)
         if abs(step.radius) < limit.MOST_RADIUS:
@@ -761,12 +763,36 @@ def _judge(
     return found, scales
 
 
+def _rival_offset(channel: ChannelFit, wheel: Wheel) -> RivalOffset | None:
+    """Return the offset of a speed that looks like a radius in these data; None if none does.
+
+    At nearly one speed an offset alone explains a radius. If low speed occurs once, the fit of both
+    is not trusted, and is the rival.
+    """
+    if not channel.has_range:
+        offset_m_s = wheel.radius * float(np.mean(channel.speeds_m_s))
+        radius_percent = 0.0
+    elif channel.visits.visits < limit.OFFSET_VISITS:
+        offset_m_s = channel.offset_m_s
+        radius_percent = -100.0 * channel.line.radius
+    else:
+        return None
+    if abs(offset_m_s) < limit.LEAST_OFFSET_M_S:
+        return None
+    return RivalOffset(offset_m_s, radius_percent, channel.speeds_m_s)
+
+
 def _level_finding(
-    names: tuple[str, ...], wheel: Wheel, date: str, vehicle_id: str, until: str | None
+    names: tuple[str, ...],
+    wheel: Wheel,
+    date: str,
+    vehicle_id: str,
+    until: str | None,
+    rival: RivalOffset | None,
 ) -> Finding:
     """Return a wheel radius, or a scale of the speed where no wheel differs so much."""
     if abs(wheel.radius) <= limit.MOST_RADIUS:
-        return _radius_finding("wheel_radius", names, wheel, date, vehicle_id, until)
+        return _radius_finding("wheel_radius", names, wheel, date, vehicle_id, until, rival)
     return _line_finding(
         "speed_scale",
         names[0],
@@ -800,6 +826,7 @@ def _radius_finding(
     date: str,
     vehicle_id: str,
     until: str | None,
+    rival: RivalOffset | None = None,
 ) -> Finding:
     """Return a finding with its size in % of the radius."""
     half = wheel.half_width
@@ -811,7 +838,9 @@ def _radius_finding(
         low=-100 * (wheel.radius + half),
         high=-100 * (wheel.radius - half),
         unit="%",
-        details=WheelRadius(vehicle_id=vehicle_id, until=until, ambiguous=len(channels) > 1),
+        details=WheelRadius(
+            vehicle_id=vehicle_id, until=until, ambiguous=len(channels) > 1, rival=rival
+        ),
         date=date,
     )
 
