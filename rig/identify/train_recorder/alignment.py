@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import faults
+from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.recording import Channel, Run
 
@@ -73,7 +73,7 @@ class Aligned(NamedTuple):
     @property
     def vehicle(self) -> np.ndarray:
         """Speed of the vehicle while wheels roll, m/s."""
-        middle = faults.median(self.speed.T)
+        middle = sampling.median(self.speed.T)
         return np.where(np.isfinite(self.reference), self.reference, middle)
 
     @property
@@ -102,7 +102,7 @@ def align(run: Run, delay_s: dict[str, float], scale: dict[str, Scale], block_s:
     time_s = base.time_s - delay_s.get(base.name, 0.0)
 
     def corrected(channel: Channel) -> np.ndarray:
-        values = faults.at(channel, time_s + delay_s.get(channel.name, 0.0))
+        values = sampling.at(channel, time_s + delay_s.get(channel.name, 0.0))
         return scale.get(channel.name, AS_RECORDED).corrected(values)
 
     lowest_m_s = []

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import faults
+from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.findings import ClockRate, Finding
 from rollerrig.rig.identify.train_recorder.recording import Run
@@ -118,10 +118,10 @@ def errors_by_rate(run: Run) -> tuple[float, float, dict[float, float]] | None:
     if not np.isfinite(step_s):
         return None
     time_s = np.arange(reference.time_s[0], reference.time_s[-1], step_s)
-    recorded = faults.at(reference, time_s)
+    recorded = sampling.at(reference, time_s)
 
     def error(rate: float) -> float | None:
-        speed = faults.median(np.array([faults.at(wheel, time_s / rate) for wheel in wheels]))
+        speed = sampling.median(np.array([sampling.at(wheel, time_s / rate) for wheel in wheels]))
         good = np.isfinite(speed) & np.isfinite(recorded)
         # a reference whose clock is slow ends before the wheels do
         if good.sum() < max(_LEAST_STEPS, _COVERED_SHARE * time_s.size * min(rate, 1.0)):
@@ -181,9 +181,9 @@ class _Series(NamedTuple):
         if not np.isfinite(step_s):
             return None
         grid_s = np.arange(wheels[0].time_s[0], wheels[0].time_s[-1], step_s)
-        speed = faults.median(np.array([faults.at(wheel, grid_s) for wheel in wheels]))
+        speed = sampling.median(np.array([sampling.at(wheel, grid_s) for wheel in wheels]))
         time_s = np.arange(reference.time_s[0], reference.time_s[-1], step_s)
-        recorded = faults.at(reference, time_s)
+        recorded = sampling.at(reference, time_s)
         changes_m_s2 = np.gradient(recorded, step_s) if time_s.size > 1 else np.zeros(time_s.size)
         picked = np.flatnonzero(np.abs(np.nan_to_num(changes_m_s2)) > _CHANGING_M_S2)
         picked = picked[:: max(picked.size // _MOST_SAMPLES, 1)]

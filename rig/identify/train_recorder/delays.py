@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import faults
+from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import (
     AS_RECORDED,
@@ -263,7 +263,7 @@ def _lag(
         if name not in a.run.channels:
             continue
         present = [other for other in against if other in a.names]
-        base = faults.median(np.array([a.speed[:, a.names.index(other)] for other in present]))
+        base = sampling.median(np.array([a.speed[:, a.names.index(other)] for other in present]))
         half_s = max(1.0, 2.5 * a.step_s)
         changes = np.abs(slope(a.time_s, base, half_s)) > _CHANGING_M_S2
         picked = np.flatnonzero(changes & (base > a.slowest_m_s))[::every]
@@ -272,7 +272,7 @@ def _lag(
 
         # capped error (delays, samples) of the channel for each delay of the grid
         t = a.time_s[picked]
-        shifted = faults.at(a.run.channels[name], t + _GRID_S[:, None])
+        shifted = sampling.at(a.run.channels[name], t + _GRID_S[:, None])
         corrected = scale.get(name, AS_RECORDED).corrected(shifted) - offset_m_s
         error = np.abs(corrected - base[picked])
         error = np.where(np.isfinite(error), np.minimum(error, limit.CAP_M_S), np.nan)
@@ -361,13 +361,13 @@ def _offset_rival(
         if name not in a.run.channels:
             continue
         present = [other for other in against if other in a.names]
-        base = faults.median(np.array([a.speed[:, a.names.index(other)] for other in present]))
+        base = sampling.median(np.array([a.speed[:, a.names.index(other)] for other in present]))
         moves = base > a.slowest_m_s
         channel = a.run.channels[name]
         scale_of_channel = scale.get(name, AS_RECORDED)
         differences = []
         for shift_s in (0.0, delay_s):
-            values = faults.at(channel, a.time_s + shift_s)
+            values = sampling.at(channel, a.time_s + shift_s)
             differences.append(scale_of_channel.corrected(values) - base)
         known = moves & np.isfinite(differences[0]) & np.isfinite(differences[1])
         if not known.any():

@@ -8,11 +8,11 @@ Two speeds without a reference show driving slip as little as one: the slower on
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import faults, slides
+from rollerrig.rig.identify.train_recorder import sampling, slides
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, slope
-from rollerrig.rig.identify.train_recorder.faults import stretches
 from rollerrig.rig.identify.train_recorder.findings import Finding, Slipping
+from rollerrig.rig.identify.train_recorder.sampling import stretches
 
 # m/s^2. A vehicle that loses more speed is braked and not driven.
 _BRAKED_M_S2 = -1.0
@@ -54,7 +54,7 @@ def find(
     found: list[Finding] = []
     flags = []
     for a, slides_at in zip(aligned, sliding, strict=True):
-        v = a.reference if a.has_reference else faults.median(a.speed.T)
+        v = a.reference if a.has_reference else sampling.median(a.speed.T)
         slip = a.speed - v[:, None]
         slips_at = _flags(a, v, slip)
         if not a.has_reference:

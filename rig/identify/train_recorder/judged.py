@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import clock_rate, driving, faults, scales, slides
+from rollerrig.rig.identify.train_recorder import clock_rate, driving, scales, slides
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
+from rollerrig.rig.identify.train_recorder.faults import held, stamps, units
 from rollerrig.rig.identify.train_recorder.findings import Finding, OffsetOrDelay
 from rollerrig.rig.identify.train_recorder.recording import Run
 from rollerrig.rig.identify.train_recorder.rolling import Rolling
@@ -126,9 +127,9 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     fastest_m_s = max(run.fastest_m_s for run in runs)
     if several or has_position:
         unit = Check("wrong_unit", True, _NEAREST_UNITS, "times")
-        usual_m_s = max(faults.usual_speed_m_s(channel) for channel in speeds)
-        if usual_m_s <= faults.MOVING_M_S:
-            unit = _not_judged("wrong_unit", SLOW_FOR_UNIT, (faults.MOVING_M_S, usual_m_s))
+        usual_m_s = max(units.usual_speed_m_s(channel) for channel in speeds)
+        if usual_m_s <= units.MOVING_M_S:
+            unit = _not_judged("wrong_unit", SLOW_FOR_UNIT, (units.MOVING_M_S, usual_m_s))
 
     bits = [sum(c.bits for c in run.of("speed", "reference")) for run in runs]
     copied_samples = max(limit.COPY_SAMPLES, limit.COPY_BITS / max(min(bits), 1e-3))
@@ -156,9 +157,9 @@ def _file_checks(runs: list[Run]) -> list[Check]:
     found.append(_stuck_check(runs, several, fastest_m_s, step_s))
     if on_change:
         found[1] = _not_judged("clock_step", ON_CHANGE)
-    elif stamps_s > faults.SLOWEST_CLOCK_S:
+    elif stamps_s > stamps.SLOWEST_CLOCK_S:
         # a shorter jump of the stamps looks like a gap
-        found[1] = Check("clock_step", True, faults.LONG_JUMP_S, "s")
+        found[1] = Check("clock_step", True, stamps.LONG_JUMP_S, "s")
     return found
 
 
@@ -167,7 +168,7 @@ def _stuck_check(runs: list[Run], several: bool, fastest_m_s: float, step_s: flo
     if not several:
         return _not_judged("sensor_stuck", ONE_SPEED)
     moves_m_s = [
-        faults.least_move_of_others(run, channel)
+        held.least_move_of_others(run, channel)
         for run in runs
         for channel in run.of("speed", "reference")
     ]

@@ -18,11 +18,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2
-from rollerrig.rig.identify.train_recorder import faults
+from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
-from rollerrig.rig.identify.train_recorder.faults import stretches
 from rollerrig.rig.identify.train_recorder.findings import Cycle, Finding, SharedPlace, Sliding
+from rollerrig.rig.identify.train_recorder.sampling import stretches
 
 # standard deviation of a normal distribution over its median absolute deviation
 _DEVIATION_OF_MEDIAN = 1.4826
@@ -100,7 +100,7 @@ def _spins(a: Aligned) -> np.ndarray:
     """
     if len(a.names) < 3:
         return np.zeros(a.speed.shape, bool)
-    middle = faults.median(a.speed.T)
+    middle = sampling.median(a.speed.T)
     is_braked = np.nan_to_num(slope(a.time_s, middle)) < _BRAKED_M_S2
     least = np.maximum(limit.SLIDE_M_S, limit.SLIP_SHARE * np.nan_to_num(middle))
     excess = np.nan_to_num(a.speed - middle[:, None])
@@ -236,7 +236,7 @@ def turns(a: Aligned) -> bool:
     known = np.isfinite(a.speed)
     fastest = np.max(np.where(known, a.speed, 0.0), axis=1)
     slowest = np.min(np.where(known, a.speed, np.inf), axis=1)
-    is_braked = np.nan_to_num(slope(a.time_s, faults.median(a.speed.T))) < _BRAKED_M_S2
+    is_braked = np.nan_to_num(slope(a.time_s, sampling.median(a.speed.T))) < _BRAKED_M_S2
     rolls = ~is_braked & (fastest > limit.SLIDE_M_S)
     if np.count_nonzero(rolls) < _SCATTER_SAMPLES:
         return False

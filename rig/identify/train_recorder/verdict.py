@@ -9,13 +9,13 @@ from scipy.stats import chi2
 from rollerrig.rig.identify.train_recorder import (
     clock_rate,
     driving,
-    faults,
     judged,
     rolling,
     slides,
 )
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, base_speed, slope
+from rollerrig.rig.identify.train_recorder.faults import copies, removal
 from rollerrig.rig.identify.train_recorder.findings import (
     NAMES,
     Details,
@@ -75,7 +75,7 @@ def explain(recording: Recording) -> Account:
         run, more = _without_faults(recorded)
         runs.append(run)
         found += more
-    runs, more = faults.copies(runs)
+    runs, more = copies.between_runs(runs)
     found += more
 
     fit = rolling.fit([run for run in runs if _has_speed(run)])
@@ -111,7 +111,7 @@ def _without_faults(recorded: Run) -> tuple[Run, list[Finding]]:
     A reference at another rate is compared with the wheels at wrong times. So the sensors are
     checked again after its stamps are corrected.
     """
-    run, found = faults.find(recorded)
+    run, found = removal.without_faults(recorded)
     if not (run.of("speed") and run.of("reference")):
         return run, found
     rate = clock_rate.find(run)
@@ -120,7 +120,7 @@ def _without_faults(recorded: Run) -> tuple[Run, list[Finding]]:
     if run.logs_on_change:
         # its rows are filled already, by what all channels log together
         return clock_rate.corrected(run, rate.size), [*found, rate]
-    run, found = faults.find(clock_rate.corrected(recorded, rate.size))
+    run, found = removal.without_faults(clock_rate.corrected(recorded, rate.size))
     return run, [*found, rate]
 
 

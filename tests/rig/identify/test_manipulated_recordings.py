@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from rollerrig.realtime.reports import recorder as report
-from rollerrig.rig.identify.train_recorder import on_change, recording, verdict
+from rollerrig.rig.identify.train_recorder import recording, verdict
+from rollerrig.rig.identify.train_recorder.faults import on_change
 from rollerrig.rig.identify.train_recorder.findings import CopyOfChannel
 
 CAR = Path(__file__).parents[2] / "data/measured/comma_50hz_mit"

@@ -224,3 +224,36 @@ def test_a_column_that_is_written_twice_is_a_copy_also_at_few_samples(tmp_path, 
     account = account_of(tmp_path, rows)
     (copy,) = named(account, "copy")
     assert copy.channels == ("axle 2",)
+
+
+def test_stamps_that_jump_ahead_and_back_while_the_vehicle_cruises_are_one_clock_step(tmp_path):
+    time_s = np.arange(0.0, 80.0, 0.1)
+    rng = np.random.default_rng(17)
+    speed = np.interp(time_s, [0, 20, 60, 80], [5.0, 20.0, 20.0, 5.0])
+    columns = [speed + 0.03 * rng.standard_normal(time_s.size) for _ in range(5)]
+    # nothing shows at the first jump whether time has passed
+    stamps_s = np.where((time_s > 30.0) & (time_s < 45.0), time_s + 1.0, time_s)
+    account = account_of(tmp_path, np.column_stack([stamps_s, *columns]))
+    (step,) = named(account, "clock_step")
+    assert names(account) == ["clock_step"]
+    assert step.low <= 1.0 <= step.high
+    assert step.details.returns
+
+
+def test_at_nearly_one_speed_a_radius_is_reported_with_the_offset_that_looks_the_same(tmp_path):
+    time_s = np.arange(0.0, 120.0, 0.1)
+    rng = np.random.default_rng(18)
+    speed = np.interp(time_s, [0, 40, 80, 120], [17.0, 19.0, 18.0, 18.5])
+    columns = [speed + 0.03 * rng.standard_normal(time_s.size) for _ in range(3)]
+    columns[0] = columns[0] + 0.3
+    header = "time_s,wheel_speed_1_m_s,wheel_speed_2_m_s,reference_speed_m_s"
+    rows = np.column_stack([time_s, *columns])
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", fmt="%.3f", header=header, comments="")
+    (tmp_path / "dataset.toml").write_text('kind = "recorder"\n[[run]]\nfile = "a.csv"\n')
+    account = verdict.explain(recording.load(tmp_path))
+    (radius,) = account.findings
+    assert radius.name == "wheel_radius"
+    assert radius.details.rival.offset_m_s == pytest.approx(0.3, abs=0.03)
+    assert "or its speed has an offset of +0.3 m/s" in report.sentence(radius)
+    (cause,) = report.as_json(account)["causes"]
+    assert cause["rival"]["name"] == "speed_offset"

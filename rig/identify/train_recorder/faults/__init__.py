@@ -1,0 +1,1 @@
+"""What a recorder or a sensor did wrong: each fault is found, and taken out."""
