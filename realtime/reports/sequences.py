@@ -22,9 +22,10 @@ from rollerrig.configs import user_files
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.output_files import make_folder, write_text
 from rollerrig.configs.printable import printable
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import records, run_folder
 from rollerrig.realtime.record.summary import finite
-from rollerrig.realtime.reports import page, pdf, stop
+from rollerrig.realtime.reports import friction_changes, page, pdf, stop
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import measures
@@ -307,9 +308,10 @@ def _title_block(
 
 
 def _conditions(outcome: Outcome) -> dict[str, str]:
-    """Return rig, vehicle, load, speed, adhesion and gradient of a sequence.
+    """Return rig, vehicle, load, speed, adhesion, gradient and changed friction of a sequence.
 
-    They are those of the resolved scenario of the bench, with the speed at the beginning.
+    They are those of the resolved scenario of the bench, with the speed at the beginning. The
+    friction may change by the scenario and by commands of the sequence.
     """
     if not outcome.record:
         return {}
@@ -326,7 +328,7 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
     if adhesion.get("initial_adhesion"):
         adhesion_words += f", initial {adhesion['initial_adhesion']:g}"
     wheel_mm = 2e3 * vehicle["wheel_radius_m"]
-    return {
+    conditions = {
         "rig": " ".join(filter(None, rig_words)),
         "vehicle": f"{scenario.get('vehicle_set', page.NOT_STATED)}, wheels of {wheel_mm:g} mm",
         "load": f"{vehicle['mass_kg'] / 1e3:g} t in all",
@@ -334,6 +336,12 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
         "adhesion": adhesion_words,
         "gradient": _gradient(scenario["mechanisms"]["track_gradient_gradient"]),
     }
+    changed = friction_changes.changes(
+        scenario, outcome.events, outcome.record.columns.__getitem__
+    )
+    if changed:
+        conditions["changed friction"] = friction_changes.text(changed)
+    return conditions
 
 
 def _gradient(rise: float) -> str:
@@ -485,17 +493,36 @@ def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
 
 
 def marks(outcome: Outcome) -> list[stop.Mark]:
-    """Return the beginnings of steps and faults, as they are named in the picture."""
+    """Return steps, faults and changes of the friction, as they are named in the picture."""
     found = []
     for event in outcome.events:
         if event.code == Code.SEQUENCE_STEP:
             found.append(stop.Mark(event.time_s, stop.STEP, event.fields["title"]))
-        elif event.code == Code.TEST_FAULT:
-            found.append(stop.Mark(event.time_s, stop.FAULT, event.fields["fault"]))
+    found += stop.fault_marks(outcome.events) or _commanded_faults(outcome)
+    if outcome.record is not None:
+        column = outcome.record.columns.__getitem__
+        found += stop.friction_marks(outcome.record.scenario, outcome.events, column)
+    return sorted(found)
+
+
+def _commanded_faults(outcome: Outcome) -> list[stop.Mark]:
+    """Return when the faults that the sequence commanded begin and are lifted.
+
+    They count if the events of the bench are unknown, as those of a bench that ran already.
+    """
+    found = []
+    for event in outcome.events:
+        if event.code == Code.TEST_FAULT:
+            text = event.fields["fault"]
+            fault = catalogue.parse(text)
+            begins_s = max(event.time_s, fault.at_s)
+            found.append(stop.Mark(begins_s, stop.FAULT, text))
+            if math.isfinite(fault.for_s):
+                found.append(stop.Mark(begins_s + fault.for_s, stop.FAULT, f"{text} lifted"))
         elif event.code == Code.TEST_FAULT_LIFTED:
             lifted = f"{event.fields['fault']} lifted"
             found.append(stop.Mark(event.time_s, stop.FAULT, lifted))
-    return sorted(found)
+    return found
 
 
 def _worded(what: str) -> str:

@@ -22,7 +22,7 @@ from rollerrig.configs.output_files import make_folder, write_bytes, write_text,
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import brake_work, run_folder
 from rollerrig.realtime.record.records import Run
-from rollerrig.realtime.reports import page
+from rollerrig.realtime.reports import friction_changes, page
 from rollerrig.realtime.reports.page import Markup
 from rollerrig.wsp_interface.events import Code, Event
 from rollerrig.wsp_interface.sequences import measures
@@ -35,6 +35,14 @@ Column = Callable[[str], np.ndarray]
 # kinds of marks
 STEP = "step"
 FAULT = "fault"
+FRICTION = "friction"
+
+# colour and kind of line of each kind of mark
+_MARK_LINES = {
+    STEP: (page.GREY, ":"),
+    FAULT: (page.VERMILION, ":"),
+    FRICTION: (colours.as_hex(colours.BROWN), "-."),
+}
 
 # m/s. Below it slip is not shown.
 _SLOWEST_M_S = 1.0
@@ -102,15 +110,14 @@ class Mark(NamedTuple):
     """A vertical line in the picture."""
 
     time_s: float
-    kind: str  # STEP or FAULT
+    kind: str  # STEP, FAULT or FRICTION
     name: str
 
 
 def write(run: Run, out: Path) -> list[Path]:
     """Write the picture of a recorded run, and return its path. Raises OSError."""
-    marks = fault_marks(run.events)
     radius_m = run.scenario["vehicle"]["wheel_radius_m"]
-    write_text(out, str(picture(run.column, radius_m, marks)))
+    write_text(out, str(picture(run.column, radius_m, _marks_of(run))))
     return [out]
 
 
@@ -266,12 +273,9 @@ def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
     looks = _looks(len(runs))
     for run, look in zip(runs, looks, strict=True):
         _draw_run(plots, run.column, run.scenario["vehicle"]["wheel_radius_m"], look)
-        for event in run.events:
-            if event.code in (Code.FAULT_BEGINS, Code.FAULT_LIFTED):
-                for plot in plots:
-                    plot.axvline(event.time_s, linestyle=":", color=page.VERMILION)
+        _draw_marks(plots, _marks_of(run))
     longest = max(runs, key=lambda run: float(run.column("time_s").max(initial=0.0)))
-    marks = fault_marks(runs[0].events) if len(runs) == 1 else []
+    marks = _marks_of(runs[0]) if len(runs) == 1 else []
     _finish(plots, longest.column("time_s"), marks)
 
     names = _run_names(runs)
@@ -296,6 +300,30 @@ def fault_marks(events: Iterable[Event]) -> list[Mark]:
         elif event.code == Code.FAULT_LIFTED:
             found.append(Mark(event.time_s, FAULT, f"{event.fields['fault']} lifted"))
     return found
+
+
+def friction_marks(
+    scenario: Mapping[str, Any], events: Iterable[Any], column: Column
+) -> list[Mark]:
+    """Return when the friction of the rail changed; `events` as for `friction_changes.changes`."""
+    found = []
+    for change in friction_changes.changes(scenario, events, column):
+        if np.isfinite(change.time_s):
+            found.append(Mark(change.time_s, FRICTION, change.name))
+    return found
+
+
+def _marks_of(run: Run) -> list[Mark]:
+    """Return the marks of a recorded run: its faults and the changes of its friction."""
+    return [*fault_marks(run.events), *friction_marks(run.scenario, run.events, run.column)]
+
+
+def _draw_marks(plots: Iterable[Axes], marks: Iterable[Mark]) -> None:
+    """Draw a vertical line through all plots for each mark."""
+    for mark in marks:
+        colour, kind = _MARK_LINES[mark.kind]
+        for plot in plots:
+            plot.axvline(mark.time_s, linestyle=kind, linewidth=1.0, color=colour)
 
 
 def _looks(count: int) -> list[_Look]:
@@ -328,10 +356,7 @@ def draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark])
     """Draw speeds, slip, pressures, adhesion and valves over time."""
     plots = _plots(figure, _has_brakes(column))
     _draw_run(plots, column, radius_m, _ALONE)
-    for mark in marks:
-        colour = page.VERMILION if mark.kind == FAULT else page.GREY
-        for plot in plots:
-            plot.axvline(mark.time_s, linestyle=":", color=colour)
+    _draw_marks(plots, marks)
     _finish(plots, column("time_s"), marks)
     figure.legend(handles=_handles(plots), loc="outside upper center", ncols=8)
 
@@ -514,7 +539,7 @@ def _write_names(plot: Axes, marks: Sequence[Mark]) -> None:
         text = _shortened(", ".join(mark.name for mark in together))
         width_pt = _width_pt(text)
         mark_pt = _PLOT_PT * (time_s - first_s) / (last_s - first_s)
-        begin_pt = min(max(mark_pt - width_pt / 2.0, 0.0), max(_PLOT_PT - width_pt, 0.0))
+        begin_pt = _begin_pt(mark_pt, width_pt)
         row = next(
             (row for row, end_pt in enumerate(ends_pt) if begin_pt > end_pt + _NAME_GAP_PT),
             len(ends_pt),
@@ -522,7 +547,8 @@ def _write_names(plot: Axes, marks: Sequence[Mark]) -> None:
         if row == len(ends_pt):
             ends_pt.append(0.0)
         ends_pt[row] = begin_pt + width_pt
-        any_fault = any(mark.kind == FAULT for mark in together)
+        kinds = {mark.kind for mark in together}
+        most_important = next(kind for kind in (FAULT, FRICTION, STEP) if kind in kinds)
         plot.annotate(
             text,
             (time_s, 1.0),
@@ -531,8 +557,21 @@ def _write_names(plot: Axes, marks: Sequence[Mark]) -> None:
             textcoords="offset points",
             fontsize=_NAME_PT,
             ha="left",
-            color=page.VERMILION if any_fault else page.GREY,
+            color=_MARK_LINES[most_important][0],
         )
+
+
+def _begin_pt(mark_pt: float, width_pt: float) -> float:
+    """Return where the name of a mark begins: at its line, or so that it ends there.
+
+    A name that has no room on either side of its line ends at the right edge of the plot, and
+    begins no further left than the left edge.
+    """
+    if mark_pt + width_pt <= _PLOT_PT:
+        return mark_pt
+    if width_pt <= mark_pt:
+        return mark_pt - width_pt
+    return max(_PLOT_PT - width_pt, 0.0)
 
 
 def _shortened(text: str) -> str:

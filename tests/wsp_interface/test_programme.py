@@ -275,7 +275,7 @@ def test_a_sequence_that_was_not_run_or_lacks_a_signal_never_counts_as_a_pass(fi
     assert found["result"] == result
 
 
-def test_the_evidence_of_a_failure_mentions_what_could_not_be_judged(files, tmp_path):
+def test_the_evidence_of_a_failure_mentions_its_conditions_and_what_was_not_judged(files, tmp_path):
     loaded = programme.load(str(files))
     line = {"what": "stop_distance_over_dry", "result": "error", "unit": "", "value": None}
     line |= {"limit": "at most 1.3", "source": "assumption"}
@@ -283,7 +283,7 @@ def test_the_evidence_of_a_failure_mentions_what_could_not_be_judged(files, tmp_
     failed |= {
         "pacing": "lockstep",
         "verdicts": [line],
-        "conditions": {},
+        "conditions": {"changed friction": "mu_cd 0.02 under axle 3, from 100 m"},
         "sequence_sha256": "0" * 64,
     }
     tested = {"unit": "none", "command": None, "seed": 0, "files": {}}
@@ -294,6 +294,7 @@ def test_the_evidence_of_a_failure_mentions_what_could_not_be_judged(files, tmp_
     report.write(found, tmp_path)
     page = (tmp_path / "evidence.html").read_text()
     assert "Could not be judged: </b>a: stop_distance_over_dry; b: not run" in page
+    assert "<th>changed friction</th><td>mu_cd 0.02 under axle 3, from 100 m</td>" in page
 
 
 def test_a_run_without_a_record_has_no_signals(tmp_path):

@@ -382,3 +382,83 @@ def test_the_field_case_of_a_coloured_title_is_read_and_reported(tmp_path):
     assert "\x1b" in found.sequence.title
     sequences.write([found], tmp_path / "out")
     assert ET.parse(tmp_path / "out" / sequences.JUNIT).getroot().tag == "testsuites"
+
+
+def with_changed_friction(found):
+    """Return a stop whose rail changes at 100 m and at 500 m, and by a step at 3 s."""
+    by_place = [
+        {"mu_cd": 0.015, "mu_cr": 0.28, "axles": [1, 2], "from_m": 100.0},
+        {"mu_cd": 0.1, "mu_cr": 0.28, "axles": [1, 2, 3, 4], "from_m": 500.0},
+    ]
+    adhesion = found.record.scenario["adhesion"] | {"mu_cr": 0.28}
+    scenario = found.record.scenario | {"friction": by_place, "adhesion": adhesion}
+    found.record = dataclasses.replace(found.record, scenario=scenario)
+    fields = {"mu": 0.02, "axles": [3]}
+    found.events.append(Event(3.0, "harness", "friction", Code.TEST_FRICTION, fields))
+    return found
+
+
+def test_a_changed_rail_is_among_the_conditions_of_a_report_and_a_line_in_its_picture(tmp_path):
+    found = with_changed_friction(outcome(tmp_path))
+    when = sequences.datetime.now(sequences.UTC)
+    changed = (
+        "mu_cd 0.015 under axles 1 and 2, from 100 m; "
+        "mu_cd 0.1 under all axles, from 500 m (not reached); "
+        "mu_cd 0.02 under axle 3, by command at 3.00 s"
+    )
+    (data,) = sequences.as_data([found], when)["sequences"]
+    assert data["conditions"]["changed friction"] == changed
+    html = sequences.html([found], tmp_path, when)
+    assert f"<th>changed friction</th><td>{changed}</td>" in html
+
+    marks = [mark for mark in sequences.marks(found) if mark.kind == stop.FRICTION]
+    assert [mark.name for mark in marks] == [
+        "mu_cd 0.02 under axle 3",
+        "mu_cd 0.015 under axles 1 and 2",
+    ]
+    position_m = found.record.columns["position_m"]
+    at_place = found.record.columns["time_s"] == marks[1].time_s
+    assert position_m[at_place] == pytest.approx(100.0, abs=0.2)
+    # the picture names each of them
+    assert all(mark.name in html.split("<svg")[1] for mark in marks)
+
+
+def test_a_report_of_a_constant_rail_has_no_row_of_changed_friction(tmp_path):
+    when = sequences.datetime.now(sequences.UTC)
+    (data,) = sequences.as_data([outcome(tmp_path)], when)["sequences"]
+    assert "changed friction" not in data["conditions"]
+
+
+def test_the_picture_has_a_line_where_a_fault_begins_and_where_it_is_lifted(tmp_path):
+    found = outcome(tmp_path)
+    text = "vent_magnet_dead axle=3"
+    commanded = {"fault": f"{text} for=4"}
+    found.events.append(Event(5.0, "harness", "fault", Code.TEST_FAULT, commanded))
+    expected = [(5.0, text), (9.0, f"{text} lifted")]
+
+    def faults():
+        return [mark for mark in sequences.marks(found) if mark.kind == stop.FAULT]
+
+    # a bench that ran already reports no events: the command says how long the fault lasts
+    assert [mark.time_s for mark in faults()] == [5.0, 9.0]
+    fields = {"fault": text, "kind": "vent_magnet_dead", "reaches_unit": False, "units": []}
+    for time_s, code in ((5.0, Code.FAULT_BEGINS), (9.0, Code.FAULT_LIFTED)):
+        found.events.append(Event(time_s, "bench", "fault", code, fields))
+    assert [(mark.time_s, mark.name) for mark in faults()] == expected
+
+
+@pytest.mark.parametrize("time_s", [0.5, 5.0, 19.0])
+def test_the_name_of_a_mark_begins_or_ends_at_its_line(tmp_path, time_s):
+    record = outcome(tmp_path).record
+    mark = stop.Mark(time_s, stop.FAULT, "vent_magnet_dead axle=3 lifted, and the brake goes on")
+    figure = Figure(figsize=(11.0, 9.5), layout="constrained")
+    FigureCanvasAgg(figure)
+    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
+    stop.draw(figure, record.columns.__getitem__, radius_m, [mark])
+    figure.canvas.draw()
+    (name,) = (text for text in figure.findobj(Annotation) if text.get_text() == mark.name)
+    box = name.get_window_extent()
+    line_x, _ = name.axes.transData.transform((time_s, 0.0))
+    # the room of a name has a reserve for another font
+    room = 1.2 * box.width
+    assert abs(box.x0 - line_x) < 2.0 or 0.0 <= line_x - box.x1 <= room - box.width
