@@ -172,6 +172,7 @@ def start(
                     # a helper that has failed has ended the bench
                     _check_helpers(helpers)
                     causes = _last_words(process, Path(log.name))
+                    _check_unit_came(Path(log.name), programs)
                     for program in programs:
                         causes += program.exit_text()
                     raise BusError(f"{error}{causes}") from None
@@ -219,6 +220,13 @@ class Program(NamedTuple):
             f"{children.last_words(self.log)} ({self.log})"
         )
 
+    def silent_text(self) -> str:
+        """Return the command, its state and its last output, as a part of a sentence."""
+        status = self.process.poll()
+        state = "still runs" if status is None else exits.exit_text(status)
+        words = children.last_words(self.log) or "; it has written nothing"
+        return f"'{self.command}' {state}{words} ({self.log})"
+
 
 def _check(programs: Iterable[Program], helpers: Iterable[Helper]) -> None:
     """Raise RollerrigError when a helper has failed, and UnitError when a program has.
@@ -229,6 +237,26 @@ def _check(programs: Iterable[Program], helpers: Iterable[Helper]) -> None:
     failed = [program.exit_text() for program in programs if program.process.poll()]
     if failed:
         raise UnitError("".join(failed).removeprefix("; "))
+
+
+def _check_unit_came(bench_log: Path, programs: Sequence[Program]) -> None:
+    """Raise UnitError if the bench has ended because no unit sent a heartbeat.
+
+    The bench states this in a line of JSON. The message has what the `programs` did: a program that
+    has exited with status 0 may have started another process, so it ends the run only now.
+    """
+    for line in bench_log.read_text(encoding="utf-8").splitlines():
+        if not line.startswith('{"no_heartbeat"'):
+            continue
+        absent = json.loads(line)
+        if not programs:
+            raise UnitError(absent["error"])
+        texts = [program.silent_text() for program in programs]
+        raise UnitError(
+            f"the program of --unit has sent no heartbeat on {absent['no_heartbeat']} within "
+            f"{absent['waited_s']:g} s; {'; '.join(texts)}; correct the program: a unit connects to "
+            "the bus at {address}, or at {host} and {port}, and sends heartbeats"
+        )
 
 
 def _check_helpers(helpers: Iterable[Helper]) -> None:

@@ -470,15 +470,23 @@ class Parts:
                 return False
             return time.monotonic() > first_s + _UNIT_SETTLES_S
 
-        await self._await(
-            bus,
-            is_there,
-            lambda: (
-                f"no WSP unit on {self.place}: no heartbeat on "
-                f"{_heartbeat_ids(_groups_without_unit(bus), described=GROUPS > 1)}"
-            ),
-            lambda: self._remedy_without_unit(_groups_without_unit(bus)),
-        )
+        try:
+            await self._await(
+                bus,
+                is_there,
+                lambda: (
+                    f"no WSP unit on {self.place}: no heartbeat on "
+                    f"{_heartbeat_ids(_groups_without_unit(bus), described=GROUPS > 1)}"
+                ),
+                lambda: self._remedy_without_unit(_groups_without_unit(bus)),
+            )
+        except _AbsentError as error:
+            if self.options.harness:  # for the program that has started this bench
+                silent = _heartbeat_ids(_groups_without_unit(bus), described=GROUPS > 1)
+                waited_s = self.options.unit_wait_s
+                absent = {"no_heartbeat": silent, "waited_s": waited_s, "error": str(error)}
+                self.report(json.dumps(absent))
+            raise
         if not self.stopping:
             self.event(Code.UNIT_READY)
 
@@ -523,7 +531,7 @@ class Parts:
         missing: Callable[[], str],
         remedy: Callable[[], str],
     ) -> None:
-        """Poll the bus until `is_there()`. Raises UnitError when the time for it is over."""
+        """Poll the bus until `is_there()`. Raises _AbsentError when the time for it is over."""
         starting = bus.own_unit and any(unit.state is None for unit in bus.master.units)
         patience = _OWN_UNIT_PATIENCE if starting else 1
         deadline_s = time.monotonic() + patience * self.options.unit_wait_s
@@ -532,9 +540,13 @@ class Parts:
             if is_there():
                 return
             if time.monotonic() > deadline_s:
-                raise UnitError(f"{missing()} within {self.options.unit_wait_s:g} s; {remedy()}")
+                raise _AbsentError(f"{missing()} within {self.options.unit_wait_s:g} s; {remedy()}")
             self.processes.watch(starting=True)
             await asyncio.sleep(_POLL_S)
+
+
+class _AbsentError(UnitError):
+    """A unit or a harness did not come in time."""
 
 
 def _groups_without_unit(bus: rig_bus.RigBus) -> list[int]:

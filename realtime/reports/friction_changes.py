@@ -6,26 +6,20 @@ the desk change it by a command, from then on.
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.wsp_interface.events import Code
+from rollerrig.wsp_interface import harness_client
+from rollerrig.wsp_interface.events import Code, Event
 from rollerrig.wsp_interface.signals import AXLES
 
 # a recorded signal by name
 Column = Callable[[str], np.ndarray]
 
 
-class _Event(Protocol):
-    """An event of a run or of a harness."""
-
-    @property
-    def time_s(self) -> float: ...
-    @property
-    def code(self) -> Code: ...
-    @property
-    def fields(self) -> Mapping[str, Any]: ...
+# an event of a bench, or of a harness
+AnyEvent = Event | harness_client.Event
 
 
 class Change(NamedTuple):
@@ -40,7 +34,7 @@ class Change(NamedTuple):
 
 
 def changes(
-    scenario: Mapping[str, Any], events: Iterable[_Event], column: Column
+    scenario: Mapping[str, Any], events: Iterable[AnyEvent], column: Column
 ) -> tuple[Change, ...]:
     """Return the changes by the resolved scenario in their order, then those by commands."""
     programmed = [_programmed(row, scenario, column) for row in scenario.get("friction", ())]
@@ -68,7 +62,7 @@ def _programmed(row: Mapping[str, Any], scenario: Mapping[str, Any], column: Col
     return Change(float(column("time_s")[reached[0]]), name, place)
 
 
-def _commanded(event: _Event) -> Change | None:
+def _commanded(event: AnyEvent) -> Change | None:
     """Return the change of friction that an event reports; None for any other event."""
     fields = event.fields
     if event.code == Code.TEST_FRICTION:

@@ -336,9 +336,7 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
         "adhesion": adhesion_words,
         "gradient": _gradient(scenario["mechanisms"]["track_gradient_gradient"]),
     }
-    changed = friction_changes.changes(
-        scenario, outcome.events, outcome.record.columns.__getitem__
-    )
+    changed = friction_changes.changes(scenario, outcome.events, outcome.record.columns.__getitem__)
     if changed:
         conditions["changed friction"] = friction_changes.text(changed)
     return conditions

@@ -23,8 +23,9 @@ from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import brake_work, run_folder
 from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import friction_changes, page
+from rollerrig.realtime.reports.friction_changes import AnyEvent
 from rollerrig.realtime.reports.page import Markup
-from rollerrig.wsp_interface.events import Code, Event
+from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.measures import Record
 from rollerrig.wsp_interface.signals import AXLES
@@ -291,8 +292,8 @@ def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
     figure.legend(handles=handles, loc="outside upper center", ncols=6, title=title)
 
 
-def fault_marks(events: Iterable[Event]) -> list[Mark]:
-    """Return when faults began and were lifted."""
+def fault_marks(events: Iterable[AnyEvent]) -> list[Mark]:
+    """Return when faults began and were lifted, by the events of the bench."""
     found = []
     for event in events:
         if event.code == Code.FAULT_BEGINS:
@@ -303,9 +304,9 @@ def fault_marks(events: Iterable[Event]) -> list[Mark]:
 
 
 def friction_marks(
-    scenario: Mapping[str, Any], events: Iterable[Any], column: Column
+    scenario: Mapping[str, Any], events: Iterable[AnyEvent], column: Column
 ) -> list[Mark]:
-    """Return when the friction of the rail changed; `events` as for `friction_changes.changes`."""
+    """Return when the friction of the rail changed, for a resolved scenario."""
     found = []
     for change in friction_changes.changes(scenario, events, column):
         if np.isfinite(change.time_s):

@@ -10,12 +10,24 @@ import pytest
 import rollerrig
 from rollerrig.configs.errors import BusError, ConfigError
 from rollerrig.realtime import cli
-from rollerrig.wsp_interface import harness
+from rollerrig.wsp_interface import harness, own_bench
 from rollerrig.wsp_interface.harness import bench
+from rollerrig.wsp_interface.sequences import play, sequence
+from rollerrig.wsp_interface.sequences.verdict import Result
 
 EXAMPLE = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
 UNIT = f"{shlex.quote(sys.executable)} {shlex.quote(str(EXAMPLE))} {{host}} {{port}}"
 SHORT = ("--pacing", "lockstep", "--set", "initial_speed_m_s=3", "--set", "adhesion=dry")
+WALK = """title = "A stop from walking pace"
+criteria = "none"
+[start]
+speed = "9 km/h"
+adhesion = "dry"
+[[step]]
+set = { brake_demand = "3.8 bar" }
+until = "vehicle_speed < 0.01 m/s"
+timeout = "20 s"
+"""
 
 
 def run(capfd, out, unit, *more):
@@ -135,3 +147,31 @@ def test_a_plan_starts_no_program_itself(tmp_path):
     plan.write_text('unit = "command:./unit {port}"\n' + PLAN)
     with pytest.raises(ConfigError, match=r"a plan starts no program.*--unit './unit \{port\}'"):
         rollerrig.campaign(plan, out=tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("unit", "state"),
+    [
+        ("sh -c 'echo waiting for a licence; sleep 1000'", "still runs; its last words: waiting"),
+        ("sh -c 'echo done; exit 0'", "exited with status 0; its last words: done"),
+        ("sleep 1000", "still runs; it has written nothing"),
+    ],
+)
+def test_a_silent_program_of_a_sequence_is_the_first_thing_that_its_error_states(
+    unit, state, tmp_path
+):
+    path = tmp_path / "walk.toml"
+    path.write_text(WALK, encoding="utf-8")
+    found = play.on_own_bench(
+        sequence.load(path),
+        tmp_path / "run",
+        wsp="external",
+        companions=(own_bench.program(unit, tmp_path / "unit.log"),),
+        arguments=("--wait", "1"),
+    )
+    assert found.result is Result.ERROR
+    first = "the program of --unit has sent no heartbeat on 720h within 1 s; "
+    assert found.error.startswith(f"{first}'{unit}' {state}")
+    assert "correct the program" in found.error
+    # advice for a bench without --unit
+    assert "rollerrig wsp" not in found.error
