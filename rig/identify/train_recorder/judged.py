@@ -312,6 +312,11 @@ def _offset_check(steady: list[ChannelFit], unknown: list[Finding]) -> Check:
     if len(late) == len(steady):
         return _not_judged("speed_offset", OFFSET_OR_DELAY, _offset_or_delay(late))
     with_range = [channel for channel in steady if channel.has_range]
+    with_offset = [channel for channel in steady if channel.has_offset]
+    if with_offset and not with_range:
+        # one of four speeds, which the other three show
+        error_m_s = max(c.offset_error_m_s * c.line.quantile for c in with_offset)
+        return Check("speed_offset", True, limit.LEAST_OFFSET_M_S + error_m_s, "m/s")
     if not with_range:
         lowest = min(channel.speeds_m_s[0] for channel in steady)
         highest = max(channel.speeds_m_s[1] for channel in steady)

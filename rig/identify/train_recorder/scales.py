@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import t as student
 
+from rollerrig.rig.identify.train_recorder import four_wheels
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import (
     AS_RECORDED,
@@ -39,6 +40,7 @@ from rollerrig.rig.identify.train_recorder.findings import (
     WheelRadius,
 )
 from rollerrig.rig.identify.train_recorder.recording import Run
+from rollerrig.rig.identify.train_recorder.sampling import robust_fit
 
 # standard deviation of a normal distribution over its median absolute deviation
 _DEVIATION_OF_MEDIAN = 1.4826
@@ -193,6 +195,11 @@ def fit(runs: list[Run], delay_s: dict[str, float], block_s: float) -> Scales:
             group = [align(a.run, delay_s, {name: scale}, block_s) for a in group]
             fits[vehicle_id] = fit_channels(group)
         unknown += _offsets_or_delays(group, fits[vehicle_id])
+        of_one = four_wheels.offset(group)
+        if of_one is not None and not any(c.has_offset for c in fits[vehicle_id]):
+            known = {**group[0].scale, of_one.name: Scale(0.0, of_one.offset_m_s)}
+            group = [align(a.run, delay_s, known, block_s) for a in group]
+            fits[vehicle_id] = [_with_offset(channel, of_one) for channel in fit_channels(group)]
         tests = max(sum(len(channel.dates) for channel in fits[vehicle_id]), tests)
 
         is_pair = not any(a.has_reference for a in group) and len(fits[vehicle_id]) == 1
@@ -210,6 +217,19 @@ def fit(runs: list[Run], delay_s: dict[str, float], block_s: float) -> Scales:
             scales[name] = scale_of.get((run.vehicle_id, name, run.date), AS_RECORDED)
         of_runs.append(scales)
     return Scales(of_runs, found, unknown, fits, tests)
+
+
+def _with_offset(channel: ChannelFit, offset: four_wheels.WheelOffset) -> ChannelFit:
+    """Return the fit of a speed that was corrected by an offset of one of four speeds."""
+    if channel.name != offset.name:
+        return channel
+    return channel._replace(
+        offset_m_s=offset.offset_m_s,
+        offset_error_m_s=offset.error_m_s,
+        offset_is_significant=True,
+        has_offset=True,
+        late_s=None,
+    )
 
 
 # --- blocks ---
@@ -523,22 +543,6 @@ def _error_of_choice(
         return 0.0
     of_motion = float(np.average(share_in_motion[rolls], weights=speed_in_motion[rolls]))
     return 0.5 * abs(of_motion - middle)
-
-
-def robust_fit(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return coefficients that minimise the weighted absolute errors, by repeated least squares."""
-    robust = np.ones(values.size)
-    coefficients = np.zeros(columns.shape[1])
-    for _ in range(_ROBUST_STEPS):
-        scaled = (weight * robust)[:, None]
-        coefficients, *_ = np.linalg.lstsq(scaled * columns, weight * robust * values, rcond=None)
-        error = np.abs(weight * (values - columns @ coefficients))
-        usual = max(float(np.median(error)), 1e-9)
-        robust = np.sqrt(np.minimum(1.0, 1.5 * usual / np.maximum(error, 1e-12)))
-    return coefficients
-
-
-_ROBUST_STEPS = 12
 
 
 def _bootstrap(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
