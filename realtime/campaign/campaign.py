@@ -100,6 +100,9 @@ class Plan(NamedTuple):
 
 # --- the plan ---
 
+# the tables of a plan, next to the values at its top
+TABLES = ("vary", "inputs", "correlation", "etcs")
+
 
 def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: Any) -> Plan:
     """Return a plan by name or path; `heads` replace values at its top. Raises ConfigError.
@@ -111,6 +114,7 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
     """
     content, path = store.load("campaigns", name)
     content = content | heads
+    table.known(content, [*(row.name for row in ROWS), *TABLES], lambda key: str(path))
     vary = content.pop("vary", {})
     inputs = content.pop("inputs", {})
     correlations = content.pop("correlation", [])

@@ -59,6 +59,8 @@ def call(options: argparse.Namespace) -> int:
         output.print_message(str(path))
         shown = {"name": options.show, "file": str(path), "text": text}
         return output.show(options, shown, text.rstrip("\n"))
+    if options.kind == "faults":
+        return _show_faults(options)
     rows = names_and_titles(options.kind) if options.kind else list(TITLES.items())
     entries = [{"name": name, "title": title} for name, title in rows]
     if options.kind:
@@ -69,6 +71,20 @@ def call(options: argparse.Namespace) -> int:
         (None, ("kind", "what it is"), rows),
         "print one with: rollerrig list KIND",
     )
+
+
+def _show_faults(options: argparse.Namespace) -> int:
+    """Print the faults with the number that starts each over Modbus. Returns PASS."""
+    from rollerrig.firmware_sim.faults import catalogue
+
+    entries = []
+    rows = []
+    for fault in catalogue.CATALOGUE:
+        entries.append({"name": fault.name, "title": fault.text, "modbus_number": fault.number})
+        rows.append((str(fault.number), fault.name, fault.text))
+    # register 20 of the rig takes the number
+    head = ("Modbus number", "name", "title")
+    return output.show(options, {"faults": entries}, (None, head, rows))
 
 
 def file_of(kind: str, name: str) -> Path:

@@ -174,6 +174,15 @@ def test_a_bad_plan_is_refused_before_the_first_run(plan_file, kind, vary, messa
         campaign.load(plan_file(kind, vary))
 
 
+def test_the_message_about_an_unknown_key_of_a_plan_lists_its_values_and_its_tables(plan_file):
+    path = Path(plan_file())
+    path.write_text(f"varied = 1\n{path.read_text()}")
+    with pytest.raises(ConfigError, match="unknown key 'varied'") as refused:
+        campaign.load(str(path))
+    allowed = str(refused.value).partition("Allowed: ")[2].split(", ")
+    assert {"runs", "design", "vary", "inputs", "correlation", "etcs"} <= set(allowed)
+
+
 def test_the_worst_runs_are_worst_in_the_direction_of_their_figure(plan_file):
     plan = campaign.load(plan_file())
     table = pa.table(

@@ -7,10 +7,12 @@ import shlex
 import subprocess
 import sys
 from importlib import metadata
+from pathlib import Path
 
 import pytest
 
 from rollerrig.configs import store
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.realtime.commands import listing
 
@@ -116,6 +118,21 @@ def test_a_list_names_everything_of_a_kind_with_its_title(kind, capsys):
     if kind not in ("faults", "signals", "datasets"):
         packaged = [*store.names(kind), *store.names_of_vehicles(kind)]
         assert [one["name"] for one in named] == packaged
+
+
+def test_the_list_of_faults_has_the_number_that_starts_each_over_modbus(capsys):
+    assert cli.main(["list", "faults", "--json"]) == cli.PASS
+    listed = json.loads(capsys.readouterr().out)["faults"]
+    numbers = {fault["name"]: fault["modbus_number"] for fault in listed}
+    assert numbers == {kind.name: kind.number for kind in catalogue.CATALOGUE}
+    # the tutorial of Modbus starts this fault by its number
+    tutorial = (Path(__file__).parents[2] / "docs/tutorial_modbus.md").read_text()
+    assert f"Fault {numbers['vent_magnet_stuck']} is `vent_magnet_stuck`" in tutorial
+
+    assert cli.main(["list", "faults"]) == cli.PASS
+    printed = capsys.readouterr().out
+    assert "Modbus number" in printed
+    assert re.search(rf"\b{numbers['bus_off']}\W+bus_off\b", printed)
 
 
 @pytest.mark.parametrize("kind", ["adhesion", "criteria", "vehicles"])

@@ -4,6 +4,7 @@ over the bus.
 
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -121,6 +122,26 @@ def test_the_unit_in_c_of_the_documents_becomes_an_fmu_that_prevents_locked_whee
     axles = json.loads((run.out / "summary.json").read_text())["axles"]
     assert all(axle["vents"] > 0 for axle in axles)
     assert all(axle["longest_lock_s"] == 0.0 for axle in axles)
+
+
+def test_the_script_that_compiles_the_unit_in_c_names_the_package_that_it_lacks(docs, tmp_path):
+    python = tmp_path / "python"
+    # a Python without site packages has no fmpy
+    python.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -S "$@"\n')
+    python.chmod(0o755)
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", docs / "examples" / "fmu" / "build.sh"],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines() == [
+        "build.sh: the headers of FMI are missing; install them with: pip install 'rollerrig[fmu]'"
+    ]
 
 
 def test_the_brakes_apply_when_an_fmu_dies_in_real_time(tmp_path):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import synthetic_record as stop
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.wsp_interface.sequences import measures, sequence, verdict
 from rollerrig.wsp_interface.sequences.measures import BY_NAME
 from rollerrig.wsp_interface.sequences.play import Outcome
@@ -230,3 +231,19 @@ def test_the_profile_of_the_wiring_passes_a_right_unit_and_fails_a_swapped_one()
     swapped = verdict.judge(profile, vents_axle_3_in_place_of_axle_2())
     failed = [one.what for one in swapped if one.result is Result.FAIL]
     assert "vents_without_sliding" in failed
+
+
+@pytest.mark.parametrize(
+    ("measure", "unit", "message"),
+    [
+        ("stop_distance_over_dry", {}, "unit is missing: stop_distance_over_dry has no unit"),
+        ("stop_time", {}, 'unit is missing: stop_time is in s; write unit = "s"'),
+        ("stop_time", {"unit": "m"}, "unit = 'm': stop_time is in s; write unit = \"s\""),
+    ],
+)
+def test_a_limit_without_its_unit_is_refused_with_the_line_to_write(measure, unit, message):
+    table = {"measure": measure, "max": 2.0, "source": "assumption", **unit}
+    with pytest.raises(ConfigError) as refused:
+        verdict.limits([table], lambda number, key: key)
+    assert message in str(refused.value)
+    assert f'write unit = "{BY_NAME[measure].unit}"' in str(refused.value)

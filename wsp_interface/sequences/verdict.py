@@ -159,10 +159,9 @@ def _limit(table: Any, where: Callable[[str], str]) -> Limit:
         )
     measure = measures.BY_NAME[name]
     if table.get("unit") != measure.unit:
-        raise ConfigError(
-            f"{where('unit')} = {table.get('unit')!r}: {name} is in '{measure.unit}'; "
-            f'write unit = "{measure.unit}"'
-        )
+        written = f" = {table['unit']!r}" if "unit" in table else " is missing"
+        kind = f"is in {measure.unit}" if measure.unit else "has no unit"
+        raise ConfigError(f'{where("unit")}{written}: {name} {kind}; write unit = "{measure.unit}"')
     if not table.get("source"):
         raise ConfigError(
             f"{where('source')} is missing; write where the number comes from, or '{UNVERIFIED}'"

@@ -5,6 +5,10 @@ set -e
 here=$(cd "$(dirname "$0")" && pwd)
 work=$(mktemp -d)
 trap 'rm -r "$work"' EXIT
+if ! python -c 'import fmpy' 2>/dev/null; then
+  echo "build.sh: the headers of FMI are missing; install them with: pip install 'rollerrig[fmu]'" >&2
+  exit 1
+fi
 headers=$(python -c 'import fmpy, pathlib; print(pathlib.Path(fmpy.__file__).parent / "c-code")')
 
 mkdir -p "$work/binaries/linux64"
