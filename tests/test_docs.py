@@ -123,9 +123,19 @@ def test_the_rates_that_the_page_of_explain_quotes_are_those_of_its_page_of_rate
             third[cells[0]] = cells[3]
     assert quoted == [
         third["nothing hidden: consistent"],
-        third["one cause: named first or in a set of two, of detected"],
-        third["cause not in the library: given a name"],
+        third["one cause: it is the most likely, or one of two, of detected"],
+        third["effect outside the library: identified as a cause"],
     ]
+
+
+def test_the_fall_of_a_measured_creep_curve_on_the_page_of_explain_is_that_of_measured_data():
+    row = re.search(r"^\| `eurosprinter_127001` \|.*$", text_of("docs/measured.md"), re.MULTILINE)
+    size = re.search(r"`falling_friction` (\S+ \(\S+ to \S+\) %) of the maximum", row[0])
+    law = re.search(r"rms (\S+), scatter (\S+);", row[0])
+    sentence = " ".join(text_of("docs/explain.md").split())
+    assert f"a fall of adhesion by {size[1]} from its maximum" in sentence
+    assert f"an error of {law[1]} (root mean square)" in sentence
+    assert f"The scatter of the 148 points is {law[2]}." in sentence
 
 
 def test_no_limits_of_remainders_name_more_causes_of_first_and_second_generator_than_a_hundredth():

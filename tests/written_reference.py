@@ -258,6 +258,12 @@ def adhesion_sets():
             values = [value(content.get(section, {}).get(key)) for content in sets.values()]
             shown = f"`{key}`" if section == "adhesion" else f"`[{section}] {key}`"
             lines.append(f"| {shown} | {' | '.join(values)} |")
+    lines += [
+        "",
+        "The initial adhesion of `low` is the middle of 0.05 to 0.08, the range of tests of WSP "
+        "(recollection, to be checked against EN 15595 and UIC 541-05). That of `very_low` is as of "
+        "crushed leaves or of the paper tape of UIC 541-05 (recollection).",
+    ]
     return lines
 
 

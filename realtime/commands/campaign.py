@@ -106,7 +106,7 @@ def call(options: argparse.Namespace) -> int:
 
     lines = [f"{found.runs} runs, {found.not_valid} not valid; the worst {options.worst}:"]
     for case in worst:
-        value = campaign_report.read(options.worst, case[options.worst])
+        value = campaign_report.read_with_unit(options.worst, case[options.worst])
         lines.append(f"  run {case['run']}: {value}: {case['replay']}")
     for case in not_valid[:_LISTED_NOT_VALID]:
         lines.append(f"  run {case['run']} is not valid: {case['because']}: {case['replay']}")

@@ -313,6 +313,13 @@ def read(name: str, value: float | None) -> str:
     return "not stopped" if value is None else f"{figures.BY_NAME[name].scale * value:.4g}"
 
 
+def read_with_unit(name: str, value: float | None) -> str:
+    """Return a figure as `read` does, with its unit if it has one."""
+    text = read(name, value)
+    unit = figures.BY_NAME[name].unit
+    return f"{text} {unit}" if unit and value is not None else text
+
+
 def _input(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 

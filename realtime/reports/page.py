@@ -87,11 +87,15 @@ td,th{padding:.2rem .7rem;border-bottom:1px solid #8884;text-align:left;vertical
 table.signatures{width:100%}.signatures td{height:3rem;border:1px solid #8886}
 svg{width:100%;height:auto}pre{overflow:auto;font-size:.85em}summary{cursor:pointer}
 small{opacity:.75}small.fail{opacity:1}.note{background:#8882;padding:.5em .8em}
-tr.marked td{background:#d55e0033}tr.void td{opacity:.6}td{overflow-wrap:anywhere}th.number{white-space:normal}
-td b{overflow-wrap:break-word}
+tr.marked td{background:#d55e0033}tr.void td{opacity:.6}th.number{white-space:normal}
+td{overflow-wrap:break-word}td.long{overflow-wrap:anywhere}
 @media (prefers-color-scheme:dark){svg{filter:brightness(1.3)}}
 @media print{details{display:none}}
 """ + "".join(f".{kind}{{color:{colours.as_hex(colour)}}}" for kind, colour in _COLOURED_WORDS)
+
+# characters. A cell with a longer word, such as a path, may break it anywhere.
+_LONGEST_WORD = 24
+_TAG = re.compile(r"<[^>]*>")
 
 # text of a cell in a column of numbers
 _NUMBER = re.compile(r"[-+]?\d|-?$|never|nan")
@@ -183,12 +187,21 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], marked: Sequence[s
     ]
 
     def line(tag: str, cells: Sequence[str], mark: str = "") -> Markup:
-        elements = [element(tag, cell, kind=kind) for cell, kind in zip(cells, kinds, strict=True)]
+        elements = []
+        for cell, kind in zip(cells, kinds, strict=True):
+            elements.append(element(tag, cell, kind=kind or _kind_of_words(cell)))
         return element("tr", *elements, kind=mark)
 
     marks = marked or [""] * len(rows)
     lines = [line("td", row, mark) for row, mark in zip(rows, marks, strict=True)]
     return element("table", line("th", head), *lines)
+
+
+def _kind_of_words(cell: str) -> str:
+    """Return the class of a cell with a word that may break; "" if all its words are short."""
+    text = _TAG.sub(" ", cell) if isinstance(cell, Markup) else cell
+    longest = max((len(word) for word in text.split()), default=0)
+    return "long" if longest > _LONGEST_WORD else ""
 
 
 def facts(rows: Mapping[str, str]) -> Markup:
@@ -198,7 +211,10 @@ def facts(rows: Mapping[str, str]) -> Markup:
     """
     if not rows:
         return Markup()
-    lines = [element("tr", element("th", name), element("td", text)) for name, text in rows.items()]
+    lines = []
+    for name, text in rows.items():
+        value = element("td", text, kind=_kind_of_words(text))
+        lines.append(element("tr", element("th", name), value))
     return element("table", *lines, kind="facts")
 
 

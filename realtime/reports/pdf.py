@@ -55,9 +55,12 @@ _LEAST_MM = 60.0
 # width of a table of facts
 _FACTS_MM = 110.0
 
-# characters. A line of a table has so many at the full font size; longer cells get no more width.
-_LINE_CHARACTERS = 118
+# characters. Longer cells get no more width, and longer words may break.
 _WIDE_CHARACTERS = 60
+_LONGEST_WORD = 40
+
+# left and right of the text of a cell, together, with a reserve
+_CELL_PADDING_MM = 2.0
 
 # text of a cell in a column of numbers; an empty cell is allowed, too
 _NUMBER = re.compile(r"[-+]?\d|-$|never")
@@ -195,9 +198,8 @@ def _add_table(paper: Any, part: ET.Element) -> None:
         paper.add_page()
 
     columns = list(zip(*rows, strict=True))
-    longest_words = [_longest_word(column) for column in columns]
-    characters = max(sum(longest_words) + 2.0 * len(longest_words), 1)
-    size_pt = min(_TABLE_PT, _TABLE_PT * _LINE_CHARACTERS / characters)
+    width_mm = min(paper.epw, _FACTS_MM) if is_facts else paper.epw
+    size_pt, widths_mm = _sizes(paper, columns, width_mm)
     paper.set_font(_FONT, "", size_pt)
 
     alignment = tuple(
@@ -206,15 +208,13 @@ def _add_table(paper: Any, part: ET.Element) -> None:
     )
     fpdf = check()
     with paper.table(
-        col_widths=[
-            _width(column, longest) for column, longest in zip(columns, longest_words, strict=True)
-        ],
+        col_widths=widths_mm,
         first_row_as_headings=not is_facts,
         borders_layout="HORIZONTAL_LINES",
         text_align=alignment,
         padding=0.8,
         line_height=1.5 * paper.font_size,
-        width=min(paper.epw, _FACTS_MM) if is_facts else paper.epw,
+        width=width_mm,
         align="LEFT",
     ) as table:
         for cells, kind in zip(rows, kinds, strict=True):
@@ -245,15 +245,42 @@ def _cell_text(cell: ET.Element) -> str:
     return re.sub(r"[^\S\n]+", " ", _text(cell)).strip()
 
 
-def _longest_word(column: Sequence[str]) -> int:
-    return max(len(word) for cell in column for word in re.split(r"\s", cell))
+def _sizes(
+    paper: Any, columns: Sequence[Sequence[str]], width_mm: float
+) -> tuple[float, list[float]]:
+    """Return the font size of a table in points, and the widths of its columns in mm.
+
+    Each column has room for its longest word, so that no word breaks but those of more than
+    `_LONGEST_WORD` characters. The rest of the width goes to the columns with longer text.
+    """
+    # headings and some cells are bold, which is wider
+    paper.set_font(_FONT, "B", _TABLE_PT)
+    words_mm = [_longest_word_mm(paper, column) for column in columns]
+    padding_mm = _CELL_PADDING_MM * len(columns)
+    scale = min(1.0, (width_mm - padding_mm) / max(sum(words_mm), 1.0))
+    least_mm = [scale * word_mm + _CELL_PADDING_MM for word_mm in words_mm]
+
+    spare_mm = width_mm - sum(least_mm)
+    wishes = [_longer_text(column) for column in columns]
+    if not sum(wishes):
+        wishes = [1.0] * len(columns)
+    widths_mm = []
+    for least, wish in zip(least_mm, wishes, strict=True):
+        widths_mm.append(least + spare_mm * wish / sum(wishes))
+    return scale * _TABLE_PT, widths_mm
 
 
-def _width(column: Sequence[str], longest_word: int) -> float:
-    """Return the relative width of a column: its longest word, and more for longer text."""
+def _longest_word_mm(paper: Any, column: Sequence[str]) -> float:
+    """Return the width of the longest word of a column; longer words than allowed are cut."""
+    words = {word[:_LONGEST_WORD] for cell in column for word in cell.split()}
+    return max((float(paper.get_string_width(word)) for word in words), default=0.0)
+
+
+def _longer_text(column: Sequence[str]) -> float:
+    """Return by how many characters the longest line of a column exceeds its longest word."""
     longest_line = max(len(line) for cell in column for line in cell.split("\n"))
-    more = max(0, min(longest_line, _WIDE_CHARACTERS) - longest_word)
-    return longest_word + 0.35 * more + 1.5
+    longest_word = max((len(word) for cell in column for word in cell.split()), default=0)
+    return float(max(0, min(longest_line, _WIDE_CHARACTERS) - longest_word))
 
 
 def _is_numbers(cells: Sequence[str], rows: int) -> bool:

@@ -424,6 +424,7 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
     if record is not None and len(record.columns["time_s"]) > 1:
         radius_m = record.scenario["vehicle"]["wheel_radius_m"]
         parts.append(table(*stop.axles(record)))
+        parts.append(paragraph(element("small", stop.lock_note(record))))
         parts.append(stop.picture(record.columns.__getitem__, radius_m, marks(outcome)))
         parts += _brakes(outcome, radius_m)
 

@@ -192,6 +192,16 @@ def axles(record: Record) -> tuple[tuple[str, ...], list[list[str]], list[str]]:
     return head, rows, classes
 
 
+def lock_note(record: Record) -> str:
+    """Return why a wheel may have a slip of 100 % and no lock in the table of axles."""
+    lock_above_m_s = record.scenario["rig"]["lock_above_m_s"]
+    return (
+        f"Slip counts while the vehicle is faster than {_SLOWEST_M_S:g} m/s, a lock only while it is "
+        f"faster than {lock_above_m_s:g} m/s: a wheel that locks below {lock_above_m_s:g} m/s has a "
+        "slip of 100 % and no lock."
+    )
+
+
 def _sliding_cells(record: Record, sliding_m_s: np.ndarray) -> list[str]:
     """Return mean and largest sliding, and the largest slip.
 
@@ -243,6 +253,11 @@ class _Look(NamedTuple):
 _ALONE = _Look(width=1.0, marker="", lane=-0.4, lane_height=0.8)
 # markers of the second and the next runs; the lines of the first run are bold and have none
 _RUN_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+# how to distinguish several runs, above the legend
+_RUNS_TITLE = (
+    "bold lines: first run; lines with a marker: the others (names in grey); "
+    "each row of a valve has one part for each run, the first at the top"
+)
 _BOLD_PT = 1.6
 _FINE_PT = 0.8
 _MARKS_ON_A_LINE = 12
@@ -281,14 +296,16 @@ def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
 
     names = _run_names(runs)
     handles = _handles(plots)
-    if len(runs) > 1:
-        for name, look in zip(names, looks, strict=True):
-            handles.append(
-                Line2D([], [], color=page.INK, lw=look.width, marker=look.marker, label=name)
-            )
     # the name of a single run is the title of the legend: a title of the figure would be drawn over
     # the legend
-    title = names[0] if len(runs) == 1 else None
+    title = names[0]
+    if len(runs) > 1:
+        title = _RUNS_TITLE
+        for name, look in zip(names, looks, strict=True):
+            # grey, because black is the line of the vehicle
+            handles.append(
+                Line2D([], [], color=page.GREY, lw=look.width, marker=look.marker, label=name)
+            )
     figure.legend(handles=handles, loc="outside upper center", ncols=6, title=title)
 
 

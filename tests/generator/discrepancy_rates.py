@@ -125,7 +125,9 @@ def rows(kind: str, judged: dict[str, tuple[dict[str, float], dict[str, Any]]]) 
         first = [_is_first_or_in_two(effects, one) for effects, one in detected]
         second = [len(one["causes"]) > 1 for _, one in hidden]
         lines.append(_row(kind, "one cause: detected", [pair in detected for pair in hidden]))
-        lines.append(_row(kind, "one cause: first or in a set of two, of detected", first))
+        lines.append(
+            _row(kind, "one cause: it is the most likely, or one of two, of detected", first)
+        )
         lines.append(_row(kind, "one cause: a false second cause", second))
     return lines
 

@@ -18,7 +18,7 @@ from rollerrig.realtime import cli
 
 TESTS = Path(__file__).parents[1]
 GAIN = "gain on runs never fitted, share of the possible: median, quartiles"
-REMAINDER = "cause not in the library: reported as a remainder"
+REMAINDER = "effect outside the library: reported as a remainder"
 INTERVALS = "95 % intervals contain the true value"
 
 
@@ -96,9 +96,11 @@ def test_the_truth_counts_first_alone_or_in_a_set_of_two_but_not_of_three(tmp_pa
     )
     found = counts(rows)
     assert found["one cause: detected"] == (3, 4)
-    assert found["one cause: named first or in a set of two, of detected"] == (2, 3)
-    assert found["one cause: in the named set, of detected"] == (3, 3)
-    assert rows["one cause: size of the first set, mean"]["share"] == pytest.approx(8 / 3)
+    assert found["one cause: it is the most likely, or one of two, of detected"] == (2, 3)
+    assert found["one cause: it is identified, or an alternative, of detected"] == (3, 3)
+    assert rows["one cause: number of the most likely cause and its alternatives, mean"][
+        "share"
+    ] == pytest.approx(8 / 3)
 
 
 def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidden(
@@ -119,8 +121,8 @@ def test_second_causes_pairs_and_unknown_ones_are_counted_against_what_was_hidde
     )
     found = counts(rows)
     assert found["one cause: a false second cause"] == (1, 1)
-    assert found["two causes: both named"] == (1, 2)
-    assert found["cause not in the library: given a name"] == (1, 2)
+    assert found["two causes: both identified"] == (1, 2)
+    assert found["effect outside the library: identified as a cause"] == (1, 2)
     assert found[REMAINDER] == (1, 2)
     assert found[INTERVALS] == (1, 1)
 
@@ -161,7 +163,7 @@ def test_data_that_explain_refuses_are_an_answer_that_names_nothing_and_the_benc
     rows = bench.judge(tmp_path, answers.answer(tmp_path, "explain", lines.append))["rows"]
     found = counts({row["measure"]: row for row in rows})
     assert found["data refused"] == (1, 1)
-    assert found["cause not in the library: given a name"] == (0, 1)
+    assert found["effect outside the library: identified as a cause"] == (0, 1)
     assert found[REMAINDER] == (0, 1)
     assert "refused" in lines[0]
 

@@ -174,6 +174,11 @@ def test_a_bad_plan_is_refused_before_the_first_run(plan_file, kind, vary, messa
         campaign.load(plan_file(kind, vary))
 
 
+def test_the_worst_runs_are_listed_with_the_unit_of_their_figure():
+    assert report.read_with_unit("braking_distance_m", 1047.2) == "1047 m"
+    assert report.read_with_unit("braking_distance_m", None) == "not stopped"
+
+
 def test_the_message_about_an_unknown_key_of_a_plan_lists_its_values_and_its_tables(plan_file):
     path = Path(plan_file())
     path.write_text(f"varied = 1\n{path.read_text()}")

@@ -648,3 +648,32 @@ def test_a_unit_that_is_refused_its_priority_reports_it_and_runs(tmp_path):
     printed, _ = unit.communicate(timeout=60)
     assert bench.status == 0, bench.stderr
     assert "SCHED_FIFO priority 60 was refused" in printed
+
+
+# in the table of docs/runs.md, by the code of the event
+WORDS = {
+    Code.COACH_DERAILED: "the coach derailed",
+    Code.UNIT_ENDED: "the process of the unit exited",
+    Code.UNIT_FAILED: "the unit failed",
+    Code.RECORDER_ENDED: "the recorder lost samples, frames or events, or exited",
+    Code.RUN_INTERRUPTED: "SIGINT, SIGTERM or SIGHUP interrupted the run",
+    Code.BENCH_KILLED: "its bench was killed",
+    Code.UNIT_LOST: "the unit was lost",
+    Code.UNIT_SILENT: "the unit was [silent]",
+    Code.EMERGENCY_STOP_SET: "the emergency stop was set over Modbus",
+}
+
+
+def test_the_page_of_runs_has_every_event_that_makes_a_run_not_valid():
+    page = (Path(__file__).parents[2] / "docs/runs.md").read_text(encoding="utf-8")
+    section = page.partition("## When a run is not valid")[2].partition("\n## ")[0]
+    reasons = [line.split(" | ")[0] for line in section.splitlines() if line.startswith("| ")]
+    # events that explain another one, or that end its effect, are no reasons
+    explaining = {
+        *(Code.FAULT_BEGINS, Code.FAULT_LIFTED, Code.FAULT_NEVER_BEGAN),
+        *(Code.UNIT_BACK, Code.UNIT_ANSWERS, Code.EMERGENCY_STOP_RESET),
+        Code.RUN_ENDED_BY_HARNESS,
+    }
+    assert set(validity._RELEVANT) == set(WORDS) | explaining
+    for code, words in WORDS.items():
+        assert any(words in reason for reason in reasons), code

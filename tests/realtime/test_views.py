@@ -451,6 +451,15 @@ def test_the_legend_of_a_picture_names_each_run_and_each_has_other_lines(reporte
     }
     first, second = (look for name, look in entries.items() if name.startswith(("first", "second")))
     assert first != second
+    colours_of = {
+        text.get_text(): line.get_color()
+        for text, line in zip(legend.get_texts(), legend.legend_handles, strict=True)
+        if isinstance(line, Line2D)
+    }
+    of_runs = {shade for name, shade in colours_of.items() if name.startswith(("first", "second"))}
+    assert colours_of["vehicle"] not in of_runs
+    # the rows of the valves have a part for each run
+    assert "row of a valve has one part for each run" in legend.get_title().get_text()
     assert [f"axle {axle}" in entries for axle in range(1, 5)] == [True] * 4
 
 

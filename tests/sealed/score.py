@@ -1,7 +1,7 @@
 """Judges the answers of a tool against the key.
 
 An answer *detects* when its verdict is explained, partly or unexplained. The *set* of a cause
-is its name together with the names in its `confusable_with`. The causes of
+is its name together with the names of its alternatives, in `confusable_with`. The causes of
 an answer are in order, the most likely first. The measures, which answers each of them counts, and
 what is a hit:
 
@@ -9,21 +9,21 @@ what is a hit:
         of sets with nothing hidden; hit: the verdict is "consistent"
     one cause: detected
         of sets with one cause; hit: the answer detects
-    one cause: named first or in a set of two, of detected
+    one cause: it is the most likely, or one of two, of detected
         of sets with one cause that are detected; hit: the hidden cause is the first name, or the
         first set has two names and the hidden cause is one of them
-    one cause: in the named set, of detected
+    one cause: it is identified, or an alternative, of detected
         of the same sets; hit: the hidden cause is in the set of any cause of the answer
-    one cause: size of the first set, mean
+    one cause: number of the most likely cause and its alternatives, mean
         of the same sets, where the answer has a cause; the mean number of names in its first set
     one cause: a false second cause
         of sets with one cause; hit: the answer has more than one cause
-    two causes: both named
+    two causes: both identified
         of sets with two causes; hit: the answer has exactly two causes, and each hidden cause is in
         one of their sets
-    cause not in the library: given a name
+    effect outside the library: identified as a cause
         of sets with an effect that is not in the rig's table; hit: the answer has a cause
-    cause not in the library: reported as a remainder
+    effect outside the library: reported as a remainder
         of the same sets; hit: the verdict is "partly" or "unexplained"
     data refused
         of all sets; hit: the verdict is "refused"
@@ -186,17 +186,17 @@ def rows(found: list[Judged]) -> list[figures.Result]:
         ),
         rate("one cause: detected", "", [answer.detected for answer in one]),
         rate(
-            "one cause: named first or in a set of two, of detected",
+            "one cause: it is the most likely, or one of two, of detected",
             ">= 0.97",
             [answer.first_or_in_two for answer in detected],
         ),
         rate(
-            "one cause: in the named set, of detected",
+            "one cause: it is identified, or an alternative, of detected",
             ">= 0.99",
             [answer.in_a_set for answer in detected],
         ),
         _mean(
-            "one cause: size of the first set, mean",
+            "one cause: number of the most likely cause and its alternatives, mean",
             "<= 1.4",
             [len(answer.sets[0]) for answer in with_a_cause],
         ),
@@ -205,14 +205,14 @@ def rows(found: list[Judged]) -> list[figures.Result]:
             "<= 0.05",
             [len(answer.sets) > 1 for answer in one],
         ),
-        rate("two causes: both named", ">= 0.85", [answer.names_both for answer in two]),
+        rate("two causes: both identified", ">= 0.85", [answer.names_both for answer in two]),
         rate(
-            "cause not in the library: given a name",
+            "effect outside the library: identified as a cause",
             "<= 0.05",
             [bool(answer.sets) for answer in unknown],
         ),
         rate(
-            "cause not in the library: reported as a remainder",
+            "effect outside the library: reported as a remainder",
             "",
             [answer.verdict in ("partly", "unexplained") for answer in unknown],
         ),

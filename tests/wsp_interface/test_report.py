@@ -21,7 +21,8 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.commands import sequence as verb_sequence
-from rollerrig.realtime.reports import sequences, stop
+from rollerrig.realtime.reports import page as report_page
+from rollerrig.realtime.reports import pdf, sequences, stop
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import Event
 from rollerrig.wsp_interface.sequences import measures, sequence, verdict
@@ -462,3 +463,48 @@ def test_the_name_of_a_mark_begins_or_ends_at_its_line(tmp_path, time_s):
     # the room of a name has a reserve for another font
     room = 1.2 * box.width
     assert abs(box.x0 - line_x) < 2.0 or 0.0 <= line_x - box.x1 <= room - box.width
+
+
+def test_a_slip_of_100_percent_without_a_lock_is_explained_next_to_the_table_of_axles(tmp_path):
+    when = sequences.datetime.now(sequences.UTC)
+    html = sequences.html([outcome(tmp_path)], tmp_path, when)
+    assert "a wheel that locks below 3 m/s has a slip of 100 % and no lock" in html
+
+
+def test_a_step_without_a_value_has_no_blank_before_its_comma():
+    step = verdict.Verdict(
+        what="leaves under axles 1 and 2",
+        unit="",
+        value=float("nan"),
+        limit="any sliding > 1 m/s",
+        margin=float("nan"),
+        result=Result.FAIL,
+        source="the sequence",
+        text="",
+    )
+    assert step.against_limit == "leaves under axles 1 and 2, wanted any sliding > 1 m/s"
+
+
+# a row with words that were broken, next to cells with much text
+NARROW = (
+    "Air consumption",
+    "every cylinder_pressure > 1 bar",
+    "1.5 NL",
+    *["a long text " * 12] * 5,
+)
+
+
+def test_no_word_of_a_table_breaks_but_a_long_one_such_as_a_path(tmp_path):
+    long_path = "/home/engineer/" + "reports/of/the/contract/" * 8
+    table = report_page.table(
+        ("measure", "expected", "value", "a", "b", "c", "d", "e"),
+        [NARROW, (long_path, *NARROW[1:])],
+    )
+    assert "<td>Air consumption</td>" in table
+    assert f'<td class="long">{long_path}</td>' in table
+
+    with report_page.on_paper():
+        pdf.write(report_page.page("A title", table), tmp_path / "report.pdf")
+    sheets = PdfReader(tmp_path / "report.pdf").pages
+    words = " ".join(sheet.extract_text() for sheet in sheets).split()
+    assert {"consumption", "cylinder_pressure", "expected"} <= set(words)

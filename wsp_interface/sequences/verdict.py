@@ -124,7 +124,8 @@ class Verdict:
     @property
     def against_limit(self) -> str:
         """The value and its limit as text."""
-        return f"{self.what} {self.value_text}, wanted {self.limit_text}"
+        found = f"{self.what} {self.value_text}".rstrip()
+        return f"{found}, wanted {self.limit_text}"
 
 
 def load(name: str, beside: Path | None = None) -> Profile:
