@@ -131,6 +131,7 @@ OPENS = {
     "configs/processes/children": "standard streams, logs of own processes",
     "realtime/standard_streams": "standard streams",
     "rig/params": "the table of parameters",
+    "rig/compiled/compile_lock": "a lock in the cache",
     "rig/compiled/kernel_cache": "sources of the product, the cache",
     "rig/identify/data/mdf": "blocks of a file that is checked",
     "firmware_sim/modbus/map": "a temporary file of `replaced`",

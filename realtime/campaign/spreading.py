@@ -12,6 +12,7 @@ from typing import Any
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.processes import children
+from rollerrig.rig.compiled import compile_lock
 
 # chunks per worker, from the oldest unfinished one to the newest that may begin
 WINDOW = 8
@@ -48,14 +49,15 @@ class _Window:
 def on_this_machine(work: Work, chunks: Sequence[int], workers: int) -> Iterator[tuple[int, Any]]:
     """Do chunks in processes of this machine; yield each with its result when it is done.
 
-    If a process dies, the chunks in work are done again. Raises RollerrigError after DEATHS such
+    Only one of the processes compiles kernels at a time. If a process dies, the chunks in work are
+    done again. Raises RollerrigError after DEATHS such
     failures without progress.
     """
     window = _Window(chunks, workers)
     deaths = 0
     while deaths < DEATHS:
         window.begin_again()
-        with children.pool(workers) as pool:
+        with children.pool(workers, compile_lock.take_turns) as pool:
             futures: dict[Any, int] = {}
             try:
                 while window.left:

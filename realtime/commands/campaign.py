@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.processes import interruption
 from rollerrig.configs.table import nearest
 from rollerrig.realtime.commands import output
 
@@ -96,7 +97,9 @@ def call(options: argparse.Namespace) -> int:
         )
 
     out = options.out or Path("campaigns") / Path(options.plan).stem
-    _run_chunks(options, plan, out)
+    # without it SIGTERM would end this process before it has stopped its workers
+    with interruption.Interruption():
+        _run_chunks(options, plan, out)
 
     found = outcome.read(plan, out)
     campaign.write_deviation(plan, out, *found.again)
@@ -178,35 +181,39 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
         console=console,
         disable=not console.is_terminal,
     )
-    with (
-        bar,
-        output.report_progress(lambda: f"{bar.tasks[0].completed:.0f} of {run_count} runs"),
-    ):
-        task = bar.add_task("runs", total=run_count)
 
-        # the last chunk may have fewer runs than the others
-        chunks_done = len(plan.chunks) - len(chunks_to_do)
-        bar.advance(task, min(len(plan.points), chunks_done * plan.head["chunk"]))
+    def describe() -> str:
+        # before the first result the workers may still compile, and report that
+        task = bar.tasks[0]
+        return f"{task.completed:.0f} of {run_count} runs" if task.visible else ""
+
+    # the last chunk may have fewer runs than the others
+    chunks_done = len(plan.chunks) - len(chunks_to_do)
+    runs_done = min(len(plan.points), chunks_done * plan.head["chunk"])
+    if runs_done:
+        output.print_message(f"continued: {runs_done} of {len(plan.points)} runs were there")
+    with bar, output.report_progress(describe):
+        task = bar.add_task("runs", total=run_count, completed=runs_done, visible=False)
 
         if merger is None:
             if chunks_to_do:
                 for chunk, rows in _finished(options, campaign.work(plan), chunks_to_do):
                     campaign.write_chunk(out, chunk, rows)
-                    bar.advance(task, len(rows))
+                    bar.update(task, advance=len(rows), visible=True)
             again = campaign.open_again(plan, out)
             to_do = sum(len(stops) for stops in again.values())
             bar.update(task, completed=run_count - to_do)
             if again:
                 for chunk, rows in _finished(options, campaign.work_again(again), list(again)):
                     campaign.write_again(out, chunk, rows)
-                    bar.advance(task, len(rows))
+                    bar.update(task, advance=len(rows), visible=True)
             return
         if not chunks_to_do:
             return
         with merger.writing():
             for chunk, found in _finished(options, large.work(plan, merger.kept), chunks_to_do):
                 merger.add(chunk, found)
-                bar.advance(task, found.runs)
+                bar.update(task, advance=found.runs, visible=True)
 
 
 def _finished(

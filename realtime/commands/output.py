@@ -90,7 +90,8 @@ def console(error: bool = False) -> Any:
 def report_progress(describe: Callable[[], str]) -> Iterator[None]:
     """Print the progress of long work every five seconds, if standard error is not a terminal.
 
-    `describe` returns how far the work is. On a terminal, the verbs draw progress bars instead.
+    `describe` returns how far the work is, "" as long as there is nothing to print. On a terminal,
+    the verbs draw progress bars instead.
     """
     finished = threading.Event()
     start_s = time.monotonic()
@@ -98,7 +99,8 @@ def report_progress(describe: Callable[[], str]) -> Iterator[None]:
     def print_until_finished() -> None:
         while not finished.wait(PERIOD_S):
             elapsed_s = time.monotonic() - start_s
-            print_message(f"{describe()} ({elapsed_s:.0f} s)")
+            if text := describe():
+                print_message(f"{text} ({elapsed_s:.0f} s)")
 
     if not sys.stderr.isatty():
         threading.Thread(target=print_until_finished, name="progress", daemon=True).start()

@@ -7,12 +7,14 @@ not announced. The next messages appear every few seconds, and the last one soon
 kernel.
 """
 
+import contextlib
 import logging
 import threading
 import time
+from collections.abc import Iterator
 from typing import Any
 
-from rollerrig.rig.compiled import numba_import
+from rollerrig.rig.compiled import compile_lock, numba_import
 
 # isort: split
 from numba.core import event
@@ -51,6 +53,16 @@ class _CompileListener(event.Listener):
         self.compiled += 1
         self._last_end_s = time.monotonic()
 
+    @contextlib.contextmanager
+    def saving(self) -> Iterator[None]:
+        """Count the time of the block as compiling."""
+        self._compiling_now += 1
+        try:
+            yield
+        finally:
+            self._compiling_now -= 1
+            self._last_end_s = time.monotonic()
+
     def _log_progress(self) -> None:
         """Log one stretch of compiling, until no kernel has been compiled for ENDED_AFTER_S."""
         begin_s = time.monotonic()
@@ -75,7 +87,9 @@ class _CompileListener(event.Listener):
                     now_s - begin_s,
                     self.compiled - compiled_before,
                 )
+        # first: who takes the lock from now on finds no thread, and starts one that releases it
         self._thread = None
+        compile_lock.release()
         if is_announced:
             log.warning(
                 "compiled %d kernels in %.0f s",
@@ -86,6 +100,7 @@ class _CompileListener(event.Listener):
 
 _listener = _CompileListener()
 event.register("numba:compile", _listener)
+saving = _listener.saving
 
 
 def has_compiled() -> bool:

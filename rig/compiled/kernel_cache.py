@@ -33,6 +33,7 @@ _NOT_READ_BY_KERNELS = (
     "kernel_cache.py",
     "lazy_cache.py",
     "compile_progress.py",
+    "compile_lock.py",
 )
 
 _WRITABLE_BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH

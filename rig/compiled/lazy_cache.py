@@ -7,7 +7,7 @@ so a program starts earlier without both; docs/compiled_kernels.md has the measu
 
 from typing import Any
 
-from rollerrig.rig.compiled import numba_import
+from rollerrig.rig.compiled import compile_lock, compile_progress, numba_import
 
 # isort: split
 from numba.core import caching
@@ -39,4 +39,15 @@ class LazyCache:
         if self._counts_references:
             rtsys.initialize(context)
         with numba_import.without_linear_algebra():
-            return self._open()._load_overload(signature, context)
+            loaded = self._open()._load_overload(signature, context)
+            if loaded is None and compile_lock.take():
+                # another process may have compiled it while this one waited
+                loaded = self._open()._load_overload(signature, context)
+                if loaded is not None:
+                    compile_lock.release()
+            return loaded
+
+    def save_overload(self, signature: Any, compiled: Any) -> None:
+        """Keep the compiled code for a signature; it belongs to the time of compiling."""
+        with compile_progress.saving():
+            self._open().save_overload(signature, compiled)

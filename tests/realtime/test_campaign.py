@@ -302,7 +302,37 @@ def test_a_campaign_that_was_killed_continues_where_it_stopped(plan_file, tmp_pa
     second = subprocess.run([*command, "--json"], capture_output=True, text=True)
     assert second.returncode == 0, second.stderr
     assert json.loads(second.stdout)["runs"] == RUNS
+    assert f"continued: {2 * len(before)} of {RUNS} runs were there" in second.stderr
     assert_unchanged(before)
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupted_campaign_stops_in_order_and_keeps_its_finished_runs(
+    plan_file, tmp_path, by
+):
+    out = tmp_path / "out"
+    # long enough that runs are left
+    plan = plan_file(vary='"adhesion.mu_cd" = [0.03, 0.06]\ninitial_speed_m_s = [30.0, 31.0, 32.0]')
+    first = subprocess.Popen(campaign_command(plan, out), stderr=subprocess.PIPE, text=True)
+    until_s = time.monotonic() + 120.0
+    while not write_times_ns(out) and time.monotonic() < until_s:
+        time.sleep(0.01)
+    first.send_signal(by)
+    _, printed = first.communicate()
+    assert first.returncode == 4, printed
+    assert "interrupted" in printed
+    # a process that leaves semaphores behind has not ended in order
+    assert "leaked" not in printed
+    assert write_times_ns(out)
+
+
+def test_a_campaign_shows_no_counter_of_runs_before_its_first_result(plan_file, tmp_path):
+    done = subprocess.run(
+        campaign_command(plan_file(), tmp_path / "out"), capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert not re.search(rf"^0 of {RUNS} runs", done.stderr, re.MULTILINE)
+    assert "continued" not in done.stderr
 
 
 def test_a_campaign_that_is_killed_again_and_again_gives_the_same_result_to_the_byte(

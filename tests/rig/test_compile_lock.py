@@ -1,0 +1,110 @@
+"""One process compiles, the others wait and load: kernels are compiled once, and nobody hangs."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+# a module with a kernel that needs some time to compile: its loops are unrolled by hand
+MODULE = """
+from rollerrig.rig.compiled.kernel import kernel
+
+@kernel
+def inner(x):
+    return {terms}
+
+@kernel
+def outer(x):
+    return inner(x) + inner(x + 1.0)
+"""
+PROGRAM = """
+import sys, time
+sys.path.insert(0, sys.argv[1])
+from rollerrig.rig.compiled import compile_lock, compile_progress
+import many_terms
+if sys.argv[2] == "turns":
+    compile_lock.take_turns()
+sys.stdin.readline()
+many_terms.outer(1.0)
+print(compile_progress._listener.compiled, flush=True)
+sys.stdin.readline()
+"""
+TERMS = " + ".join(f"(x * {n}.5 if x > {n}.0 else x / {n}.25)" for n in range(1, 120))
+
+
+@pytest.fixture
+def processes(tmp_path):
+    """Return a function that starts processes which wait for a line before they compile."""
+    (tmp_path / "many_terms.py").write_text(MODULE.format(terms=TERMS))
+    started = []
+
+    def start(count, mode="turns"):
+        for _ in range(count):
+            started.append(
+                subprocess.Popen(
+                    [sys.executable, "-c", PROGRAM, str(tmp_path), mode],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    text=True,
+                    env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "kernels")},
+                )
+            )
+        return started[-count:]
+
+    yield start
+    for process in started:
+        process.kill()
+        process.communicate()
+
+
+def compile_now(process) -> None:
+    process.stdin.write("\n")
+    process.stdin.flush()
+
+
+def compiled(process) -> int:
+    """Return how many kernels a process has compiled."""
+    return int(process.stdout.readline())
+
+
+def test_processes_that_take_turns_compile_each_kernel_once(processes):
+    both = processes(2)
+    for process in both:
+        compile_now(process)
+    counts = sorted(compiled(process) for process in both)
+    assert counts[0] == 0
+    assert counts[1] > 0
+
+
+def test_the_lock_is_free_while_its_process_lives_on(processes, tmp_path):
+    first, second = processes(2)
+    compile_now(first)
+    assert compiled(first) > 0
+    # the first process is still there, and has kept nothing that the second one waits for
+    for index in (tmp_path / "kernels").rglob("*.nbi"):
+        index.unlink()
+    compile_now(second)
+    assert compiled(second) > 0
+    assert first.poll() is None
+
+
+def test_a_process_that_is_killed_while_it_compiles_blocks_nobody(processes, tmp_path):
+    first, second = processes(2)
+    compile_now(first)
+    lock = tmp_path / "kernels" / "compiling.lock"
+    while not lock.exists():
+        time.sleep(0.01)
+    os.kill(first.pid, signal.SIGKILL)
+    first.wait()
+    compile_now(second)
+    assert compiled(second) > 0
+
+
+def test_a_process_that_takes_no_turns_waits_for_nobody(processes, tmp_path):
+    (process,) = processes(1, "alone")
+    compile_now(process)
+    assert compiled(process) > 0
+    assert not (tmp_path / "kernels" / "compiling.lock").exists()
