@@ -19,7 +19,7 @@ from rollerrig.realtime.reports.creep_curve.tuned import (
 )
 from rollerrig.realtime.reports.page import RUNS, paragraph, table
 from rollerrig.realtime.reports.study import Model, StudyReport, verdict_and_sentences
-from rollerrig.rig.identify.creep_curves import conditions, laws
+from rollerrig.rig.identify.creep_curves import conditions, factors, laws
 from rollerrig.rig.identify.creep_curves.conditions import Condition
 from rollerrig.rig.identify.creep_curves.factors import Effect
 from rollerrig.rig.identify.creep_curves.judgement import (
@@ -182,6 +182,8 @@ def _smallest_words(effect: Effect, condition: Condition) -> str:
         begin = f"Braking and traction do not differ significantly: {measured}"
     else:
         begin = f"Friction does not change significantly with {effect.name}: {measured}"
+    if not effect.low <= 0.0 <= effect.high:
+        begin += f". The interval excludes 0, but a cause needs p < {factors.ALPHA:g}"
     if condition.name in (conditions.SERIES, conditions.DIRECTION):
         return f"{begin}; a difference of {_percent(effect.smallest)} would have been shown"
     return (

@@ -773,6 +773,8 @@ def _rival_offset(channel: ChannelFit, wheel: Wheel) -> RivalOffset | None:
     At nearly one speed an offset alone explains a radius. If low speed occurs once, the fit of both
     is not trusted, and is the rival.
     """
+    if channel.has_offset:
+        return None
     if not channel.has_range:
         offset_m_s = wheel.radius * float(np.mean(channel.speeds_m_s))
         radius_percent = 0.0

@@ -257,3 +257,23 @@ def test_at_nearly_one_speed_a_radius_is_reported_with_the_offset_that_looks_the
     assert "or its speed has an offset of +0.3 m/s" in report.sentence(radius)
     (cause,) = report.as_json(account)["causes"]
     assert cause["rival"]["name"] == "speed_offset"
+
+
+@pytest.mark.parametrize("seed", range(50, 56))
+@pytest.mark.parametrize("rate_hz", [10.0, 50.0])
+def test_a_gap_of_a_small_robot_that_repeats_its_motion_is_a_gap(tmp_path, seed, rate_hz):
+    rng = np.random.default_rng(seed)
+    time_s = np.arange(0.0, 70.0, 1.0 / rate_hz)
+    period_s = rng.uniform(1.5, 4.0)
+    speed = 0.3 + 0.12 * np.sin(2.0 * np.pi * time_s / period_s + rng.uniform(0.0, 6.0))
+    columns = [time_s, *(speed + 0.004 * rng.standard_normal(time_s.size) for _ in range(2))]
+    rows = np.column_stack(columns)
+    start_s = rng.uniform(20.0, 40.0)
+    rows = rows[(time_s < start_s) | (time_s > start_s + 6.0)]
+    header = "time_s,wheel_speed_1_m_s,wheel_speed_2_m_s"
+    np.savetxt(tmp_path / "a.csv", rows, delimiter=",", fmt="%.3f", header=header, comments="")
+    (tmp_path / "dataset.toml").write_text('kind = "recorder"\n[[run]]\nfile = "a.csv"\n')
+    account = verdict.explain(recording.load(tmp_path))
+    (gap,) = account.findings
+    assert gap.name == "sensor_dropout", report.story(account)
+    assert gap.size == pytest.approx(6.0, abs=0.2)

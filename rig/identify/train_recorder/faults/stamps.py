@@ -16,6 +16,10 @@ _SHORT_GAP_S = 3.0
 _SIDE_SAMPLES = 15
 _LEAST_SIDE_SAMPLES = 8
 
+# multiples of the error of a sample that a curve through both sides of a longer jump may leave.
+# Beyond, the vehicle changes its motion too often to show that it goes on. Chosen.
+_SMOOTH = 3.0
+
 # s. After a gap of this length no vehicle has the same speed and slope as before.
 LONG_JUMP_S = 60.0
 
@@ -134,12 +138,16 @@ def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
 
     The jump is between samples k and k + 1. The value of every channel must continue, and the slope
     of most: a vehicle that runs on through a gap returns to both by chance only. One channel at
-    least must contradict a gap.
+    least must contradict a gap, and all channels a longer one: a small robot repeats its motion.
     """
     step_s = group[0].step_s
     samples = _SIDE_SAMPLES
     if size_s < LONG_JUMP_S:
         samples = min(samples, int(limit.CLOCK_SIDE_S / step_s))
+    is_long = size_s > _SHORT_GAP_S
+    if is_long:
+        # what a vehicle does for a part of a second does not show where it is seconds later
+        samples = max(samples, round(min(size_s, limit.CLOCK_SIDE_S) / step_s))
     before = slice(max(k - samples + 1, 0), k + 1)
     after = slice(k + 1, k + 1 + samples)
     seen = []
@@ -152,7 +160,11 @@ def _motion_goes_on(group: list[Channel], k: int, size_s: float) -> bool:
     if not seen or not all(continuity.value_goes_on for continuity in seen):
         return False
     slopes_go_on = np.mean([continuity.slope_goes_on for continuity in seen]) > 0.5
-    return bool(slopes_go_on and any(continuity.contradicts_gap for continuity in seen))
+    contradict = [continuity.contradicts_gap for continuity in seen]
+    if is_long:
+        smooth = all(continuity.is_smooth for continuity in seen)
+        return bool(slopes_go_on and smooth and all(contradict))
+    return bool(slopes_go_on and any(contradict))
 
 
 class _Continuity(NamedTuple):
@@ -161,6 +173,7 @@ class _Continuity(NamedTuple):
     value_goes_on: bool
     slope_goes_on: bool
     contradicts_gap: bool
+    is_smooth: bool  # one curve describes both sides
 
 
 def _side(channel: Channel, part: slice, shift_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -208,4 +221,5 @@ def _continuity(
             abs(expected_jump) > limit.CLOCK_RATIO * jump_error
             and abs(jump) < abs(jump - expected_jump) / 2.0
         ),
+        is_smooth=bool(spread < _SMOOTH * channel.error + channel.quantum / 3.0),
     )
