@@ -162,7 +162,7 @@ def from_folders(
     out: Path,
     validate: Sequence[Path] = (),
     noise: Mapping[str, float] = run_sensors.PERFECT,
-    slowest_m_s: float = 0.01,
+    slowest_m_s: float = 1.0,
     longest_s: float = np.inf,
 ) -> Path:
     """Write a dataset of recorded runs, as their sensors measure them; return its folder.

@@ -167,6 +167,12 @@ def note_sentence(note: Note) -> str:
             )
         case NoteCode.INSIDE_CALIBRATION:
             return _inside_calibration_sentence(note)
+        case NoteCode.SPEED_SCALE:
+            return (
+                f"{causes} are together what a speed sensor with a wrong scale shows: the speed is "
+                "wrong, and the brake acts at the stated radius. Measure the radius of this "
+                "wheelset: if it is the stated one, correct its sensor, and both causes go"
+            )
         case NoteCode.SMALL_REMAINDER:
             return f"a small remainder is left along {remainder}"
 

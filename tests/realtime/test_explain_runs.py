@@ -77,6 +77,24 @@ def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(
     assert cause["parameters"]["fraction"]["value"] == pytest.approx(0.01, abs=5e-4)
 
 
+@pytest.mark.explanation
+@pytest.mark.parametrize(("axle", "fraction"), [(2, -0.02), (4, 0.02)])
+def test_a_wheel_whose_radius_is_far_off_is_the_only_cause(
+    tmp_path, capsys, axle: int, fraction: float
+) -> None:
+    # more than the creepage of the largest adhesion: the linearised replay shows a tenth of it
+    settings = (
+        f"mechanisms.wheel_radius_axle={axle}",
+        f"mechanisms.wheel_radius_fraction={fraction}",
+    )
+    runs = run_stops(tmp_path, "--set", settings[0], "--set", settings[1])
+    report = explain(runs, tmp_path / "report", capsys)
+    [cause] = report["causes"]
+    assert cause["name"] == "wheel_radius"
+    assert cause["axles"] == [axle]
+    assert cause["parameters"]["fraction"]["value"] == pytest.approx(fraction, abs=5e-4)
+
+
 # --- runs as measured data ---
 
 

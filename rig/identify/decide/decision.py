@@ -15,10 +15,11 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.base import check as base_checks
+from rollerrig.rig.identify.base import rolling
 from rollerrig.rig.identify.causes import candidates, discrepancy, table
-from rollerrig.rig.identify.causes.candidates import Explanation
+from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
-from rollerrig.rig.identify.data.runs import Dataset
+from rollerrig.rig.identify.data.runs import AXLES, Dataset
 from rollerrig.rig.identify.decide import (
     choice,
     coherence,
@@ -31,7 +32,7 @@ from rollerrig.rig.identify.decide import (
     stopping,
     thresholds,
 )
-from rollerrig.rig.identify.decide.choice import Candidate, IdentifiedCause
+from rollerrig.rig.identify.decide.choice import BlockwiseFit, Candidate, IdentifiedCause
 from rollerrig.rig.identify.decide.coherence import Contradicted, Contradiction
 from rollerrig.rig.identify.decide.empirical import EmpiricalFormula
 from rollerrig.rig.identify.decide.evidence import ScoreTest
@@ -113,6 +114,7 @@ def explain_braking_runs(
         if data.group("validate"):
             held_out = prepare(data, data.group("validate"))
         notes = inside + immaterial + _notes_on_gain(held_out, search.causes)
+        notes += _notes_on_speed_scale(search.causes)
         measured_gain = None
         can_judge_gain = not any(note.code is NoteCode.GAIN_NOT_JUDGED for note in notes)
         if held_out is not None and search.causes and can_judge_gain:
@@ -198,6 +200,9 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
     # score tests on the rail that the most promising causes leave
     normal, *_ = fitting.normal_equations(design, base)
     promising = evidence.most_promising(design, normal, thresholds.MOST_PROMISING)
+    radius = _rolling_radius(workspace.data)
+    if radius is not None:
+        promising = [cause for cause in promising if cause.name != radius.name] + [radius]
     smoother_base, promising_fits = choice.with_remaining_irregularity(workspace, base, promising)
     tests, normal, nulls = null_simulations.score_against_nulls(
         workspace, smoother_base, thresholds.MOST_NULL_SIMULATIONS, seed
@@ -208,6 +213,8 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
         workspace, base, tests, thresholds.MOST_FITTED, ready=promising_fits
     )
     fitted = choice.add_ready_fits(base_deviance, fitted, promising_fits, normal, nulls)
+    if radius is not None:
+        fitted = _with_rolling_radius(design, base_deviance, fitted, promising_fits[-1])
     explanation, causes, rejected = _choose_coherent(design, base_fit, fitted)
 
     # a second cause, and the remainder
@@ -224,6 +231,51 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
         smoother_base=smoother_base,
         contradicted=() if rejected is None else (rejected,),
     )
+
+
+def _rolling_radius(data: Dataset) -> Cause | None:
+    """Return the radius that the rolling wheels of one wheelset show; None if all are nearly alike.
+
+    A radius that is wrong by more than the creepage at which adhesion is largest is far from what
+    the linearised replay shows of it. While the brake is released, the wheels show it directly.
+    """
+    odd = rolling.odd_radius(data)
+    return None if odd is None else Cause("wheel_radius", odd.axle, {}, (odd.fraction,))
+
+
+def _with_rolling_radius(
+    design: Design, base_deviance: float, fitted: list[Candidate], ready: BlockwiseFit
+) -> list[Candidate]:
+    """Return the candidates with the best fit that began at the radius of the rolling wheels.
+
+    `ready` began at the fitted base, which explains the wrong radius by other parameters. So
+    another fit begins at the untuned base. Null simulations on a base with a wrong radius do not
+    show the errors of this estimate, so it has its nominal error and no bias.
+    """
+    untuned = candidates.untuned(design)._replace(causes=ready.explanation.causes)
+    restarted = fitting.fit(design, untuned)
+    if restarted.deviance < ready.deviance:
+        blocks = choice.deviance_by_block(design, restarted.explanation)
+        ready = BlockwiseFit(*restarted, blocks=blocks)
+    cause = ready.explanation.causes[-1]
+    ratio = base_deviance - ready.deviance
+    if ratio < thresholds.CERTAIN_RATIO:
+        return fitted
+    test = ScoreTest(
+        name=cause.name,
+        axle=cause.axle,
+        shape=cause.shape,
+        estimate=cause.values,
+        bias=(0.0,),
+        deviation=(float(np.sqrt(ready.covariance[-1, -1])),),
+        statistic=ratio,
+        p_value=0.0,
+        expected=1.0,
+        spread=1.0,
+        trials=AXLES,
+    )
+    others = [candidate for candidate in fitted if candidate.test.name != cause.name]
+    return [*others, Candidate(test, ready)]
 
 
 def _choose_coherent(
@@ -365,6 +417,23 @@ def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[
 
 def _smooth_functions(tests: list[ScoreTest]) -> list[ScoreTest]:
     return [test for test in tests if evidence.is_smooth_function(test.name)]
+
+
+def _notes_on_speed_scale(causes: list[IdentifiedCause]) -> list[Note]:
+    """Return a note if a radius and a brake torque are what a wrong scale of a sensor shows.
+
+    Wheels that are larger by a share turn slower, and brake with less force by the same share. A
+    sensor whose scale is wrong shows slower wheels only: a radius, and a brake that compensates it.
+    """
+    by_name = {found.cause.name: found.cause for found in causes}
+    radius = by_name.get("wheel_radius")
+    brake = by_name.get("brake_gain") or by_name.get("torque_offset")
+    if radius is None or brake is None or radius.axle != brake.axle:
+        return []
+    # an offset is no share: of it only the sign is compared
+    ratio = brake.values[0] / radius.values[0]
+    is_alike = abs(ratio - 1.0) <= 0.5 if brake.name == "brake_gain" else ratio > 0.0
+    return [Note(NoteCode.SPEED_SCALE, causes=(radius.name, brake.name))] if is_alike else []
 
 
 def _notes_on_gain(held_out: Design | None, causes: list[IdentifiedCause]) -> list[Note]:

@@ -88,6 +88,29 @@ def test_every_cause_whose_shape_other_runs_do_not_show_has_a_note_on_the_gain()
             assert "the gain cannot be judged there" in cause_sentences.note_sentence(note)
 
 
+@pytest.mark.parametrize(
+    ("name", "axle", "value", "has_note"),
+    [
+        ("brake_gain", 2, 0.017, True),
+        ("torque_offset", 2, 90.0, True),
+        ("brake_gain", 2, -0.02, False),  # wheels that are larger do not brake with more force
+        ("brake_gain", 2, 0.05, False),  # more than a wrong scale explains
+        ("brake_gain", 3, 0.02, False),
+        ("pad_fade", 2, 0.02, False),
+    ],
+)
+def test_a_radius_with_a_brake_that_compensates_it_has_a_note_on_the_speed_sensor(
+    name: str, axle: int, value: float, has_note: bool
+) -> None:
+    radius = identified(1000.0, "wheel_radius")
+    radius = radius._replace(cause=Cause("wheel_radius", 2, {}, (0.02,)))
+    other = identified(500.0, name)._replace(cause=Cause(name, axle, {}, (value,)))
+    notes = decision._notes_on_speed_scale([radius, other])
+    assert [note.code for note in notes] == [NoteCode.SPEED_SCALE] * has_note
+    for note in notes:
+        assert "a speed sensor with a wrong scale" in cause_sentences.note_sentence(note)
+
+
 def test_two_causes_that_leave_a_large_remainder_are_noted_and_not_reported() -> None:
     two = [identified(1000.0), identified(500.0, "brake_gain")]
     verdict, notes = decision.decide_verdict(two, [score_test("along vehicle time", 200.0)], None)
