@@ -255,7 +255,7 @@ _ALONE = _Look(width=1.0, marker="", lane=-0.4, lane_height=0.8)
 _RUN_MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 # how to distinguish several runs, above the legend
 _RUNS_TITLE = (
-    "bold lines: first run; lines with a marker: the others (names in grey); "
+    "bold lines: first run; lines with a marker: the others (names in grey)\n"
     "each row of a valve has one part for each run, the first at the top"
 )
 _BOLD_PT = 1.6

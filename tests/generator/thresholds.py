@@ -58,8 +58,8 @@ HEAD = (
     "hidden: identified rightly | unknown: identified |"
 )
 FORM_HEAD = (
-    "| form_fraction | answers to | identified first or in a set of two | in the set "
-    "| size of the set, mean |"
+    "| form_fraction | answers to | the most likely, or one of two | identified, or an alternative "
+    "| number of the most likely and its alternatives, mean |"
 )
 # sentences of an answer's notes that decide its verdict
 NOT_LIKE_THE_RECORDING = "do not brake like the recording"
