@@ -6,7 +6,8 @@ The rule is that of `decision.py`: a cause that acts on the brake or on the vehi
 brakes that all vary in the same way, inside their calibration, are at least as likely. The table
 is made from the kept answers. It has the sets with one hidden force. It counts those whose answer
 has another verdict than `consistent`, those that are `consistent` with a note on a force inside the
-calibration, and the others, which are not seen.
+calibration, and the others, which are not seen. Kept answers of an `explain` without this rule are
+left out.
 """
 
 from collections import defaultdict
@@ -42,6 +43,8 @@ def answers_by_row() -> dict[Row, list[dict[str, Any]]]:
         generator, key, answers = thresholds.read(folder)
         for name, answer in answers.items():
             effects = key[name]["effects"]
+            if "immaterial" not in answer:
+                continue
             if key[name]["kind"] == "one" and all(is_force(effect) for effect in effects):
                 ((effect, size),) = effects.items()
                 found[Row(effect, size, generator)].append(answer)

@@ -43,10 +43,10 @@ def test_a_first_start_announces_that_it_compiles_and_then_reports_its_progress(
                 break
         process.kill()
 
-    assert announcements == 1
+    # a command may compile in several stretches, each of which is announced and counted by itself
+    assert announcements >= 1
     assert len(kernels_done) == 2
-    assert kernels_done == sorted(kernels_done)
-    assert kernels_done[-1] > 0
+    assert min(kernels_done) > 0
 
 
 def test_a_kernel_that_is_compiled_within_a_moment_is_not_announced():
