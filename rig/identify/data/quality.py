@@ -5,7 +5,7 @@ file, the value with its unit, what is allowed, and how to correct the data.
 """
 
 from collections.abc import Mapping
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -214,10 +214,7 @@ def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
         wheel_rad_s = run.wheel_speed_rad_s[:, j]
         repeated = (np.diff(wheel_rad_s) == 0.0) & (wheel_rad_s[1:] > 0.0) & moves
 
-        # the longest distance between two samples that differ from the sample before them
-        changes = np.flatnonzero(~repeated)
-        distances = np.diff(np.concatenate([[-1], changes, [repeated.size]]))
-        longest_s = (int(np.max(distances)) - 1) * step_s
+        longest_s = _longest_held_s(run, j, repeated, step_s)
         if longest_s > LONGEST_HELD_S:
             raise ConfigError(
                 f"{path}: wheel_speed_{j + 1}_rad_s stays the same for {longest_s:.3g} s while the "
@@ -231,6 +228,29 @@ def _check_held(run: Run, path: Path, warnings: list[str]) -> None:
                 "the one before: its sample rate is lower than that of the file, or it is rounded; "
                 "delays cannot be judged"
             )
+
+
+def _longest_held_s(run: Run, axle: int, repeated: np.ndarray, step_s: float) -> float:
+    """Return the longest time for which a wheel speed stays the same although the vehicle slows.
+
+    `repeated` (n - 1,) is where a sample repeats the one before. Counted pulses stay the same as
+    long as the speed changes by less than their quantum, so such a stretch does not count.
+    """
+    wheel_rad_s = run.wheel_speed_rad_s[:, axle]
+    values = np.unique(wheel_rad_s)
+    quantum_rad_s = float(np.min(np.diff(values))) if values.size > 1 else 0.0
+
+    changes = np.concatenate([[-1], np.flatnonzero(~repeated), [repeated.size]])
+    longest_s = 0.0
+    for before, after in pairwise(changes.tolist()):
+        # the samples from first to last are the same
+        first, last = before + 1, after
+        held_s = (last - first) * step_s
+        change_m_s = abs(run.speed_m_s[first] - run.speed_m_s[last])
+        change_rad_s = change_m_s / run.speed_m_s[first] * wheel_rad_s[first]
+        if held_s > longest_s and change_rad_s >= quantum_rad_s:
+            longest_s = held_s
+    return longest_s
 
 
 def check(dataset: Dataset, where: str) -> None:

@@ -7,6 +7,7 @@ import contextlib
 import shutil
 import sys
 from collections.abc import Callable, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple, TypeAlias
 
@@ -15,7 +16,7 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify.data import dataset, mdf
+from rollerrig.rig.identify.data import dataset, mdf, quality
 
 SHIPPED = store.ROOT / "datasets" / "open_none"
 RADIUS_M = 0.445
@@ -261,6 +262,27 @@ def test_data_that_limits_the_conclusions_leads_to_a_warning(copy: Path, name: s
     case = DOUBTFUL[name]
     write(copy, "a2", case.defect(read(copy, "a2")))
     assert any(case.message in warning for warning in dataset.load(copy).warnings)
+
+
+def test_counted_pulses_that_stay_the_same_within_their_quantum_are_no_stuck_sensor(
+    copy: Path,
+) -> None:
+    columns = read(copy, "a2")
+    # the wheel rolls, and its counter counts whole pulses
+    rolling_rad_s = columns["vehicle_speed_m_s"] / RADIUS_M
+    quantum_rad_s = 5.0
+    counted_rad_s = quantum_rad_s * np.floor(rolling_rad_s / quantum_rad_s)
+    longest = max(len(list(same)) for _, same in groupby(counted_rad_s))
+    assert longest * (columns["time_s"][1] - columns["time_s"][0]) > quality.LONGEST_HELD_S
+    columns[SPEEDS[2]] = counted_rad_s
+    write(copy, "a2", columns)
+    dataset.load(copy)
+
+    # the same time at the same value is too long if the vehicle slows by more than the quantum
+    columns[SPEEDS[2]] = np.where(columns["time_s"] > 8.0, counted_rad_s[800], counted_rad_s)
+    write(copy, "a2", columns)
+    with pytest.raises(ConfigError, match="stuck"):
+        dataset.load(copy)
 
 
 def test_shipped_data_is_accepted_without_a_warning() -> None:
