@@ -86,7 +86,7 @@ MEASURE = '\n[[measure]]\nmeasure = "longest_lock"\nunit = "s"\nmax = 0.4\nsourc
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ('unit = "s"', 'unit = "ms"', "is in 's'"),
+        ('unit = "s"', 'unit = "ms"', 'is in s; write unit = "s"'),
         ("max = 0.4", "max = -1", "least value that longest_lock can have"),
         ("max = 0.4", "max = 0.4\nmin = 0.5", "below min"),
         ('source = "memory"\n', "", "source"),
