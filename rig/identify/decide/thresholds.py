@@ -136,6 +136,11 @@ SHARE_OUTSIDE_BEST_BLOCK = 0.2
 # filter.
 BLOCK_S = 3.0
 
+# Largest bias of a smooth function of friction in null simulations of counted pulses, in the
+# logarithm of friction. Chosen: on sets of the second generator it is 0.8 to 1.1 along the
+# deceleration, up to 1.2 along the energy, and at most 0.4 along other quantities of all wheels.
+LARGEST_NULL_BIAS = 0.5
+
 # Likelihood ratio that no null simulation can win: a cause whose fit wins it needs no score,
 # because scores are not reliable far from the base. Chosen.
 CERTAIN_RATIO = 300.0

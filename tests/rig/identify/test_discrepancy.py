@@ -250,7 +250,8 @@ def test_a_base_model_has_no_modes_that_all_brakes_share(stops) -> None:
 
 @pytest.mark.explanation
 @pytest.mark.parametrize(
-    ("kind", "seed"), [("pulses timed", 712000), ("last pulse period", 713000)]
+    ("kind", "seed"),
+    [("pulses counted", 711005), ("pulses timed", 712000), ("last pulse period", 713000)],
 )
 def test_sensors_of_pulses_are_consistent_where_nothing_is_hidden(
     kind: str, seed: int, tmp_path: Path
