@@ -7,6 +7,7 @@ import threading
 import can
 import pytest
 from bench_process import BenchProcess
+from short_sequences import WALKING_PACE
 
 from rollerrig.configs.errors import UnitError
 from rollerrig.firmware_sim.faults import catalogue
@@ -43,16 +44,6 @@ message = "VALVES"
 hold = ["OFF", "OFF", "OFF", "OFF"]
 vent = ["OFF", "OFF", "OFF", "OFF"]
 reference = "V_REF"
-"""
-WALK = """title = "A stop from walking pace"
-criteria = "none"
-[start]
-speed = "9 km/h"
-adhesion = "dry"
-[[step]]
-set = { brake_demand = "3.8 bar" }
-until = "vehicle_speed < 0.01 m/s"
-timeout = "20 s"
 """
 
 
@@ -96,7 +87,7 @@ def test_a_gateway_reports_a_unit_whose_signals_are_no_numbers_and_its_run_is_no
 ):
     (tmp_path / "unit.dbc").write_text(DBC)
     (tmp_path / "map.toml").write_text(MAP)
-    (tmp_path / "walk.toml").write_text(WALK)
+    (tmp_path / "walk.toml").write_text(WALKING_PACE)
     walk = sequence.load(tmp_path / "walk.toml", catalogue.parse)
 
     outcome = play.on_own_bench(

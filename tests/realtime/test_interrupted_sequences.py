@@ -7,21 +7,12 @@ import signal
 import pytest
 from bench_process import until
 from endurance import runs
+from short_sequences import WALKING_PACE
 
 from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
-SHORT = """title = "A stop from walking pace"
-criteria = "none"
-[start]
-speed = "9 km/h"
-adhesion = "dry"
-[[step]]
-set = { brake_demand = "3.8 bar" }
-until = "vehicle_speed < 0.01 m/s"
-timeout = "20 s"
-"""
 LONG = """title = "A coach that rolls for an hour"
 criteria = "none"
 [start]
@@ -62,7 +53,7 @@ def test_an_interrupted_library_plays_nothing_more_reports_what_was_played_and_l
 ):
     library = tmp_path / "library"
     library.mkdir()
-    (library / "a_short.toml").write_text(SHORT)
+    (library / "a_short.toml").write_text(WALKING_PACE)
     for long_name in LONG_NAMES:
         (library / f"{long_name}.toml").write_text(LONG)
     out = tmp_path / "out"

@@ -15,6 +15,7 @@ import bench_process
 import numpy as np
 import pytest
 from bench_process import HEARTBEAT, MAGNETS, BenchProcess, SimpleUnit
+from short_sequences import WALKING_PACE
 
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
@@ -453,22 +454,9 @@ def test_a_campaign_counts_runs_that_are_not_valid_separately(
     assert page.count("did not stop within") == bad
 
 
-# a test sequence: one stop
-WALK = """title = "A stop from walking pace"
-criteria = "none"
-[start]
-speed = "9 km/h"
-adhesion = "dry"
-[[step]]
-set = { brake_demand = "3.8 bar" }
-until = "vehicle_speed < 0.01 m/s"
-timeout = "20 s"
-"""
-
-
 @pytest.fixture
 def walk(tmp_path):
-    (tmp_path / "walk.toml").write_text(WALK)
+    (tmp_path / "walk.toml").write_text(WALKING_PACE)
     return sequence.load(tmp_path / "walk.toml", catalogue.parse)
 
 
@@ -536,13 +524,15 @@ def test_of_a_unit_that_dies(rollerrig_bench):
 
 
 def test_the_fixture_finishes_a_test_with_an_error_if_the_run_was_not_valid(tmp_path):
-    (tmp_path / "test_user.py").write_text(USER_TEST.format(here=Path(__file__).stem))
+    here = Path(__file__)
+    (tmp_path / "test_user.py").write_text(USER_TEST.format(here=here.stem))
+    path = os.pathsep.join([str(here.parent), str(here.parents[1])])
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "test_user.py"],
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parent), "PYTEST_ADDOPTS": ""},
+        env=os.environ | {"PYTHONPATH": path, "PYTEST_ADDOPTS": ""},
     )
     assert "1 passed, 1 error" in done.stdout, done.stdout
     assert "the run is not valid: the WSP unit was lost 1 time" in done.stdout

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from short_sequences import WALKING_PACE
 
 import rollerrig
 from rollerrig.configs.errors import BusError, ConfigError
@@ -18,16 +19,6 @@ from rollerrig.wsp_interface.sequences.verdict import Result
 EXAMPLE = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
 UNIT = f"{shlex.quote(sys.executable)} {shlex.quote(str(EXAMPLE))} {{host}} {{port}}"
 SHORT = ("--pacing", "lockstep", "--set", "initial_speed_m_s=3", "--set", "adhesion=dry")
-WALK = """title = "A stop from walking pace"
-criteria = "none"
-[start]
-speed = "9 km/h"
-adhesion = "dry"
-[[step]]
-set = { brake_demand = "3.8 bar" }
-until = "vehicle_speed < 0.01 m/s"
-timeout = "20 s"
-"""
 
 
 def run(capfd, out, unit, *more):
@@ -161,7 +152,7 @@ def test_a_silent_program_of_a_sequence_is_the_first_thing_that_its_error_states
     unit, state, tmp_path
 ):
     path = tmp_path / "walk.toml"
-    path.write_text(WALK, encoding="utf-8")
+    path.write_text(WALKING_PACE, encoding="utf-8")
     found = play.on_own_bench(
         sequence.load(path),
         tmp_path / "run",

@@ -246,9 +246,11 @@ def _longest_held_s(run: Run, axle: int, repeated: np.ndarray, step_s: float) ->
         # the samples from first to last are the same
         first, last = before + 1, after
         held_s = (last - first) * step_s
+        if held_s <= longest_s:
+            continue
         change_m_s = abs(run.speed_m_s[first] - run.speed_m_s[last])
         change_rad_s = change_m_s / run.speed_m_s[first] * wheel_rad_s[first]
-        if held_s > longest_s and change_rad_s >= quantum_rad_s:
+        if change_rad_s >= quantum_rad_s:
             longest_s = held_s
     return longest_s
 

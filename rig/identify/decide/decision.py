@@ -214,7 +214,8 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
     )
     fitted = choice.add_ready_fits(base_deviance, fitted, promising_fits, normal, nulls)
     if radius is not None:
-        fitted = _with_rolling_radius(design, base_deviance, fitted, promising_fits[-1])
+        [ready] = [fit for fit in promising_fits if fit.explanation.causes[-1].name == radius.name]
+        fitted = _with_rolling_radius(design, base_deviance, fitted, ready)
     explanation, causes, rejected = _choose_coherent(design, base_fit, fitted)
 
     # a second cause, and the remainder
@@ -259,7 +260,8 @@ def _with_rolling_radius(
         ready = BlockwiseFit(*restarted, blocks=blocks)
     cause = ready.explanation.causes[-1]
     ratio = base_deviance - ready.deviance
-    if ratio < thresholds.CERTAIN_RATIO:
+    was_solved = ready.covariance.size > 0
+    if not was_solved or ratio < thresholds.CERTAIN_RATIO:
         return fitted
     test = ScoreTest(
         name=cause.name,

@@ -77,12 +77,14 @@ def scores(normal: fitting.NormalEquations, keep: Sequence[str] = ()) -> Scores:
 
     # scaled columns: their sizes differ by many powers of ten
     scale = 1.0 / np.sqrt(np.maximum(np.diag(A)[base], 1e-30))
-    scaled = A[np.ix_(base, base)] * np.outer(scale, scale) + 1e-8 * np.eye(len(base))
-    absorbed = np.linalg.solve(scaled, scale[:, None] * A[base])
-    return Scores(
-        S=A - (A[:, base] * scale) @ absorbed,
-        g=b - absorbed.T @ (scale * b[base]),
-    )
+    # equations of an unstable replay are not finite, which `goodness` checks
+    with np.errstate(over="ignore", invalid="ignore"):
+        scaled = A[np.ix_(base, base)] * np.outer(scale, scale) + 1e-8 * np.eye(len(base))
+        absorbed = np.linalg.solve(scaled, scale[:, None] * A[base])
+        return Scores(
+            S=A - (A[:, base] * scale) @ absorbed,
+            g=b - absorbed.T @ (scale * b[base]),
+        )
 
 
 def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:

@@ -144,10 +144,12 @@ def normal_equations(
 
     A = np.zeros((len(matrix.columns), len(matrix.columns)))
     b = np.zeros(len(matrix.columns))
-    for response, innovation in zip(responses, innovations, strict=True):
-        used, places, Z = response
-        A[np.ix_(used, used)] += (Z.T @ Z)[np.ix_(places, places)]
-        b[used] += (Z.T @ innovation.astype(Z.dtype))[places]
+    # where the replay is unstable they are not finite, which `fit` and `goodness` check
+    with np.errstate(over="ignore", invalid="ignore"):
+        for response, innovation in zip(responses, innovations, strict=True):
+            used, places, Z = response
+            A[np.ix_(used, used)] += (Z.T @ Z)[np.ix_(places, places)]
+            b[used] += (Z.T @ innovation.astype(Z.dtype))[places]
     _add_priors(design, explanation, matrix, A, b)
     return NormalEquations(A, b, matrix), linear, responses
 

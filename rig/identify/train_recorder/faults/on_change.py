@@ -51,7 +51,8 @@ _REGULAR_SHARE = 0.25
 def resampled(run: Run) -> Run | None:
     """Return a run with all samples if it logs on change; None if it logs every sample.
 
-    Values between two rows are interpolated. They are known to the deadband.
+    Values between two rows are interpolated, or held where they jump. They are known to the
+    deadband.
     """
     groups: dict[bytes, list[Channel]] = {}
     for channel in run.channels.values():
