@@ -21,7 +21,7 @@ The torque is positive when it brakes and negative when it drives.
 """
 
 from rollerrig.rig import vehicle
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.dynamic_params import BUS, TRACTION_UNIT
 from rollerrig.rig.state import AXLES
 
@@ -43,7 +43,7 @@ def fade_share(speed_m_s, brake):
     return min(max(share, 0.0), 1.0)
 
 
-@kernel_inlined
+@kernel
 def begin(state, brake):
     """Permit all motors their whole force."""
     if brake is not None:
@@ -54,7 +54,7 @@ def begin(state, brake):
             state.dynamic_permitted[j] = 1.0
 
 
-@kernel_inlined
+@kernel
 def advance(state, params, brake):
     """Advance motors, slide control and blending by a step; nothing without a dynamic brake."""
     if brake is not None:
@@ -162,7 +162,7 @@ def blend(state, brake):
         )  # [E4]
 
 
-@kernel_inlined
+@kernel
 def torque(state, axle, brake):
     """Return the mean torque in N m of an axle's motor in this step; 0 without a dynamic brake."""
     if brake is None:
@@ -170,7 +170,7 @@ def torque(state, axle, brake):
     return 0.5 * (state.dynamic_before[axle] + state.dynamic_torque[axle])
 
 
-@kernel_inlined
+@kernel
 def torque_now(state, axle, brake):
     """Return the torque in N m of an axle's motor at this time; 0 without a dynamic brake."""
     if brake is None:
@@ -178,14 +178,14 @@ def torque_now(state, axle, brake):
     return state.dynamic_torque[axle]
 
 
-@kernel_inlined
+@kernel
 def count_work(state, axle, turned_rad, brake):
     """Add the work that an axle's motor takes from the wheelset while it turns by an angle."""
     if brake is not None:
         state.dynamic_work[axle] += torque(state, axle, brake) * turned_rad
 
 
-@kernel_inlined
+@kernel
 def settle(state, brake):
     """Leave no torque on the wheelsets of a vehicle that stands, and demand none."""
     if brake is not None and state.standing[0] != 0.0:

@@ -4,7 +4,7 @@
 and no driving torque above the largest speed. Gear and converter are inside the lag: assumption.
 """
 
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.state import AXLES
 
 SLOWEST_RAD_S = 1e-3  # speed by which the power is divided at least
@@ -24,7 +24,7 @@ def limit(demand_Nm, speed_rad_s, drive):
     return torque
 
 
-@kernel_inlined
+@kernel
 def respond(state, drive):
     """Advance the motor torques by a step, exactly for a constant demand [M1]."""
     for j in range(AXLES):

@@ -26,6 +26,7 @@ from rollerrig.configs.vehicle import (
     weighed_share,
 )
 from rollerrig.rig import dynamic_params, track_brake_params
+from rollerrig.rig.compiled import record_type
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.contact.creep_force import MODELS
@@ -235,6 +236,9 @@ class Params(NamedTuple):
     coach: Packed | None = None
     dynamic: dynamic_params.DynamicBrake | None = None  # None: the vehicle has none
     track_brake: track_brake_params.MagneticTrackBrake | None = None  # likewise
+
+
+record_type.register(Params)
 
 
 def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, dict[str, Any]]:

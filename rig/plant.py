@@ -19,7 +19,7 @@ from rollerrig.rig import (
     vehicle,
     wheelset,
 )
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.mechanisms import applied, pads, wheel_flat
 from rollerrig.rig.mechanisms.friction import dose_share, film_share
@@ -59,14 +59,14 @@ def start(state, params, initial_speed_m_s):
     observe(state, params)
 
 
-@kernel_inlined
+@kernel
 def begin(state, params, coach):
     """Set the multibody coach rolling; nothing for the planar vehicle, where `coach` is None."""
     if coach is not None:
         on_rig.start(state, coach)
 
 
-@kernel_inlined
+@kernel
 def friction(state, params):
     """Set the friction of the contaminant under each axle for this time and place.
 
@@ -109,7 +109,7 @@ def friction(state, params):
         clean_by_magnets(state, j, params, params.track_brake)
 
 
-@kernel_inlined
+@kernel
 def clean_by_magnets(state, axle, params, magnets):
     """Raise the friction of an axle behind magnets; nothing where `magnets` is None."""
     if magnets is not None:
@@ -127,7 +127,7 @@ def raise_friction(state, axle, log_factor, params):
     state.friction_degraded[axle] = max(mu, min(mu * math.exp(log_factor), most))
 
 
-@kernel_inlined
+@kernel
 def advance(state, delay, magnets, demand_Pa, tick, params):
     """Advance the rig by a tick.
 
@@ -177,7 +177,7 @@ def wear(state, params):
             state.flat_angle[j] = state.wheel_angle[j]
 
 
-@kernel_inlined
+@kernel
 def prepare(state, delay, magnets, demand_Pa, tick, params):
     """Set valves and friction, which stay constant for a tick; return the demanded pressure in Pa.
 
@@ -193,7 +193,7 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
     return demand_Pa * params.brake.weighed_share
 
 
-@kernel_inlined
+@kernel
 def step(state, target_Pa, params):
     """Advance by one step of the physics; `target_Pa` is the demanded pressure."""
     brake.fill(state, params.brake, target_Pa, params.dynamic)
@@ -234,7 +234,7 @@ def capacity(state, axle, params):
     return torque_Nm
 
 
-@kernel_inlined
+@kernel
 def integrate(state, params, coach):
     """Advance the vehicle, planar or multibody, with its wheelsets and rollers by one step."""
     if coach is None:
@@ -245,7 +245,7 @@ def integrate(state, params, coach):
         )
 
 
-@kernel_inlined
+@kernel
 def swing_out(state, params, coach):
     """Let body and bogies of a standing vehicle come to rest."""
     vehicle.pitch_back(state, params.vehicle, params.step_s)
@@ -253,7 +253,7 @@ def swing_out(state, params, coach):
         on_rig.rest(state, coach)
 
 
-@kernel_inlined
+@kernel
 def observe(state, params):
     """Write the observed quantities of this state: contact, torques, loads, sensors, locks."""
     for j in range(AXLES):
@@ -306,7 +306,7 @@ def observe(state, params):
     track_brake.observe(state, params.track_brake)
 
 
-@kernel_inlined
+@kernel
 def watch_lock(state, axle, params):
     """Count how long a wheelset has been locked while the vehicle still runs.
 

@@ -23,11 +23,11 @@ speed the magnets are switched off. All quantities are per axle: an axle has hal
 import math
 
 from rollerrig.configs.vehicle import AXLES_OF_BOGIE
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.state import AXLES
 
 
-@kernel_inlined
+@kernel
 def advance(state, target_Pa, params, brake):
     """Advance the magnets by a tick; nothing without a magnetic track brake, `brake` None.
 
@@ -89,7 +89,7 @@ def axle_force_N(state, axle, speed_m_s, brake):
     return attraction_N * friction
 
 
-@kernel_inlined
+@kernel
 def force_N(state, speed_m_s, brake):
     """Return the force in N of all magnets at a speed; 0 without a magnetic track brake."""
     if brake is None:
@@ -106,7 +106,7 @@ def sum_N(state, speed_m_s, brake):
     return total_N
 
 
-@kernel_inlined
+@kernel
 def count_work(state, work_J, brake):
     """Add the work of a step to that of the magnets so far; nothing without them."""
     if brake is not None:
@@ -120,7 +120,7 @@ def cleaning(state, axle, brake):
     return -brake.cleaning_gain * math.expm1(-work_J_m / brake.cleaning_scale_J_m)
 
 
-@kernel_inlined
+@kernel
 def observe(state, brake):
     """Write the observed force of each axle's magnets."""
     if brake is not None:

@@ -49,9 +49,15 @@ def wheelset_adhesion(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law
     patch, law : `patch.Patch`, `adhesion.Law`
     """
     law_here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
-    if patch.model != creep_force.DEGRADED:
-        return without_recovery(sliding_m_s, surface_m_s, 0.5 * load_N, patch, law_here)
-    return adhesion.wheel_adhesion(sliding_m_s, surface_m_s, 0.5 * load_N, patch, law_here)
+    return adhesion_of_model(sliding_m_s, surface_m_s, 0.5 * load_N, patch, law_here, patch.model)
+
+
+@kernel_inlined
+def adhesion_of_model(sliding_m_s, surface_m_s, load_N, patch, law, model):
+    """Return the adhesion of one wheel by the degraded law (`model` None) or by another model."""
+    if model is None:
+        return adhesion.wheel_adhesion(sliding_m_s, surface_m_s, load_N, patch, law)
+    return without_recovery(sliding_m_s, surface_m_s, load_N, patch, law)
 
 
 @kernel
@@ -81,28 +87,39 @@ def contact_force(sliding_m_s, surface_m_s, load_N, mu_cd, mu_cr, patch, law, la
     lambda_0 : transition without memory
     """
     at = sliding_m_s if abs(sliding_m_s) >= SMALL_M_S else SMALL_M_S
-    f = 0.0
-    lambda_0 = 0.0
-    half_N = 0.5 * load_N
     law_here = adhesion.law_for_contaminant(mu_cd, mu_cr, 1.0, law)
-    if patch.model != creep_force.DEGRADED:
-        f = without_recovery(at, surface_m_s, half_N, patch, law_here)[0]
-    elif load_N > 0.0:
-        f_d, f_r, slope_d, slope_r, k, slope_k = adhesion.curves(
-            min(abs(at), adhesion.LARGEST),
-            surface_m_s,
-            min(half_N, adhesion.LARGEST),
-            patch.eps1,
-            law_here,
-        )
-        f, lambda_0, _, _ = adhesion.f_and_lambda(
-            f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work
-        )
-        if lagging >= 0.0:
-            f = adhesion.between(f_d, f_r, lagging)
-        f = math.copysign(f, at)
+    f, lambda_0 = lagging_adhesion(
+        at, surface_m_s, load_N, patch, law_here, lagging, of_work, patch.model
+    )
     slope = f * (load_N / at)
     return slope * sliding_m_s, max(slope, 0.0), lambda_0
+
+
+@kernel_inlined
+def lagging_adhesion(sliding_m_s, surface_m_s, load_N, patch, law, lagging, of_work, model):
+    """Return the adhesion of a wheelset, and lambda without memory.
+
+    `model` is None for the degraded law. Other arguments as for `contact_force`.
+    """
+    half_N = 0.5 * load_N
+    if model is not None:
+        return without_recovery(sliding_m_s, surface_m_s, half_N, patch, law)[0], 0.0
+    if not load_N > 0.0:
+        return 0.0, 0.0
+
+    f_d, f_r, slope_d, slope_r, k, slope_k = adhesion.curves(
+        min(abs(sliding_m_s), adhesion.LARGEST),
+        surface_m_s,
+        min(half_N, adhesion.LARGEST),
+        patch.eps1,
+        law,
+    )
+    f, lambda_0, _, _ = adhesion.f_and_lambda(
+        f_d, f_r, slope_d, slope_r, k, slope_k, lagging, of_work
+    )
+    if lagging >= 0.0:
+        f = adhesion.between(f_d, f_r, lagging)
+    return math.copysign(f, sliding_m_s), lambda_0
 
 
 @kernel
@@ -205,7 +222,7 @@ def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, 
     )
 
 
-@kernel_inlined
+@kernel
 def integrate(state, params):
     """Advance wheels, rollers and vehicle by one step.
 
@@ -325,7 +342,7 @@ def integrate(state, params):
             state.sliding_work[j] += state.contact_force[j] * way_m
 
 
-@kernel_inlined
+@kernel
 def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params):
     """Add a step's change to the speeds of an axle and turn its angles; no wheel turns backwards.
 
@@ -352,7 +369,7 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     state.motor_work[axle] += motor_Nm * roller_rad
 
 
-@kernel_inlined
+@kernel
 def lock_s(locked_s, longest_s, rim_m_s, vehicle_m_s, above_m_s, tick_s):
     """Return how long a wheelset is locked now, and its longest lock, after a tick.
 

@@ -90,6 +90,8 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
         # a free run with the reference unit calls the ticks inside its loop, and compiles them
         # there
         tick.run_ticks(data, 0)
+    if pacing == "free":
+        return  # it has no bus, and its unit is called inside the loop
     if unit == "reference" and compile_progress.has_compiled():
         # what the process of the unit would compile while the bench waits for its heartbeat
         node.warm(logic.load("reference"))

@@ -23,6 +23,7 @@ from rollerrig.realtime.loop.tick import AXLES, DONE, STANDING_TICKS, TICK, Tick
 from rollerrig.rig import brake, heat, plant
 from rollerrig.rig.compiled.generated import buffer_viewer, tuple_builder
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.record_type import as_record
 from rollerrig.rig.compiled.state_type import state_in
 from rollerrig.rig.lanes import layout, quiet_tick, rail_cleaning, step
 from rollerrig.rig.lanes.layout import RIGS
@@ -189,7 +190,7 @@ def hold_surface_speed(w, rig):
 @kernel_inlined
 def data_of(rows, samples, rig):
     """Return the tick data of a stop."""
-    params = packed.params(rows.tape[rig], rows.whole[rig])
+    params = as_record(packed.params(rows.tape[rig], rows.whole[rig]))
     buffer = rows.buffer[rig]
     state = see_state(buffer)
     delay = rows.delay[rig, : params.brake.dead_time_ticks + 1]
@@ -233,7 +234,7 @@ def busy(rows, samples, rig):
 
     Returns 1 if the stop is done now, else 0.
     """
-    m = data_of(rows, samples, rig)
+    m = as_record(data_of(rows, samples, rig))
     clock = rows.clock[rig]
     if clock[BEGUN] != 0:
         after(m, clock, rows.lanes, rig)

@@ -26,7 +26,8 @@ from rollerrig.realtime.loop import appending
 from rollerrig.realtime.loop import mailbox as box
 from rollerrig.realtime.loop.mailbox import Mailbox
 from rollerrig.rig import plant, vehicle
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled import record_type
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.dynamic_brake import NO_COMMAND
 from rollerrig.rig.params import Params
 from rollerrig.rig.state import AXLES, SLOTS, State
@@ -97,6 +98,9 @@ class TickData(NamedTuple):
     answer: np.ndarray
     sensor: pole_wheel.Sensor
     pulses: np.ndarray  # the memory of the sensors
+
+
+record_type.register(TickData)
 
 
 # columns of the row of all signals
@@ -170,7 +174,7 @@ def publish(m):
     box.post(m.published, m.row)
 
 
-@kernel_inlined
+@kernel
 def write_row(m):
     """Copy the state into the row of all signals."""
     for i in range(m.gather.size):
@@ -197,7 +201,7 @@ def write_row(m):
     m.row[_MISSED] = m.control[MISSED]
 
 
-@kernel_inlined
+@kernel
 def tracking_error(m, axle):
     """Return the control error of the motors in m/s, at the rim of the wheel or roller."""
     if m.virtual != 0:
@@ -247,7 +251,7 @@ def run_tick(m):
     end(m, tick)
 
 
-@kernel_inlined
+@kernel
 def begin(m, tick):
     """Do what precedes the physics of a tick: sample, commands, drive control, faults."""
     record(m, tick)
@@ -255,7 +259,7 @@ def begin(m, tick):
     obey(m)
 
 
-@kernel_inlined
+@kernel
 def record(m, tick):
     """Push the row of all signals into the ring if a sample is due at this tick."""
     if tick % m.record_ticks == 0:
@@ -267,7 +271,7 @@ def record(m, tick):
         m.control[BUSY_NS] = 0
 
 
-@kernel_inlined
+@kernel
 def obey(m):
     """Let the command row act in the coming tick: drive control, faults, friction, sanders."""
     faults = m.command[FAULTS:]
@@ -297,7 +301,7 @@ def obey(m):
     command_motors(m, faults, m.params.dynamic)
 
 
-@kernel_inlined
+@kernel
 def command_motors(m, faults, dynamic):
     """Pass commands and faults to the motors of a dynamic brake; nothing without one."""
     if dynamic is not None:
@@ -307,7 +311,7 @@ def command_motors(m, faults, dynamic):
         m.state.traction_command[0] = m.command[MOTORS + AXLES]
 
 
-@kernel_inlined
+@kernel
 def command_track_brake(m, faults, magnets):
     """Pass commands and faults to the magnetic track brake; nothing without one."""
     if magnets is not None:
@@ -316,14 +320,14 @@ def command_track_brake(m, faults, magnets):
             m.state.track_brake_failed[j] = effects.value(faults, effects.TRACK_BRAKE_DEAD, j)
 
 
-@kernel_inlined
+@kernel
 def end(m, tick):
     """Do what follows the physics of a tick: publish it and count it."""
     publish(m)
     count(m, tick)
 
 
-@kernel_inlined
+@kernel
 def count(m, tick):
     """Count a tick, and set DONE if it is the last one."""
     m.control[TICK] = tick + 1
@@ -397,7 +401,7 @@ def run_ticks_with_units(m, ticks, sync_ticks, units, inputs):
     return ticks
 
 
-@kernel_inlined
+@kernel
 def write_unit_inputs(m, inputs):
     """Write what the reference WSP units receive with a SYNC, in counts."""
     for j in range(AXLES):
@@ -405,7 +409,7 @@ def write_unit_inputs(m, inputs):
         inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
 
 
-@kernel_inlined
+@kernel
 def run_unit_cycle(m, unit, group, inputs):
     """Run a cycle of the reference WSP unit of a group on its inputs; command its answer."""
     first = AXLES_OF_GROUP * group
@@ -417,7 +421,7 @@ def run_unit_cycle(m, unit, group, inputs):
     command[REFERENCE + group] = reference * _REFERENCE_SCALE
 
 
-@kernel_inlined
+@kernel
 def permit_shares(unit, command, first, dynamic):
     """Pass the unit's shares of the dynamic brake as commands; nothing without such a brake."""
     if dynamic is not None:

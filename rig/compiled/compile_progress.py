@@ -8,6 +8,7 @@ kernel.
 """
 
 import contextlib
+import gc
 import logging
 import threading
 import time
@@ -36,9 +37,14 @@ class _CompileListener(event.Listener):
         # of time.monotonic
         self._last_end_s = 0.0
         self._thread: threading.Thread | None = None
+        self._collects_garbage = True
 
     def on_start(self, event: Any) -> None:
         """Numba begins to compile a function; it calls this, also for functions inside it."""
+        if self._compiling_now == 0:
+            # the collector would visit numba's millions of objects again and again
+            self._collects_garbage = gc.isenabled()
+            gc.disable()
         self._compiling_now += 1
         numba_import.load_array_functions()
         if self._thread is None:
@@ -52,6 +58,8 @@ class _CompileListener(event.Listener):
         self._compiling_now -= 1
         self.compiled += 1
         self._last_end_s = time.monotonic()
+        if self._compiling_now == 0 and self._collects_garbage:
+            gc.enable()
 
     @contextlib.contextmanager
     def saving(self) -> Iterator[None]:

@@ -9,25 +9,42 @@ from typing import Any
 
 from rollerrig.rig.compiled import compile_progress, kernel_cache  # noqa: F401  they register
 from rollerrig.rig.compiled.lazy_cache import LazyCache
-from rollerrig.rig.compiled.numba_import import numba
+from rollerrig.rig.compiled.numba_import import settings
+from rollerrig.rig.compiled.part import Compiler, KernelDispatcher, KernelPipeline
 
-_njit: Any = numba.njit  # its published types do not contain all options
-
-_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+_OPTIONS: dict[str, Any] = {
+    "nopython": True,
+    "boundscheck": None,
+    "nogil": True,
+    "error_model": "numpy",
+    # no kernel is passed to C code as a function, so none needs a wrapper for C
+    "no_cfunc_wrapper": True,
+}
 # A step allocates nothing, so numba need not count references to arrays. With the fifty arrays of
 # the state the counting would take longer than the physics.
 _WITHOUT_COUNTING: dict[str, Any] = {**_OPTIONS, "_nrt": False}
-# no kernel is passed to C code as a function, so none needs a wrapper for C
-_WITHOUT_WRAPPER: dict[str, Any] = {"no_cfunc_wrapper": True}
+
+
+def _compiled(**options: Any) -> Any:
+    """Return a decorator that compiles a function when it is first called."""
+
+    def decorate(function: Any) -> Any:
+        if settings.DISABLE_JIT:
+            return function
+        # array expressions of batch work need all steps of numba
+        pipeline = Compiler if options.get("_nrt", True) else KernelPipeline
+        return KernelDispatcher(function, targetoptions=options, pipeline_class=pipeline)
+
+    return decorate
 
 
 def _cached(**options: Any) -> Any:
     """Return a decorator that compiles a function and keeps the compiled code on disk."""
-    compiled = _njit(**options, **_WITHOUT_WRAPPER)
+    compiled = _compiled(**options)
 
     def decorate(function: Any) -> Any:
         dispatcher = compiled(function)
-        # with NUMBA_DISABLE_JIT numba returns the function itself
+        # with NUMBA_DISABLE_JIT there is none
         if dispatcher is not function:
             dispatcher._cache = LazyCache(function, options.get("_nrt", True))
         return dispatcher
@@ -45,5 +62,5 @@ kernel_with_memory = _cached(**_OPTIONS)
 
 # For generated functions and variants, which are compiled together with their callers. The second
 # one counts references, as numba requires for arrays at addresses.
-inlined_without_cache = _njit(**_WITHOUT_COUNTING, forceinline=True)
-inlined_without_cache_counted = _njit(**_OPTIONS, _nrt=True, forceinline=True)
+inlined_without_cache = _compiled(**_WITHOUT_COUNTING, forceinline=True)
+inlined_without_cache_counted = _compiled(**_OPTIONS, _nrt=True, forceinline=True)

@@ -9,6 +9,7 @@ The settings file is .numba_config.yaml in the working folder. It could switch o
 without PyYAML numba does not read it. So PyYAML is hidden also where it is loaded already.
 """
 
+import os
 import sys
 import warnings
 from typing import Any
@@ -17,6 +18,9 @@ from rollerrig.configs.processes.without import without
 
 # numba would advise to install PyYAML where there is such a file
 warnings.filterwarnings("ignore", message="A Numba config file is found")
+# Numba tries several functions for each call, and writes a message about each one that does not
+# fit. Colours in these messages, which are shown only if none fits, would cost time.
+os.environ.setdefault("NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING", "1")
 _loaded_yaml = sys.modules.pop("yaml", None)
 with without("yaml"), without("scipy"):
     import numba

@@ -8,6 +8,7 @@ reads a field, numba makes the view from the address and from the place of the f
 Source: numba's documentation, "Extending Numba", low-level interface.
 """
 
+import hashlib
 from collections.abc import Mapping
 from typing import Any
 
@@ -20,6 +21,7 @@ from numba.extending import NativeValue, intrinsic, models, register_model, type
 
 _VIEW = types.Array(types.float64, 1, "C")
 _BYTES_OF_A_FLOAT = 8
+_DIGITS = 12
 
 
 class Address(types.Type):
@@ -30,12 +32,11 @@ class Address(types.Type):
 
     def __init__(self, places: Mapping[str, slice | None]) -> None:
         self.places = dict(places)
-        # Numba takes two types with the same name as the same type, so the name has all places.
-        # Fields follow each other without gaps, so the end of each one is enough.
-        parts = []
-        for field, place in places.items():
-            parts.append(field if place is None else f"{field}:{place.stop}")
-        super().__init__(name=f"State({' '.join(parts)})")
+        # Numba takes two types with the same name as the same type. It writes the name into each
+        # function that takes the type, so a digest of all places is better than their list.
+        described = " ".join(f"{field}:{place}" for field, place in places.items())
+        digest = hashlib.sha256(described.encode()).hexdigest()[:_DIGITS]
+        super().__init__(name=f"State_{digest}")
 
 
 @register_model(Address)

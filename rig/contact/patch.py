@@ -17,8 +17,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.compiled.kernel import kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import hertz, kalker, polach, polach_spin
+from rollerrig.rig.contact.creep_force import DEGRADED
 
 _NODES = 513
 _REACH = math.log(1e3)  # largest logarithm of the curvature ratio in the table
@@ -43,7 +44,9 @@ class Patch(NamedTuple):
     c22: float
     c23: float
     c33: float
-    model: int  # tangential model, `creep_force.MODELS`
+    # tangential model, of `creep_force.MODELS`; None: the degraded law without spin. Then kernels
+    # contain, and compile, no other model
+    model: int | None
     cells: int  # strips of FASTSIM's grid, and cells in each strip
     slim: float  # `polach_spin.slimness`
 
@@ -82,23 +85,42 @@ def patch_for(
             "contact parameters"
         )
 
-    A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
-    a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
-    c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
+    a1, b1, k_h, c11, c22, c23, c33, slim, eps1 = _constants(
+        float(wheel_radius_m),
+        float(roller_radius_m),
+        float(lateral_radius_m),
+        float(young_Pa),
+        float(shear_Pa),
+        float(poisson),
+    )
     return Patch(
         a1=a1,
         b1=b1,
         c11=c11,
         shear_Pa=shear_Pa,
-        k_h_N_m32=hertz.stiffness(A, B, young_Pa, poisson),
-        eps1=polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0),
+        k_h_N_m32=k_h,
+        eps1=eps1,
         c22=c22,
         c23=c23,
         c33=c33,
-        model=model,
+        model=None if model == DEGRADED else model,
         cells=cells,
-        slim=polach_spin.slimness(a1 / b1),
+        slim=slim,
     )
+
+
+@kernel
+def _constants(wheel_radius_m, roller_radius_m, lateral_radius_m, young_Pa, shear_Pa, poisson):
+    """Return the numbers of Hertz and Kalker for a patch.
+
+    They are (a1, b1, k_h, c11, c22, c23, c33, slim, eps1), named as in `Patch`.
+    """
+    A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
+    a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
+    k_h = hertz.stiffness(A, B, young_Pa, poisson)
+    c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
+    eps1 = polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0)
+    return a1, b1, k_h, c11, c22, c23, c33, polach_spin.slimness(a1 / b1), eps1
 
 
 class Patches(NamedTuple):

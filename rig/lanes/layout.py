@@ -23,7 +23,6 @@ from typing import NamedTuple
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
-from rollerrig.rig.contact import creep_force
 from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.mechanisms import applied
 from rollerrig.rig.mechanisms.mechanism import ALONE
@@ -181,7 +180,7 @@ def fits(params: Params) -> bool:
     """Return whether rigs with these parameters may run in lanes."""
     return (
         params.coach is None
-        and params.patch.model == creep_force.DEGRADED
+        and params.patch.model is None
         and params.mode in (TRACK, ROLLERS)
         and not params.effects.on_torque
         and not params.wheels.swings

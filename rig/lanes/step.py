@@ -137,7 +137,7 @@ def exact_slope(w, j):
     """Return the secant slope of lane j by `wheelset.contact_force`, for any contact."""
     here = row.law_of_lane(w, j)
     # the law of one wheel needs only eps1 of the patch
-    patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[row.EPS1 + j], 0.0, 0.0, 0.0, 0, 0, 0.0)
+    patch = Patch(0.0, 0.0, 0.0, 0.0, 0.0, w[row.EPS1 + j], 0.0, 0.0, 0.0, None, 0, 0.0)
     size = max(abs(w[row.SLIDING + j]), wheelset.SMALL_M_S)
     T, _, _ = wheelset.contact_force(
         size,

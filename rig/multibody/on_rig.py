@@ -7,7 +7,7 @@ that is observed and recorded. The memory of the coach is `state.coach`, its con
 """
 
 from rollerrig.configs.vehicle import COACH_AXLES
-from rollerrig.rig.compiled.kernel import kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.multibody import coach_state, compiled_coach
 from rollerrig.rig.multibody.coordinates import BEFORE_WHEELSETS, PER_BODY, PITCH
 from rollerrig.rig.multibody.wheel_rail_forces import (
@@ -29,7 +29,7 @@ _RESISTANCE_WORK = coach_state.BEGIN["resistance_work"]
 _WHEEL_SPEED = coach_state.BEGIN["v"] + BEFORE_WHEELSETS + PITCH
 
 
-@kernel_inlined
+@kernel
 def start(state, coach):
     """Set the coach rolling at the vehicle speed of the plant, the wheels without sliding."""
     memory = state.coach
@@ -40,7 +40,7 @@ def start(state, coach):
         state.wheel_speed[j] = memory[_WHEEL_SPEED + PER_BODY * j]
 
 
-@kernel_inlined
+@kernel
 def integrate(state, params, resistance_N, coach):
     """Advance coach, wheelsets and rollers by one step under this running resistance."""
     h = params.step_s
@@ -77,7 +77,7 @@ def integrate(state, params, resistance_N, coach):
     )
 
 
-@kernel_inlined
+@kernel
 def rest(state, coach):
     """Let a coach at rest swing out on its springs, with the brakes as they are."""
     for j in range(COACH_AXLES):
@@ -87,7 +87,7 @@ def rest(state, coach):
     step(state, 0.0, coach)
 
 
-@kernel_inlined
+@kernel
 def step(state, resistance_N, coach):
     """Write the other ports and advance the coach by one step."""
     memory = state.coach
@@ -99,7 +99,7 @@ def step(state, resistance_N, coach):
     compiled_coach.run(memory, coach.tape, coach.layout)
 
 
-@kernel_inlined
+@kernel
 def load(axle, planar_N, state, coach):
     """Return the load in N on a wheelset's contacts, not below 0; planar_N without a coach."""
     if coach is None:
@@ -108,7 +108,7 @@ def load(axle, planar_N, state, coach):
     return max(state.coach[left] + state.coach[left + WHEEL_COLUMNS], 0.0)
 
 
-@kernel_inlined
+@kernel
 def slip(axle, planar_m_s, state, coach):
     """Return the sliding in m/s of a wheelset's contacts, at the radii on which they roll."""
     if coach is None:
@@ -123,7 +123,7 @@ def slip(axle, planar_m_s, state, coach):
     return (left_N * memory[left + SLIP] + right_N * memory[right + SLIP]) / (left_N + right_N)
 
 
-@kernel_inlined
+@kernel
 def adhesion(axle, planar, load_N, state, coach):
     """Return the adhesion of a wheelset: the braking force of its contacts over their load."""
     if coach is None:

@@ -1,0 +1,153 @@
+"""Kernels that kernels call: they become parts of the kernels that Python calls.
+
+Numba makes each function a program that Python can call. For each one it writes a wrapper,
+optimises the function together with everything that it calls, makes machine code, and keeps a file.
+A product kernel calls up to a hundred others, and nearly all of them are called by kernels only.
+
+Here a kernel that is called by a kernel is a part: numba finds its types and writes its LLVM code,
+once for each set of argument types. LLVM optimises a part only inside the kernels that Python
+calls, which have all their parts in one module. A kernel is compiled with a wrapper when Python
+calls it. `docs/compiled_kernels.md` has the measured times.
+
+Source: numba/core/dispatcher.py and numba/core/codegen.py.
+"""
+
+from typing import Any
+
+from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import of numba
+
+# isort: split
+from numba.core import codegen, compiler, dispatcher, event, types, typing
+from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
+from numba.core.target_extension import dispatcher_registry, target_registry
+
+# Steps of numba for what no kernel contains: closures, `with`, loops over tuples of several types,
+# expressions of whole arrays, functions to inline at the level of Python
+_FOR_OTHER_CODE = {
+    "WithLifting",
+    "InlineClosureLikes",
+    "RewriteDynamicRaises",
+    "MakeFunctionToJitFunction",
+    "InlineInlinables",
+    "FindLiterallyCalls",
+    "LiteralUnroll",
+    "LiteralPropagationSubPipelinePass",
+    "InlineOverloads",
+    "NopythonRewrites",
+    "NoPythonSupportedFeatureValidation",
+}
+
+
+class KernelPipeline(compiler.CompilerBase):  # type: ignore[misc]
+    """Numba's steps from bytecode to LLVM code, without those that no kernel needs."""
+
+    def define_pipelines(self) -> list[Any]:
+        steps = compiler.DefaultPassBuilder.define_nopython_pipeline(self.state)
+        steps.passes = [step for step in steps.passes if step[0].__name__ not in _FOR_OTHER_CODE]
+        return [steps]
+
+
+class _PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc]
+    """Numba's compiler of one function, up to the LLVM code."""
+
+    def _customize_flags(self, flags: Any) -> Any:
+        flags.no_cpython_wrapper = True
+        # numba's name for a function of which it makes no machine code
+        flags.no_compile = True
+        return flags
+
+
+class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
+    """What `@kernel` makes of a function: Python and other kernels call it.
+
+    Where Python calls it, it is compiled as numba compiles any function. Where another kernel calls
+    it, it is a part of that kernel.
+    """
+
+    def __init__(
+        self,
+        py_func: Any,
+        locals: Any = None,  # numba's name
+        targetoptions: Any = None,
+        pipeline_class: Any = Compiler,
+    ) -> None:
+        super().__init__(py_func, locals, targetoptions, pipeline_class)
+        self._part_compiler = _PartCompiler(
+            py_func, self.targetdescr, self.targetoptions, self.locals, pipeline_class
+        )
+        # numba's results of compiling, by the types of the arguments
+        self._parts: dict[tuple[Any, ...], Any] = {}
+
+    def get_call_template(self, args: Any, kws: Any) -> tuple[Any, ...]:
+        """Return the signature of this kernel for a call by a kernel; compile it if necessary."""
+        signature_in_python, given = self._compiler.fold_argument_types(args, kws)
+        part = self._part(tuple(given))
+        name = self.py_func.__name__
+        template = typing.make_concrete_template(
+            f"CallTemplate({name})", key=name, signatures=[part.signature]
+        )
+        return template, signature_in_python, given, {}
+
+    def get_overload(self, sig: Any) -> Any:
+        """Return the key under which numba finds the part for these argument types."""
+        return self._part(tuple(sig)).fndesc
+
+    def _part(self, given: tuple[Any, ...]) -> Any:
+        """Return the part for arguments of these types; compile it at its first use."""
+        part = self._parts.get(given)
+        if part is None:
+            # one part serves calls with different constants
+            general = tuple(types.unliteral(kind) for kind in given)
+            part = self._parts.get(general)
+            if part is None:
+                part = self._compiled_part(general)
+                self._parts[general] = part
+            self._parts[given] = part
+        return part
+
+    def _compiled_part(self, given: tuple[Any, ...]) -> Any:
+        details = {"dispatcher": self, "args": given, "return_type": None}
+        with self._compiling_counter, event.trigger_event("numba:compile", data=details):
+            part = self._part_compiler.compile(given, None)
+        self.targetctx.insert_user_function(part.fndesc, part.fndesc, [part.library])
+        return part
+
+
+class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
+    """The LLVM code of one function, and of all the functions that it calls.
+
+    Numba optimises a library before it links it into another one. This class links it as it is.
+    """
+
+    def add_linking_library(self, library: Any) -> None:
+        """Make this library link another one, and before it those that the other one links."""
+        needed = [library]
+        if not library._finalized:
+            needed = [*library._linking_libraries, library]
+        for other in needed:
+            if other not in self._linking_libraries:
+                self._linking_libraries.append(other)
+
+    def finalize(self) -> None:
+        """Link and optimise the library, and make its machine code."""
+        # LLVM links a function only if the module already calls it: callers come first
+        self._linking_libraries.reverse()
+        super().finalize()
+
+    def _get_module_for_linking(self) -> Any:
+        """Return the LLVM module of this library; that of a part is not optimised."""
+        if self._shared_module is None and not self._finalized:
+            # numba's method would optimise a library that is not final
+            self._finalized = True
+            try:
+                return super()._get_module_for_linking()
+            finally:
+                self._finalized = False
+        return self._shared_module or super()._get_module_for_linking()
+
+
+codegen.JITCPUCodegen._library_class = _Library
+# also for the functions in which numba implements Python's
+dispatcher_registry.pop(target_registry["cpu"])
+dispatcher_registry[target_registry["cpu"]] = KernelDispatcher
