@@ -77,7 +77,7 @@ def main():
         for series in running:
             series.result()
     if mark:
-        mark.touch()
+        mark.touch(mode=0o600)  # a folder of kernels that is open to others is not used
     print(f"compiled in {time.monotonic() - begin_s:.0f} s")
 
 
