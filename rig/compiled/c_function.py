@@ -47,7 +47,9 @@ def compile_named(name: str, function: Callable[..., None], *takes: types.Type) 
     """
     if settings.DISABLE_JIT:
         return None
-    compiled = CFunc(function, (takes, types.void), locals={}, options={"error_model": "numpy"})
+    compiled: Any = CFunc(
+        function, (takes, types.void), locals={}, options={"error_model": "numpy"}
+    )
     compiled._cache = KernelFiles(function)
     compiled.compile()
     binding.add_symbol(name, compiled.address)
