@@ -36,7 +36,6 @@ COACH = (*RUN, "--pacing", "free", "--set", "vehicle.model=multibody", "--set")
 # the generators of stops are no command, so their kernels need a program
 GENERATORS = """import sys
 from pathlib import Path
-import rollerrig.rig.compiled.kernel  # it tells numba where to keep the kernels
 from generator import braking_stops, other_stops
 other_stops.make(Path(sys.argv[-1]), {}, 1, ("a3",))
 braking_stops.make(Path(sys.argv[-1]), {}, 1)
@@ -77,7 +76,7 @@ def main():
         for series in running:
             series.result()
     if mark:
-        mark.touch()
+        mark.touch(mode=0o600)  # a folder of kernels that is open to others is not used
     print(f"compiled in {time.monotonic() - begin_s:.0f} s")
 
 

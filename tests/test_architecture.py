@@ -133,6 +133,7 @@ OPENS = {
     "rig/params": "the table of parameters",
     "rig/compiled/compile_lock": "a lock in the cache",
     "rig/compiled/kernel_cache": "sources of the product, the cache",
+    "rig/compiled/kernel_files": "sources of kernels, the cache",
     "rig/identify/data/mdf": "blocks of a file that is checked",
     "firmware_sim/modbus/map": "a temporary file of `replaced`",
     "firmware_sim/modbus/rtu": "a serial line",

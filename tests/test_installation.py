@@ -119,7 +119,7 @@ def instructions():
 def test_the_container_has_a_supported_python_and_does_not_run_as_root():
     found = instructions()
     assert {keyword for keyword, _ in found} <= {
-        *("FROM", "RUN", "USER", "WORKDIR", "COPY", "EXPOSE", "ENTRYPOINT", "CMD")
+        *("FROM", "ARG", "RUN", "USER", "WORKDIR", "COPY", "ENV", "EXPOSE", "ENTRYPOINT", "CMD")
     }
     (image,) = [arguments for keyword, arguments in found if keyword == "FROM"]
     minor = int(re.search(r"python:3\.(\d+)-slim", image)[1])
@@ -161,9 +161,30 @@ def test_every_command_of_the_container_exists(tmp_path):
     assert entry == [".venv/bin/rollerrig"]
     desk = "desk --host 0.0.0.0"
     assert f"rollerrig {desk}" in (ROOT / "docs/containers.md").read_text()
-    for words in [*(words[1:] for words in run), json.loads(by_keyword["CMD"]), desk.split()]:
+    demo = json.loads(by_keyword["CMD"])
+    for words in [*(words[1:] for words in run), demo, desk.split()]:
         cli.parser().parse_args(words)
+    # the image has the compiled kernels of the demo
+    assert demo[:-1] in [words[1:-1] for words in run]
+    assert demo[-2] == "--out"
     assert by_keyword["EXPOSE"] == str(cli.parser().parse_args(["desk"]).port)
+
+
+def test_the_container_compiles_for_every_processor_before_it_compiles():
+    found = instructions()
+    (cpu,) = [arguments for keyword, arguments in found if keyword == "ARG"]
+    (settings,) = [arguments for keyword, arguments in found if keyword == "ENV"]
+    name, default = cpu.split("=")
+    # without features of its own the processor that builds the image would add its features
+    assert settings == f'NUMBA_CPU_NAME=${name} NUMBA_CPU_FEATURES=""'
+    assert default == "generic"
+    order = [keyword for keyword, _ in found]
+    compiling = next(
+        place
+        for place, (_, arguments) in enumerate(found)
+        if "tests/compile_kernels.py" in arguments
+    )
+    assert order.index("ENV") < compiling
 
 
 def test_the_container_does_not_get_what_git_ignores():

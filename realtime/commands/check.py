@@ -286,11 +286,12 @@ def kernels() -> Finding:
         return Finding(name, State.OK, f"in {folder}")
     if folder and os.access(folder, os.W_OK):
         return Finding(name, State.OK, "none yet: the first run compiles them for half a minute")
+    reason = kernel_cache.refusal() or f"{folder} is not writable"
     return Finding(
         name,
         State.WEAKER,
-        "no writable folder to store them: every run compiles them again",
-        "make ~/.cache writable, or set XDG_CACHE_HOME",
+        f"not kept, so every run compiles them again: {reason}",
+        "set XDG_CACHE_HOME to a folder that only you can write to",
     )
 
 

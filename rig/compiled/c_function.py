@@ -10,11 +10,13 @@ they call a function of the C library.
 from collections.abc import Callable
 from typing import Any
 
+from rollerrig.rig.compiled.kernel_files import KernelFiles
 from rollerrig.rig.compiled.numba_import import numba, settings
 
 # isort: split
 from llvmlite import binding
 from numba import types
+from numba.core.ccallback import CFunc
 from numba.extending import intrinsic
 
 # types of addresses
@@ -45,7 +47,11 @@ def compile_named(name: str, function: Callable[..., None], *takes: types.Type) 
     """
     if settings.DISABLE_JIT:
         return None
-    compiled = numba.cfunc(types.void(*takes), cache=True, error_model="numpy")(function)
+    compiled: Any = CFunc(
+        function, (takes, types.void), locals={}, options={"error_model": "numpy"}
+    )
+    compiled._cache = KernelFiles(function)
+    compiled.compile()
     binding.add_symbol(name, compiled.address)
     return compiled
 

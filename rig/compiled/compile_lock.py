@@ -34,7 +34,7 @@ class _CompileLock:
             return False
         # where the folder cannot be written, nothing is kept and nobody can load it
         with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
+            kernel_cache.make_private(folder)
             flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
             descriptor = os.open(folder / LOCK_FILE, flags, _ONLY_FOR_USER)
             try:

@@ -8,9 +8,9 @@ so a program starts earlier without both; docs/compiled_kernels.md has the measu
 from typing import Any
 
 from rollerrig.rig.compiled import compile_lock, compile_progress, numba_import
+from rollerrig.rig.compiled.kernel_files import KernelFiles
 
 # isort: split
-from numba.core import caching
 from numba.core.runtime.nrt import rtsys
 
 
@@ -25,7 +25,7 @@ class LazyCache:
 
     def _open(self) -> Any:
         if self._opened is None:
-            self._opened = caching.FunctionCache(self._function)
+            self._opened = KernelFiles(self._function)
         return self._opened
 
     def __getattr__(self, name: str) -> Any:

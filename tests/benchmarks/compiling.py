@@ -97,8 +97,8 @@ without.find_spec = lambda self, *name: None if self.package in {names!r} else o
 # numba's cache of each kernel, opened when the kernel is defined
 NUMBAS_CACHE = """
 from rollerrig.rig.compiled import lazy_cache
-from numba.core.caching import FunctionCache
-lazy_cache.LazyCache = lambda function, counts_references: FunctionCache(function)
+from rollerrig.rig.compiled.kernel_files import KernelFiles
+lazy_cache.LazyCache = lambda function, counts_references: KernelFiles(function)
 """
 STATE_AS_TUPLE = """
 from rollerrig.rig.compiled import state_type
