@@ -39,6 +39,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, ring
 from rollerrig.realtime.loop.tick import MISSED, STALLED_NS, STOP, TICK, WORST_NS
 from rollerrig.realtime.record import channels, records, run_folder, summary
+from rollerrig.rig.compiled import compile_progress
 from rollerrig.wsp_interface import places
 from rollerrig.wsp_interface.events import Code, Event
 
@@ -134,6 +135,8 @@ class Bench:
         parts.processes.start_recorder(*parts.rings, parts.identity())
         parts.report_scenario()
         tick_data.warm_up(parts.data, given.pacing, given.unit)
+        if given.prepare_free and compile_progress.has_compiled():
+            tick_data.warm_up(parts.data, "free", "none")
         if given.hold:
             parts.report("held until a viewer has joined the live view")
         await parts.processes.await_viewer(parts.rows, lambda: parts.ended_by)

@@ -27,7 +27,8 @@ class Options(NamedTuple):
 
     `unit` is reference, external, none, or fmu:FILE with its mapping, several as fmu:FILE,fmu:FILE,
     or command:LINE for a program of the user.
-    `recorder` and `waiting_unit` are processes that wait for their arguments.
+    `recorder` and `waiting_unit` are processes that wait for their arguments. `prepare_free`: where
+    the run compiles kernels, it also compiles those of a free stop without a unit, which follows.
     """
 
     pacing: str = "wall"
@@ -43,6 +44,7 @@ class Options(NamedTuple):
     recorder: subprocess.Popen[bytes] | None = None
     unit_map: Path | None = None
     waiting_unit: subprocess.Popen[bytes] | None = None
+    prepare_free: bool = False
 
     @property
     def fmus(self) -> tuple[Path, ...]:

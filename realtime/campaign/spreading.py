@@ -12,7 +12,6 @@ from typing import Any
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.processes import children
-from rollerrig.rig.compiled import compile_lock
 
 # chunks per worker, from the oldest unfinished one to the newest that may begin
 WINDOW = 8
@@ -57,7 +56,7 @@ def on_this_machine(work: Work, chunks: Sequence[int], workers: int) -> Iterator
     deaths = 0
     while deaths < DEATHS:
         window.begin_again()
-        with children.pool(workers, compile_lock.take_turns) as pool:
+        with children.pool(workers) as pool:
             futures: dict[Any, int] = {}
             try:
                 while window.left:

@@ -20,6 +20,9 @@ STEP_BEGINS = 0.03
 
 Progress = Callable[[str, float], None]
 
+# kernels that this process compiles at its first start; the messages need the number
+_KERNELS = 139
+
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
@@ -73,8 +76,10 @@ def _explain(given: argparse.Namespace) -> int:
 
 
 def _explain_braking_runs(given: argparse.Namespace, data: "Dataset", out: Path) -> int:
+    from rollerrig.rig.compiled import compile_progress
     from rollerrig.rig.identify.decide import decision
 
+    compile_progress.expect(_KERNELS)
     with progress_bar() as progress:
         diagnosis = decision.explain_braking_runs(data, given.seed, progress)
         return write_and_show(given, diagnosis, out, progress, stops=given.more)

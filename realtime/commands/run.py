@@ -142,10 +142,12 @@ def call(options: argparse.Namespace) -> int:
 
 
 def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
-    from rollerrig.realtime.bench import bench, scenario
+    from rollerrig.realtime.bench import bench, scenario, tick_data
     from rollerrig.realtime.bench.options import Options
     from rollerrig.realtime.reports import without_wsp
+    from rollerrig.rig.compiled import compile_progress
 
+    compile_progress.expect(tick_data.KERNELS[options.pacing])
     plan = scenario.load(
         options.scenario,
         options.model,
@@ -167,6 +169,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         start=options.start,
         harness=options.harness,
         unit_map=options.unit_map,
+        prepare_free=options.also_without_wsp,
         **processes,
     )
 

@@ -1,6 +1,9 @@
-"""Log messages while numba compiles: the first start of an installation takes a minute or two.
+"""Log messages while numba compiles: the first start of an installation takes half a minute.
 
 Kernels that only some commands use, such as those of campaigns, are compiled by the first of them.
+
+A command that knows how many kernels it needs states it (`expect`). Then the messages have a total
+and the time that is left.
 
 Numba must compile for a second before the first message appears, so that a few small kernels are
 not announced. The next messages appear every few seconds, and the last one soon after the last
@@ -37,6 +40,8 @@ class _CompileListener(event.Listener):
         # of time.monotonic
         self._last_end_s = 0.0
         self._thread: threading.Thread | None = None
+        # how many kernels the command compiles at its first start; 0: not known
+        self.expected = 0
         self._collects_garbage = True
 
     def on_start(self, event: Any) -> None:
@@ -87,13 +92,12 @@ class _CompileListener(event.Listener):
                 is_announced = True
                 log.warning(
                     "compiling the kernels that no command here has used since the installation "
-                    "or a change of them; they are kept for later commands (1 to 2 minutes) ..."
+                    "or a change of them; they are kept for later commands ..."
                 )
             else:
                 log.warning(
-                    "compiling: %.0f s so far, %d kernels done",
-                    now_s - begin_s,
-                    self.compiled - compiled_before,
+                    "compiling: %s",
+                    self._progress(now_s - begin_s, self.compiled - compiled_before),
                 )
         # first: who takes the lock from now on finds no thread, and starts one that releases it
         self._thread = None
@@ -105,10 +109,23 @@ class _CompileListener(event.Listener):
                 self._last_end_s - begin_s,
             )
 
+    def _progress(self, so_far_s: float, compiled: int) -> str:
+        """Return the words on a stretch of compiling, with the time left if it is known."""
+        left = self.expected - self.compiled
+        if left <= 0 or compiled == 0:
+            return f"{so_far_s:.0f} s so far, {compiled} kernels done"
+        left_s = so_far_s / compiled * left
+        return f"kernel {self.compiled} of about {self.expected}, about {left_s:.0f} s left"
+
 
 _listener = _CompileListener()
 event.register("numba:compile", _listener)
 saving = _listener.saving
+
+
+def expect(kernels: int) -> None:
+    """State how many kernels this process compiles if none is in the cache."""
+    _listener.expected = kernels
 
 
 def has_compiled() -> bool:

@@ -1,5 +1,6 @@
 """One process compiles, the others wait and load: kernels are compiled once, and nobody hangs."""
 
+import fcntl
 import os
 import signal
 import subprocess
@@ -7,6 +8,8 @@ import sys
 import time
 
 import pytest
+
+from rollerrig.rig.compiled import compile_lock, kernel_cache
 
 # a module with a kernel that needs some time to compile: its loops are unrolled by hand
 MODULE = """
@@ -25,8 +28,7 @@ import sys, time
 sys.path.insert(0, sys.argv[1])
 from rollerrig.rig.compiled import compile_lock, compile_progress
 import many_terms
-if sys.argv[2] == "turns":
-    compile_lock.take_turns()
+compile_lock.LONGEST_S = float(sys.argv[2])
 sys.stdin.readline()
 many_terms.outer(1.0)
 print(compile_progress._listener.compiled, flush=True)
@@ -41,11 +43,11 @@ def processes(tmp_path):
     (tmp_path / "many_terms.py").write_text(MODULE.format(terms=TERMS))
     started = []
 
-    def start(count, mode="turns"):
+    def start(count, longest_s=300.0):
         for _ in range(count):
             started.append(
                 subprocess.Popen(
-                    [sys.executable, "-c", PROGRAM, str(tmp_path), mode],
+                    [sys.executable, "-c", PROGRAM, str(tmp_path), str(longest_s)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     text=True,
@@ -75,7 +77,7 @@ def locks(tmp_path):
     return list((tmp_path / "kernels").rglob("compiling.lock"))
 
 
-def test_processes_that_take_turns_compile_each_kernel_once(processes):
+def test_of_several_processes_one_compiles_each_kernel(processes):
     both = processes(2)
     for process in both:
         compile_now(process)
@@ -107,8 +109,29 @@ def test_a_process_that_is_killed_while_it_compiles_blocks_nobody(processes, tmp
     assert compiled(second) > 0
 
 
-def test_a_process_that_takes_no_turns_waits_for_nobody(processes, tmp_path):
-    (process,) = processes(1, "alone")
-    compile_now(process)
-    assert compiled(process) > 0
-    assert not locks(tmp_path)
+def test_a_process_that_is_suspended_while_it_compiles_blocks_nobody_for_ever(processes, tmp_path):
+    (first,) = processes(1)
+    (second,) = processes(1, longest_s=0.1)
+    compile_now(first)
+    while not locks(tmp_path):
+        time.sleep(0.01)
+    os.kill(first.pid, signal.SIGSTOP)
+    compile_now(second)
+    assert compiled(second) > 0
+
+
+def test_a_forked_process_does_not_keep_the_lock(processes, tmp_path, monkeypatch):
+    monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
+    lock = compile_lock._CompileLock()
+    assert lock.take()
+    child = os.fork()
+    if child == 0:
+        signal.pause()
+    try:
+        lock.release()
+        descriptor = os.open(tmp_path / compile_lock.LOCK_FILE, os.O_RDWR)
+        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        os.close(descriptor)
+    finally:
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
