@@ -28,33 +28,6 @@ START_ORDER = (
     "tests/firmware_sim/",
 )
 
-# Files whose tests brake whole stops in real time, or start and kill many processes. They have the
-# mark `long`. `make check` leaves them out, because together they take as long as all other tests.
-LONG_FILES = (
-    "tests/realtime/test_api.py",
-    "tests/realtime/test_attack.py",
-    "tests/realtime/test_bench_explain.py",
-    "tests/realtime/test_broken_pipe.py",
-    "tests/realtime/test_bus_trouble.py",
-    "tests/realtime/test_campaign.py",
-    "tests/realtime/test_desk.py",
-    "tests/realtime/test_endurance.py",
-    "tests/realtime/test_ends_of_processes.py",
-    "tests/realtime/test_fault_signs.py",
-    "tests/realtime/test_first_start.py",
-    "tests/realtime/test_fmu.py",
-    "tests/realtime/test_fmu_can.py",
-    "tests/realtime/test_live.py",
-    "tests/realtime/test_protection.py",
-    "tests/realtime/test_lockstep_under_load.py",
-    "tests/realtime/test_timers_on_a_bench.py",
-    "tests/realtime/test_validity.py",
-    "tests/realtime/test_vehicle_sequences.py",
-    "tests/realtime/test_velim.py",
-    "tests/third_party/",
-    "tests/tutorials/",
-)
-
 
 def pytest_addoption(parser):
     parser.addoption(
@@ -75,8 +48,9 @@ def pytest_configure(config):
 
     for mark in (
         "conformance(standard, behaviour): the row of the conformance table that this test proves",
-        "explanation: explains whole sets of runs; `make check` leaves it out",
-        "long: brakes whole stops or starts many processes; `make check` leaves it out",
+        "explanation: explains whole sets of runs; it starts first, and stays on one core",
+        "nightly: rates, whole searches, long endurance, other people's programs beyond one smoke "
+        "test each; `make nightly` runs it, `make test` leaves it out",
         "xdist_group(name): tests that run in one worker",
     ):
         config.addinivalue_line("markers", mark)
@@ -87,8 +61,6 @@ def pytest_collection_modifyitems(config, items):
     config.stash[ALL_ITEMS] = list(items)  # before -m or -k deselects any
     for item in items:
         item.add_marker(pytest.mark.xdist_group(worker_group(item)))
-        if item.nodeid.startswith(LONG_FILES):
-            item.add_marker(pytest.mark.long)
 
     if config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
         items.sort(key=start_rank)

@@ -11,6 +11,8 @@ import rollerrig
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.wsp_interface.signals import COLUMNS
 
+pytestmark = pytest.mark.nightly
+
 EXAMPLE = Path(__file__).parents[2] / "docs/examples/first_stops.ipynb"
 
 

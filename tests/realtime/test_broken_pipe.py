@@ -14,6 +14,8 @@ import pytest
 from rollerrig.realtime import cli
 from rollerrig.realtime.campaign import campaign
 
+pytestmark = pytest.mark.nightly
+
 ROLLERRIG = (sys.executable, "-m", "rollerrig.realtime.cli")
 # a short run
 STOP = (

@@ -17,6 +17,8 @@ from rollerrig.realtime.record import records, run_folder
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.events import Code
 
+pytestmark = pytest.mark.nightly
+
 ANSWERS = 0x211
 
 

@@ -21,6 +21,8 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.campaign import campaign, design, outcome, spreading, stopping
 from rollerrig.realtime.reports import campaign as report
 
+pytestmark = pytest.mark.nightly
+
 PLAN = """
 title = "short stops"
 scenario = "{scenario}"

@@ -30,6 +30,8 @@ from nicegui.testing.user_simulation import user_simulation
 from rollerrig.realtime.desk import desk, library, live, page, reader
 from rollerrig.realtime.pictures import colours
 
+pytestmark = pytest.mark.nightly
+
 WRITER = """
 import sys
 import time

@@ -15,6 +15,8 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
+pytestmark = pytest.mark.nightly
+
 RECORDER = "rollerrig.realtime.telemetry.recorder"
 
 

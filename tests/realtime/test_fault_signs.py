@@ -9,6 +9,8 @@ from rollerrig.realtime.record import records
 from rollerrig.rig.identify.next_stops.prototype import Stop
 from rollerrig.wsp_interface.events import Code
 
+pytestmark = pytest.mark.nightly
+
 
 def sealed(folder, *hidden, **tables):
     """Return the file of a rig that hides faults; `tables` replace those of the scenario."""

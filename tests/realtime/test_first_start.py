@@ -12,6 +12,8 @@ import pytest
 
 from rollerrig.rig.compiled import kernel_cache
 
+pytestmark = pytest.mark.nightly
+
 
 def started(*words, cache, out):
     """Start a command that uses this folder as its cache of kernels; return the process."""

@@ -22,6 +22,8 @@ from rollerrig.realtime.bench.options import Options
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code
 
+pytestmark = pytest.mark.nightly
+
 SHORT = ("--pacing", "lockstep", "--set", "duration_max_s=3")
 MAP = """[[to_unit]]
 factor = 0.445                # m/s at a radius of 0.445 m

@@ -18,6 +18,8 @@ from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
+pytestmark = pytest.mark.nightly
+
 SHORT = ("--pacing", "lockstep", "--set", "duration_max_s=2")
 
 

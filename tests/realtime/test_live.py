@@ -19,6 +19,8 @@ from rollerrig.realtime.loop import ring
 from rollerrig.realtime.telemetry import live, recorder, viewer, views
 from rollerrig.wsp_interface import signals
 
+pytestmark = pytest.mark.nightly
+
 until = functools.partial(bench_process.until, timeout_s=120.0)
 
 # the time that a process may take to exit after a signal

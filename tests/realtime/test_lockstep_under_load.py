@@ -11,6 +11,8 @@ import pytest
 from bench_process import MAGNETS, BenchProcess, SimpleUnit
 from benchmarks import repeat
 
+pytestmark = pytest.mark.nightly
+
 # faults one after another: no speeds, lost speeds, late speeds, a frozen unit, late answers, and a
 # unit that is frozen while there are no speeds
 FAULTS = (

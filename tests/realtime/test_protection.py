@@ -18,6 +18,8 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
 from rollerrig.realtime.reports import without_wsp
 
+pytestmark = pytest.mark.nightly
+
 NEVER_VENTS = Path(__file__).parents[1] / "wsp_interface" / "never_vents.py"
 # slip bands that show the optimum
 BANDS = (0.02, 0.03, 0.16, 0.25, 0.40)

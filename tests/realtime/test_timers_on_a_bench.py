@@ -13,6 +13,8 @@ from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError, SdoClient
 from rollerrig.wsp_interface.events import Code
 
+pytestmark = pytest.mark.nightly
+
 # nodes: a drive, the encoder, the I/O module, and a partner that is only in this test
 DRIVE = 1
 SPEED = 16

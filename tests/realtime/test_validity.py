@@ -25,6 +25,8 @@ from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 from rollerrig.wsp_interface.signals import COLUMNS
 
+pytestmark = pytest.mark.nightly
+
 # a short stop, as words of the command line, without and with its verb and scenario
 SHORT_OPTIONS = ("--wsp", "none", "--pacing", "free", "--set", "initial_speed_m_s=3")
 SHORT = ("run", "dry_stop", *SHORT_OPTIONS)

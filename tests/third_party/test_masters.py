@@ -17,6 +17,8 @@ import pytest
 from rollerrig.realtime.bench import bench, options, scenario
 from rollerrig.realtime.record import records
 
+pytestmark = pytest.mark.nightly
+
 HERE = Path(__file__).parent
 DRIVES = (1, 2, 3, 4)
 INSTALL_S = 240.0  # patience for an installer

@@ -12,6 +12,8 @@ from pathlib import Path
 import pytest
 from modbus_site import Site
 
+pytestmark = pytest.mark.nightly
+
 GO_CLIENT = Path(__file__).parent / "modbus_go"
 GOBURROW_CLIENT = Path(__file__).parent / "modbus_goburrow"
 LIBMODBUS = ctypes.util.find_library("modbus")

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.nightly
+
 PAGES = (
     "tutorial_unit.md",
     "tutorial_judge.md",
