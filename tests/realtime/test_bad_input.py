@@ -380,7 +380,7 @@ def test_a_bench_that_is_killed_leaves_complete_files_and_no_process(tmp_path):
     recorder = bench.child("rollerrig.realtime.telemetry.recorder")
     bench.process.kill()
     killed_s = float(bench.record.column("time_s")[-1])
-    bench.process.communicate()
+    bench.process.wait()
 
     for pid in (unit, recorder):
         has_exited = functools.partial(_has_exited, pid)

@@ -2,7 +2,6 @@
 rig by frames.
 """
 
-import functools
 import json
 import os
 
@@ -79,7 +78,7 @@ def test_the_brakes_apply_when_a_can_node_of_an_fmu_hangs_in_real_time_also_on_o
         "2",
         "--wsp",
         f"fmu:{unit}",
-        before=functools.partial(os.sched_setaffinity, 0, {core}),
+        cores={core},
     )
     assert run.status == 4  # not valid
     lost_s = min(event.time_s for event in run.reported(Code.UNIT_LOST))

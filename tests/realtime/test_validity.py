@@ -352,7 +352,7 @@ def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
         "none",
         "--set",
         "initial_speed_m_s=3",
-        before=functools.partial(signal.signal, signal.SIGHUP, signal.SIG_IGN),
+        ignored=(signal.SIGHUP,),
     )
     bench.runs_for(0.3)
     bench.process.send_signal(signal.SIGHUP)
