@@ -16,6 +16,7 @@ from written_docs import ALL_ITEMS, write
 
 # fixtures of tests/realtime/conftest.py
 RUNS = {"stop_with_wsp", "stop_without_wsp", "stop_on_leaves", "free_stop", "wall_run"}
+RUNS_OF_VEHICLES = "free_run_of"
 
 # folders in the order in which workers start them: first those whose tests take long and wait as
 # often as they compute
@@ -71,6 +72,8 @@ def worker_group(item):
     file, _, test = item.nodeid.partition("::")
     if RUNS & set(item.fixturenames):
         return "runs"
+    if RUNS_OF_VEHICLES in item.fixturenames:
+        return "runs of vehicles"
     if item.get_closest_marker("explanation") or file.startswith("tests/tutorials/"):
         return test
     return file

@@ -4,16 +4,12 @@ A process simulates one kind of vehicle, so each run is a process.
 """
 
 import json
-import os
 import re
-import subprocess
-import sys
 
 import numpy as np
 import program
 import pyarrow.parquet
 import pytest
-from program import LONGEST_S
 
 from rollerrig.realtime.record import brake_work
 
@@ -42,13 +38,8 @@ def rollerrig(*words):
 
 
 @pytest.fixture(scope="module", params=OTHER_BRAKE)
-def stop(request, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("brakes") / "run"
-    printed = rollerrig(
-        *("run", request.param, "--pacing", "free", "--set", "loop.record_hz=1000"),
-        *("--out", folder),
-    )
-    return request.param, folder, printed
+def stop(request, free_run_of):
+    return request.param, *free_run_of(request.param)
 
 
 def test_the_work_of_all_brakes_is_that_of_their_recorded_forces(stop):
@@ -92,19 +83,15 @@ def test_the_table_of_the_brakes_has_a_row_for_each_with_its_work_beside_a_pictu
     scenario, folder, _ = stop
     brakes = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["brakes"]
     equipment = "dynamic_brake" if OTHER_BRAKE[scenario] == "motors" else "magnetic_track_brake"
-    done = subprocess.run(
-        [sys.executable, "-c", REPORT, folder],
-        env=os.environ | {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": equipment},
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=True,
+    done = program.python(
+        *("-c", REPORT, folder), ROLLERRIG_AXLES="6", ROLLERRIG_EQUIPMENT=equipment
     )
+    assert done.status == 0, done.messages
     for brake, figures in brakes.items():
         work_MJ = f"{1e-6 * figures['work_J']:.2f}"
         row = rf"<td[^>]*>{brake_work.TITLES[brake]}</td><td[^>]*>{work_MJ}</td>"
-        assert re.search(row, done.stdout)
-    assert "share, %" in done.stdout
+        assert re.search(row, done.printed)
+    assert "share, %" in done.printed
 
 
 def test_a_vehicle_with_friction_brakes_only_has_no_figures_of_brakes():

@@ -12,8 +12,6 @@ import pytest
 
 from rollerrig.rig.compiled import kernel_cache
 
-pytestmark = pytest.mark.nightly
-
 
 def started(*words, cache, out):
     """Start a command that uses this folder as its cache of kernels; return the process."""
@@ -26,6 +24,7 @@ def started(*words, cache, out):
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "words",
     [("run", "velim_a1", "--pacing", "free"), ("explain", "open_rail_cleaning")],

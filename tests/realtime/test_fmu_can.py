@@ -17,8 +17,6 @@ from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
-pytestmark = pytest.mark.nightly
-
 SHORT = ("--pacing", "lockstep", "--set", "duration_max_s=2")
 
 
@@ -66,6 +64,7 @@ def test_a_can_node_of_an_fmu_that_crashes_is_a_unit_that_died_and_the_record_is
     assert not json.loads((run.out / "summary.json").read_text())["valid"]
 
 
+@pytest.mark.nightly
 def test_the_brakes_apply_when_a_can_node_of_an_fmu_hangs_in_real_time_also_on_one_core(tmp_path):
     unit = fmus.build_can(tmp_path, defines=["HANG_AT_S=1.0"])
     core = min(os.sched_getaffinity(0))

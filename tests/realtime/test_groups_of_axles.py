@@ -216,6 +216,7 @@ def train(tmp_path_factory):
     return folder
 
 
+@pytest.mark.nightly
 def test_a_train_with_one_unit_a_car_in_two_processes_repeats_to_the_byte(train, tmp_path):
     status, _, messages = rollerrig(*TRAIN, "--out", tmp_path / "again")
     assert status == 4, messages
@@ -229,6 +230,7 @@ def test_a_train_with_one_unit_a_car_in_two_processes_repeats_to_the_byte(train,
     assert ids.count(0x211) == ids.count(0x231) == ids.count(0x080)
 
 
+@pytest.mark.nightly
 def test_an_fmu_for_each_group_gives_the_channels_of_the_reference_units(fmu, train, tmp_path):
     status, _, messages = rollerrig(*TRAIN, "--wsp", f"fmu:{fmu}", "--out", tmp_path / "fmu")
     assert status == 4, messages
@@ -238,6 +240,7 @@ def test_an_fmu_for_each_group_gives_the_channels_of_the_reference_units(fmu, tr
         np.testing.assert_array_equal(table[name].to_numpy(), expected[name].to_numpy(), name)
 
 
+@pytest.mark.nightly
 def test_an_fmu_protects_a_last_group_that_has_two_axles(fmu, tmp_path):
     folder = tmp_path / "tram"
     status, _, messages = rollerrig(
@@ -255,6 +258,7 @@ def test_an_fmu_protects_a_last_group_that_has_two_axles(fmu, tmp_path):
 # --- the rig as an FMU ---
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", ["bogie_low", "tram_low", "multiple_unit_low"])
 def test_the_rig_of_every_vehicle_as_an_fmu_brakes_as_a_free_run(scenario, tmp_path):
     out = tmp_path / "rig.fmu"

@@ -4,15 +4,12 @@ A process simulates one kind of vehicle, so each run is a process.
 """
 
 import json
-import os
-import subprocess
-import sys
 import tomllib
 
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import rollerrig
+from program import python, rollerrig
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params, track_brake_params
@@ -48,6 +45,11 @@ def run(folder, *words):
         *words,
     )
     assert status == 0, messages
+    return content(folder)
+
+
+def content(folder):
+    """The channels of a run, its resolved scenario and its summary."""
     table = pyarrow.parquet.read_table(folder / "channels.parquet")
     plan = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
@@ -55,8 +57,13 @@ def run(folder, *words):
 
 
 @pytest.fixture(scope="module")
-def stop(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("magnetic") / "stop")
+def folder(free_run_of):
+    return free_run_of(SCENARIO)[0]
+
+
+@pytest.fixture(scope="module")
+def stop(folder):
+    return content(folder)
 
 
 def axles(table, name, unit=""):
@@ -92,10 +99,8 @@ def test_magnets_contacts_and_resistance_take_the_momentum_and_energy_of_the_tra
     )
 
 
-def test_explain_refuses_a_run_with_magnets_and_names_the_key_that_isolates_them(tmp_path):
-    recorded = tmp_path / "stop"
-    run(recorded)
-    status, _, messages = rollerrig("explain", recorded, "--out", tmp_path / "report")
+def test_explain_refuses_a_run_with_magnets_and_names_the_key_that_isolates_them(folder, tmp_path):
+    status, _, messages = rollerrig("explain", folder, "--out", tmp_path / "report")
     assert status == 2
     assert "a magnetic track brake" in messages
     assert "magnetic_track_brake.bogies=[]" in messages
@@ -147,14 +152,9 @@ def test_below_the_cut_off_speed_the_magnets_are_switched_off(tmp_path):
 
 
 def test_node_17_of_each_group_switches_its_magnets_and_loses_them_with_its_unit():
-    done = subprocess.run(
-        [sys.executable, "-c", NODE_PROGRAM],
-        env=os.environ | EQUIPPED,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    on, failed = done.stdout.splitlines()
+    done = python("-c", NODE_PROGRAM, **EQUIPPED)
+    assert done.status == 0, done.messages
+    on, failed = done.printed.splitlines()
     # the second group has axles 5 and 6
     assert on == "[0.0, 0.0, 0.0, 0.0, 1.0, 1.0]"
     assert "1.0" not in failed

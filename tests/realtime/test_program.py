@@ -56,7 +56,9 @@ def test_a_command_gives_the_status_output_and_messages_of_a_command_that_is_sta
 
 def test_a_command_starts_itself_again_for_a_vehicle_that_its_process_does_not_simulate(tmp_path):
     # the server of the coach, because the words do not have the name of a packaged scenario
-    (tmp_path / "tram.toml").write_text('title = "a tram"\nvehicle = "tram"\nadhesion = "dry"\n')
+    (tmp_path / "tram.toml").write_text(
+        'title = "a tram"\nvehicle = "tram_3_bogies"\nadhesion = "dry"\n'
+    )
     words = ("devices", "--scenario", "tram.toml", "--out", "devices")
     found = program.rollerrig(*words, folder=tmp_path)
     assert found.status == 0, found.messages

@@ -25,8 +25,6 @@ from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 from rollerrig.wsp_interface.signals import COLUMNS
 
-pytestmark = pytest.mark.nightly
-
 # a short stop, as words of the command line, without and with its verb and scenario
 SHORT_OPTIONS = ("--wsp", "none", "--pacing", "free", "--set", "initial_speed_m_s=3")
 SHORT = ("run", "dry_stop", *SHORT_OPTIONS)
@@ -136,6 +134,7 @@ def test_a_unit_that_is_lost_repeatedly_makes_the_run_not_valid_and_the_losses_a
     not_valid(bench, f"the WSP unit was lost {losses} times (no heartbeat), first at ")
 
 
+@pytest.mark.nightly
 def test_a_unit_that_keeps_its_heartbeat_but_commands_no_valve_makes_the_run_not_valid(tmp_path):
     def answer(n):
         return [(MAGNETS, b"\0")] if n <= 150 else []
@@ -305,8 +304,17 @@ def test_an_emergency_stop_makes_a_run_not_valid_unless_the_coach_stands_or_is_s
 # --- interrupted ---
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("pacing", ["wall", "lockstep"])
+@pytest.mark.parametrize(
+    ("name", "pacing"),
+    [
+        ("SIGTERM", "wall"),
+        ("SIGHUP", "lockstep"),
+        pytest.param("SIGINT", "wall", marks=pytest.mark.nightly),
+        pytest.param("SIGINT", "lockstep", marks=pytest.mark.nightly),
+        pytest.param("SIGTERM", "lockstep", marks=pytest.mark.nightly),
+        pytest.param("SIGHUP", "wall", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_run_that_a_signal_stops_completes_its_record_and_leaves_no_process(
     name, pacing, tmp_path
 ):
@@ -525,6 +533,7 @@ def test_of_a_unit_that_dies(rollerrig_bench):
 """
 
 
+@pytest.mark.nightly
 def test_the_fixture_finishes_a_test_with_an_error_if_the_run_was_not_valid(tmp_path):
     here = Path(__file__)
     (tmp_path / "test_user.py").write_text(USER_TEST.format(here=here.stem))

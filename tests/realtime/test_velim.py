@@ -14,8 +14,6 @@ from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.paper import tuning
 from rollerrig.wsp_interface import signals
 
-pytestmark = pytest.mark.nightly
-
 TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3": 41.8}
 
 

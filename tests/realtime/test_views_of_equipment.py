@@ -4,11 +4,9 @@ A process has the signals of one kind of vehicle, so each layout is made in a pr
 """
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
+from program import python
 
 # prints the titles of all tabs and plots of the default layout, and the paths of all entities
 PROGRAM = """
@@ -34,14 +32,9 @@ TAB = "Motors and magnets"
 
 
 def layout(axles, equipment):
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        env=os.environ | {"ROLLERRIG_AXLES": str(axles), "ROLLERRIG_EQUIPMENT": equipment},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return json.loads(done.stdout)
+    done = python(*("-c", PROGRAM), ROLLERRIG_AXLES=str(axles), ROLLERRIG_EQUIPMENT=equipment)
+    assert done.status == 0, done.messages
+    return json.loads(done.printed)
 
 
 @pytest.mark.parametrize(
