@@ -751,6 +751,7 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
     assert emergency_stops == [Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET]
 
 
+@pytest.mark.nightly
 def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
     with served(tmp_path) as one, browsing() as browser:
         browser.get(one.address)

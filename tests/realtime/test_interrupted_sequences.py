@@ -43,8 +43,8 @@ def terminate(program):
 @pytest.mark.parametrize(
     ("interrupt", "jobs", "name"),
     [
-        (interrupt_as_the_desk_does, 2, "SIGINT"),
-        (interrupt_as_a_terminal_does, 2, "SIGINT"),
+        pytest.param(interrupt_as_the_desk_does, 2, "SIGINT", marks=pytest.mark.nightly),
+        pytest.param(interrupt_as_a_terminal_does, 2, "SIGINT", marks=pytest.mark.nightly),
         (terminate, 1, "SIGTERM"),
     ],
 )

@@ -325,7 +325,9 @@ def sdo_download(node, index, sub, command, value):
 
 
 @pytest.mark.conformance("Modbus", "emergency stop: brakes and a quick stop of every drive")
-@pytest.mark.parametrize("mode", ["full_scale", "virtual_track"])
+@pytest.mark.parametrize(
+    "mode", ["full_scale", pytest.param("virtual_track", marks=pytest.mark.nightly)]
+)
 def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig, mode):
     one = rig(*HELD, "--set", "initial_speed_m_s=20", "--set", f"rig={mode}", "--set", "stand_s=2")
     one.connect()

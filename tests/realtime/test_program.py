@@ -78,7 +78,7 @@ def test_programs_exit_with_the_process_that_has_started_their_server():
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,
         text=True,
-        env=os.environ | {"PYTHONPATH": os.path.dirname(__file__)},
+        env=os.environ | {"PYTHONPATH": os.path.dirname(program.__file__)},
     ) as tests:
         pid = int(tests.stdout.readline().split()[0])
         children = runs.descendants(tests.pid)
