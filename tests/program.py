@@ -151,7 +151,10 @@ def variables_of(words):
     """The variables with which the command line would start itself again for these words."""
     found = {}
     for word in words:
-        if word in store.names("scenarios"):
+        if word in store.names_of_vehicles("sequences"):
+            content, _ = store.load("sequences", word)
+            found |= _variables_of_scenario(content["scenario"])
+        elif word in store.names("scenarios"):
             found |= _variables_of_scenario(word)
     return found
 
