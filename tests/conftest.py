@@ -11,8 +11,10 @@ import signal
 from pathlib import Path
 
 import pytest
+from collected import ALL_ITEMS
 from threadpoolctl import threadpool_limits
-from written_docs import ALL_ITEMS, write
+
+pytest_plugins = ["ending"]
 
 # fixtures of tests/realtime/conftest.py
 RUNS = {"stop_with_wsp", "stop_without_wsp", "stop_on_leaves", "free_stop", "wall_run"}
@@ -59,7 +61,7 @@ def pytest_configure(config):
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    config.stash[ALL_ITEMS] = list(items)  # before -m or -k deselects any
+    config.stash[ALL_ITEMS] = list(items)
     for item in items:
         item.add_marker(pytest.mark.xdist_group(worker_group(item)))
 
@@ -103,6 +105,9 @@ def pytest_collection_finish(session):
         # test takes up to thirty times as long.
         threadpool_limits(1)
     if folder := session.config.getoption("--write-docs"):
+        # it imports nearly everything
+        from written_docs import write
+
         write(folder, session.config.stash[ALL_ITEMS])
 
 

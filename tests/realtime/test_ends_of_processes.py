@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 
+import process_tree
 import pytest
 from bench_process import BenchProcess, until
-from endurance import runs
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
@@ -35,7 +35,7 @@ def killed(process, *words):
 
     def descendants():
         assert process.poll() is None
-        commands_by_pid = runs.descendants(process.pid)
+        commands_by_pid = process_tree.descendants(process.pid)
         all_commands = "\n".join(commands_by_pid.values())
         complete = all(word in all_commands for word in words)
         return commands_by_pid if complete else None
@@ -44,9 +44,9 @@ def killed(process, *words):
     process.kill()
     process.wait()
     try:
-        until(lambda: not any(map(runs.is_running, running)), f"the end of {running}", 60.0)
+        until(lambda: not any(map(process_tree.is_running, running)), f"the end of {running}", 60.0)
     finally:
-        for pid in filter(runs.is_running, running):
+        for pid in filter(process_tree.is_running, running):
             os.kill(pid, signal.SIGKILL)
     return running
 

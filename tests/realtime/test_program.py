@@ -5,10 +5,10 @@ import signal
 import subprocess
 import sys
 
+import process_tree
 import program
 import pytest
 from bench_process import until
-from endurance import runs
 
 # what a program finds when it begins
 SURROUNDINGS = """
@@ -81,10 +81,10 @@ def test_programs_exit_with_the_process_that_has_started_their_server():
         env=os.environ | {"PYTHONPATH": os.path.dirname(program.__file__)},
     ) as tests:
         pid = int(tests.stdout.readline().split()[0])
-        children = runs.descendants(tests.pid)
+        children = process_tree.descendants(tests.pid)
         assert pid in children
         tests.send_signal(signal.SIGKILL)
-    until(lambda: not any(map(runs.is_running, children)), "the end of server and program")
+    until(lambda: not any(map(process_tree.is_running, children)), "the end of server and program")
 
 
 def test_a_program_whose_time_is_over_is_killed():

@@ -15,6 +15,7 @@ import bench_process
 import numpy as np
 import pytest
 from bench_process import HEARTBEAT, MAGNETS, BenchProcess, SimpleUnit
+from process_tree import is_running
 from short_sequences import WALKING_PACE
 
 from rollerrig.firmware_sim.faults import catalogue
@@ -54,15 +55,6 @@ def not_valid(bench, *parts):
 
     assert any(map(has_all_parts, reasons)), reasons
     return recorded
-
-
-def has_exited(pid):
-    """Return whether a process no longer exists or is a zombie."""
-    try:
-        with open(f"/proc/{pid}/status") as file:
-            return "\nState:\tZ" in file.read()
-    except OSError:
-        return True
 
 
 # --- the reasons ---
@@ -330,8 +322,8 @@ def test_a_run_that_a_signal_stops_completes_its_record_and_leaves_no_process(
     assert bench.record.column("time_s")[-1] >= 0.5
     assert not (bench.out / "channels.tail").exists()
     assert (bench.out / "run.rrd").stat().st_size > 10_000
-    assert has_exited(unit)
-    assert has_exited(recorder)
+    assert not is_running(unit)
+    assert not is_running(recorder)
 
 
 def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
