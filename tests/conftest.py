@@ -18,7 +18,9 @@ pytest_plugins = ["ending"]
 
 # fixtures of tests/realtime/conftest.py
 RUNS = {"stop_with_wsp", "stop_without_wsp", "stop_on_leaves", "free_stop", "wall_run"}
-RUNS_OF_VEHICLES = "free_run_of"
+
+# groups of many files, which start first
+LONGEST_GROUPS = ("vehicles", "runs")
 
 # folders in the order in which workers start them: first those whose tests take long and wait as
 # often as they compute
@@ -54,7 +56,7 @@ def pytest_configure(config):
         "explanation: explains whole sets of runs; it starts first, and stays on one core",
         "nightly: rates, whole searches, long endurance, other people's programs beyond one smoke "
         "test each; `make nightly` runs it, `make test` leaves it out",
-        "xdist_group(name): tests that run in one worker",
+        "xdist_group(name): tests that run in one worker; without it, those of a file do",
     ):
         config.addinivalue_line("markers", mark)
 
@@ -63,7 +65,7 @@ def pytest_configure(config):
 def pytest_collection_modifyitems(config, items):
     config.stash[ALL_ITEMS] = list(items)
     for item in items:
-        item.add_marker(pytest.mark.xdist_group(worker_group(item)))
+        item.add_marker(pytest.mark.xdist_group(worker_group(item)), append=False)
 
     if config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
         items.sort(key=start_rank)
@@ -72,10 +74,10 @@ def pytest_collection_modifyitems(config, items):
 def worker_group(item):
     """Return the name of the group of tests that one worker runs with this test."""
     file, _, test = item.nodeid.partition("::")
+    if mark := item.get_closest_marker("xdist_group"):
+        return mark.args[0]
     if RUNS & set(item.fixturenames):
         return "runs"
-    if RUNS_OF_VEHICLES in item.fixturenames:
-        return "runs of vehicles"
     if item.get_closest_marker("explanation") or file.startswith("tests/tutorials/"):
         return test
     return file
@@ -84,6 +86,8 @@ def worker_group(item):
 def start_rank(item):
     """Return when workers start a test, lowest first. Tests of equal rank keep their order."""
     if item.get_closest_marker("explanation"):
+        return -2
+    if worker_group(item) in LONGEST_GROUPS:
         return -1
     for rank, folder in enumerate(START_ORDER):
         if item.nodeid.startswith(folder):

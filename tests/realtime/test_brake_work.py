@@ -13,6 +13,9 @@ import pytest
 
 from rollerrig.realtime.record import brake_work
 
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
 WITHIN = 1e-3
 AXLES = range(1, 7)
 # the brakes that each scenario has besides the friction brake

@@ -13,6 +13,9 @@ import pyarrow.parquet
 import pytest
 from program import rollerrig
 
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
 ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
 
 

@@ -15,6 +15,9 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params, track_brake_params
 from rollerrig.wsp_interface import signals
 
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
 SCENARIO = "tram_emergency_magnetic"
 WITHIN = 1e-3  # relative difference of two balances
 AXLES = range(1, 7)

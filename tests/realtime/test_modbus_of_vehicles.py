@@ -18,6 +18,9 @@ from pymodbus.client import ModbusTcpClient
 
 from rollerrig.firmware_sim.modbus.map import WORDS, MotorState
 
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
 ILLEGAL_ADDRESS = 2
 MOST_REGISTERS = 125
 # the fault of motors, and how many counts a rounded value may differ from a channel

@@ -337,7 +337,7 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
     assert drive_states(one) == [OPERATION_ENABLED] * 4
 
     assert one.set("emergency_stop") == 0
-    one.until("standing", bool, 10.0)
+    one.until("standing", bool)
     assert drive_states(one) == [SWITCH_ON_DISABLED] * 4
 
     # while the emergency stop is set, no master can enable a drive (controlword 15)

@@ -12,7 +12,7 @@ from program import rollerrig
 
 from rollerrig.configs import store
 
-pytestmark = pytest.mark.nightly
+pytestmark = [pytest.mark.nightly, pytest.mark.xdist_group("vehicles")]
 
 MAGNETS = "[start.tables.magnetic_track_brake]\n"
 UNCONTROLLED = '[start.tables.dynamic_brake]\nslide_control = "none"\n\n'

@@ -18,6 +18,9 @@ from rollerrig.configs import vehicle as constants
 from rollerrig.configs.errors import ConfigError, OtherAxlesError, OtherEquipmentError
 from rollerrig.realtime.bench import scenario
 
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
 AXLES = {"bogie_low": 2, "tram_low": 6, "multiple_unit_low": 8, "tram_low_dynamic": 6}
 # each vehicle has its kernels, so all but one run every night
 VEHICLES = [

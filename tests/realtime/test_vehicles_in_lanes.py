@@ -6,6 +6,9 @@ from pathlib import Path
 import program
 import pytest
 
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
 # the packaged scenarios that fit into lanes, by the number of axles
 FITTING = {2: {"bogie_low"}, 6: {"tram_low"}, 8: {"multiple_unit_low"}}
 
