@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rollerrig.configs import store
-from rollerrig.configs.errors import OtherVehicleError
+from rollerrig.configs.errors import ConfigError, OtherVehicleError
 from rollerrig.configs.vehicle import AXLES_VARIABLE, EQUIPMENT_VARIABLE
 from rollerrig.realtime.bench import scenario
 
@@ -26,6 +26,8 @@ from rollerrig.realtime.bench import scenario
 LONGEST_S = 900
 CLI = ("-m", "rollerrig.realtime.cli")
 SERVER = Path(__file__).with_name("fork_server.py")
+# a tram with motors and magnets: with it `make test` compiles for one vehicle besides the coach
+BOTH_BRAKES = str(Path(__file__).with_name("data") / "both_brakes.toml")
 
 
 class Program:
@@ -154,8 +156,8 @@ def variables_of(words):
         if word in store.names_of_vehicles("sequences"):
             content, _ = store.load("sequences", word)
             found |= _variables_of_scenario(content["scenario"])
-        elif word in store.names("scenarios"):
-            found |= _variables_of_scenario(word)
+        elif word in store.names("scenarios") or str(word).endswith(".toml"):
+            found |= _variables_of_scenario(str(word))
     return found
 
 
@@ -165,4 +167,6 @@ def _variables_of_scenario(name):
         scenario.load(name)
     except OtherVehicleError as error:
         return error.environment
+    except ConfigError:
+        pass  # another file, or a wrong one, which is a matter of the command
     return {}

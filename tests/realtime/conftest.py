@@ -1,6 +1,7 @@
 """Runs that several test files examine: each run is made once in a session of tests."""
 
 import functools
+from pathlib import Path
 
 import bench_process
 import program
@@ -52,7 +53,7 @@ def free_run_of(folders):
 
     @functools.cache
     def run(scenario):
-        folder = folders / "of_vehicles" / scenario
+        folder = folders / "of_vehicles" / Path(scenario).stem
         words = ("run", scenario, "--pacing", "free", "--set", "loop.record_hz=1000")
         done = program.rollerrig(*words, "--out", folder)
         assert done.status == 0, done.messages

@@ -11,7 +11,7 @@ import fmus
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import rollerrig
+from program import BOTH_BRAKES, rollerrig
 
 # they share the servers of programs of these vehicles, and runs
 pytestmark = pytest.mark.xdist_group("vehicles")
@@ -72,7 +72,7 @@ def test_a_stored_identifier_of_another_group_is_refused_before_the_run(
     memory = tmp_path / "memory"
     store(memory, node, values, settings)
     status, _, messages = rollerrig(
-        *("run", "tram_low", "--pacing", "lockstep", "--set", f"bus.store={memory}", *ON_HUB),
+        *("run", BOTH_BRAKES, "--pacing", "lockstep", "--set", f"bus.store={memory}", *ON_HUB),
         *("--out", tmp_path / "run"),
     )
     assert status == 2
@@ -146,7 +146,7 @@ def events_of(folder):
 def test_a_fault_stops_the_unit_of_one_group_and_the_others_go_on(tmp_path):
     folder = tmp_path / "run"
     status, _, messages = rollerrig(
-        *("run", "tram_low", "--pacing", "lockstep", "--set", "duration_max_s=3", *ON_HUB),
+        *("run", BOTH_BRAKES, "--pacing", "lockstep", "--set", "duration_max_s=3", *ON_HUB),
         *("--fault", "wsp_frozen group=2 at=1 for=1", "--out", folder),
     )
     # a run of three seconds does not stop
@@ -178,7 +178,7 @@ def test_a_fault_stops_the_unit_of_one_group_and_the_others_go_on(tmp_path):
 @pytest.mark.parametrize(
     ("scenario", "fault", "message"),
     [
-        ("tram_low", "wsp_frozen group=3", "group = 3"),
+        (BOTH_BRAKES, "wsp_frozen group=3", "group = 3"),
         ("velim_a1", "wsp_frozen group=1", "group"),
     ],
 )

@@ -9,7 +9,7 @@ import tomllib
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import python, rollerrig
+from program import BOTH_BRAKES, python, rollerrig
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params, track_brake_params
@@ -18,10 +18,13 @@ from rollerrig.wsp_interface import signals
 # they share the servers of programs of these vehicles, and runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
-SCENARIO = "tram_emergency_magnetic"
+SCENARIOS = [BOTH_BRAKES, pytest.param("tram_emergency_magnetic", marks=pytest.mark.nightly)]
 WITHIN = 1e-3  # relative difference of two balances
 AXLES = range(1, 7)
-EQUIPPED = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": "magnetic_track_brake"}
+EQUIPPED = {
+    "ROLLERRIG_AXLES": "6",
+    "ROLLERRIG_EQUIPMENT": "dynamic_brake,magnetic_track_brake",
+}
 RAISED = "magnetic_track_brake.emergency_pressure_Pa=inf"
 
 # run in a process with the equipment: the objects of node 17, and a command over the bus
@@ -41,10 +44,10 @@ print(magnets.tolist())
 """
 
 
-def run(folder, *words):
-    """Run the scenario; return its channels, its resolved scenario and its summary."""
+def run(scenario, folder, *words):
+    """Run a scenario; return its channels, its resolved scenario and its summary."""
     status, _, messages = rollerrig(
-        *("run", SCENARIO, "--pacing", "free", "--set", "loop.record_hz=1000", "--out", folder),
+        *("run", scenario, "--pacing", "free", "--set", "loop.record_hz=1000", "--out", folder),
         *words,
     )
     assert status == 0, messages
@@ -59,9 +62,14 @@ def content(folder):
     return table, plan, summary
 
 
+@pytest.fixture(scope="module", params=SCENARIOS)
+def scenario(request):
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def folder(free_run_of):
-    return free_run_of(SCENARIO)[0]
+def folder(scenario, free_run_of):
+    return free_run_of(scenario)[0]
 
 
 @pytest.fixture(scope="module")
@@ -137,17 +145,19 @@ def test_the_wheels_behind_magnets_find_more_friction(stop):
     assert friction.max() <= recovered
 
 
-def test_a_tram_stops_sooner_with_its_magnets_and_later_if_those_of_a_bogie_fail(stop, tmp_path):
+def test_a_tram_stops_sooner_with_its_magnets_and_later_if_those_of_a_bogie_fail(
+    scenario, stop, tmp_path
+):
     _, _, summary = stop
-    _, _, without = run(tmp_path / "without", "--set", RAISED)
-    failed, _, with_two = run(tmp_path / "failed", "--fault", "track_brake_dead bogie=2")
+    _, _, without = run(scenario, tmp_path / "without", "--set", RAISED)
+    failed, _, with_two = run(scenario, tmp_path / "failed", "--fault", "track_brake_dead bogie=2")
     distances_m = [found["stop_distance_m"] for found in (summary, with_two, without)]
     assert distances_m[0] < distances_m[1] < distances_m[2]
     assert axles(failed, "track_brake_force", "_N")[:, 2:4].max() == 0.0
 
 
-def test_below_the_cut_off_speed_the_magnets_are_switched_off(tmp_path):
-    table, _, _ = run(tmp_path / "cut", "--set", "magnetic_track_brake.cut_below_m_s=5")
+def test_below_the_cut_off_speed_the_magnets_are_switched_off(scenario, tmp_path):
+    table, _, _ = run(scenario, tmp_path / "cut", "--set", "magnetic_track_brake.cut_below_m_s=5")
     speed_m_s = table["vehicle_speed_m_s"].to_numpy()
     force_N = axles(table, "track_brake_force", "_N").sum(axis=1)
     assert force_N[(speed_m_s > 5.0) & (speed_m_s < 6.0)].min() > 0.0
