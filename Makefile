@@ -10,27 +10,28 @@ BIN := $(VENV)/bin
 # each test starts processes: bytecode is kept also where the shell says that it shall not be
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test kernel-can check lint format docs pictures bench performance clean
+.PHONY: demo test nightly kernel-can lint format docs pictures bench performance clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --also-without-wsp --out runs/demo
 
-# kernels are compiled before the workers start, each once; three workers on two cores, for tests wait as often as they
-# compute
+# Two tiers of tests, see tests/README.md: `test` runs before each commit, `nightly` runs the others. Kernels are compiled
+# before the workers start, each once. Three workers on two cores, because tests wait as often as they compute.
+SUITE := $(BIN)/python -m pytest -n 3 --dist loadgroup
+
 test: $(VENV)/ready-dev
 	$(BIN)/python tests/compile_kernels.py
-	$(BIN)/python -m pytest -n 3 --dist loadgroup
+	$(SUITE) -m "not nightly"
+
+nightly: $(VENV)/ready-dev
+	$(BIN)/python tests/compile_kernels.py
+	$(SUITE) -m nightly
 
 # on kernel SocketCAN, in a guest that has it: a run to the byte as on the hub, the harness, what goes wrong on a bus
 kernel-can: $(VENV)/ready-dev
 	$(BIN)/python tests/compile_kernels.py
 	$(BIN)/python tests/kernel_can/guest.py $(BIN)/python -m pytest -rs -p no:xdist -p no:cacheprovider \
 	  tests/kernel_can tests/wsp_interface/test_buses.py tests/wsp_interface/test_hub.py
-
-# what to run before each commit: all tests except whole explanations and tests with the mark "long"
-check: lint
-	$(BIN)/python tests/compile_kernels.py
-	$(BIN)/python -m pytest -n 3 --dist loadgroup -m "not explanation and not long"
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .

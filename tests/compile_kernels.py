@@ -13,6 +13,8 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+import ending
+
 from rollerrig.rig.compiled import kernel_cache
 
 ROOT = Path(__file__).parent.parent
@@ -64,6 +66,7 @@ def main():
     mark = mark_of_this_checkout()
     if mark and mark.exists():
         return
+    ending.end_all_at_sigterm()
     begin_s = time.monotonic()
     print("compiling kernels ...", flush=True)
     with (

@@ -11,11 +11,16 @@ import signal
 from pathlib import Path
 
 import pytest
+from collected import ALL_ITEMS
 from threadpoolctl import threadpool_limits
-from written_docs import ALL_ITEMS, write
+
+pytest_plugins = ["ending"]
 
 # fixtures of tests/realtime/conftest.py
 RUNS = {"stop_with_wsp", "stop_without_wsp", "stop_on_leaves", "free_stop", "wall_run"}
+
+# groups of many files, which start first
+LONGEST_GROUPS = ("vehicles", "runs")
 
 # folders in the order in which workers start them: first those whose tests take long and wait as
 # often as they compute
@@ -26,33 +31,6 @@ START_ORDER = (
     "tests/third_party/",
     "tests/wsp_interface/",
     "tests/firmware_sim/",
-)
-
-# Files whose tests brake whole stops in real time, or start and kill many processes. They have the
-# mark `long`. `make check` leaves them out, because together they take as long as all other tests.
-LONG_FILES = (
-    "tests/realtime/test_api.py",
-    "tests/realtime/test_attack.py",
-    "tests/realtime/test_bench_explain.py",
-    "tests/realtime/test_broken_pipe.py",
-    "tests/realtime/test_bus_trouble.py",
-    "tests/realtime/test_campaign.py",
-    "tests/realtime/test_desk.py",
-    "tests/realtime/test_endurance.py",
-    "tests/realtime/test_ends_of_processes.py",
-    "tests/realtime/test_fault_signs.py",
-    "tests/realtime/test_first_start.py",
-    "tests/realtime/test_fmu.py",
-    "tests/realtime/test_fmu_can.py",
-    "tests/realtime/test_live.py",
-    "tests/realtime/test_protection.py",
-    "tests/realtime/test_lockstep_under_load.py",
-    "tests/realtime/test_timers_on_a_bench.py",
-    "tests/realtime/test_validity.py",
-    "tests/realtime/test_vehicle_sequences.py",
-    "tests/realtime/test_velim.py",
-    "tests/third_party/",
-    "tests/tutorials/",
 )
 
 
@@ -75,20 +53,19 @@ def pytest_configure(config):
 
     for mark in (
         "conformance(standard, behaviour): the row of the conformance table that this test proves",
-        "explanation: explains whole sets of runs; `make check` leaves it out",
-        "long: brakes whole stops or starts many processes; `make check` leaves it out",
-        "xdist_group(name): tests that run in one worker",
+        "explanation: explains whole sets of runs; it starts first, and stays on one core",
+        "nightly: rates, whole searches, long endurance, other people's programs beyond one smoke "
+        "test each; `make nightly` runs it, `make test` leaves it out",
+        "xdist_group(name): tests that run in one worker; without it, those of a file do",
     ):
         config.addinivalue_line("markers", mark)
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    config.stash[ALL_ITEMS] = list(items)  # before -m or -k deselects any
+    config.stash[ALL_ITEMS] = list(items)
     for item in items:
-        item.add_marker(pytest.mark.xdist_group(worker_group(item)))
-        if item.nodeid.startswith(LONG_FILES):
-            item.add_marker(pytest.mark.long)
+        item.add_marker(pytest.mark.xdist_group(worker_group(item)), append=False)
 
     if config.getoption("numprocesses", None) or hasattr(config, "workerinput"):
         items.sort(key=start_rank)
@@ -97,6 +74,8 @@ def pytest_collection_modifyitems(config, items):
 def worker_group(item):
     """Return the name of the group of tests that one worker runs with this test."""
     file, _, test = item.nodeid.partition("::")
+    if mark := item.get_closest_marker("xdist_group"):
+        return mark.args[0]
     if RUNS & set(item.fixturenames):
         return "runs"
     if item.get_closest_marker("explanation") or file.startswith("tests/tutorials/"):
@@ -107,6 +86,8 @@ def worker_group(item):
 def start_rank(item):
     """Return when workers start a test, lowest first. Tests of equal rank keep their order."""
     if item.get_closest_marker("explanation"):
+        return -2
+    if worker_group(item) in LONGEST_GROUPS:
         return -1
     for rank, folder in enumerate(START_ORDER):
         if item.nodeid.startswith(folder):
@@ -128,6 +109,9 @@ def pytest_collection_finish(session):
         # test takes up to thirty times as long.
         threadpool_limits(1)
     if folder := session.config.getoption("--write-docs"):
+        # it imports nearly everything
+        from written_docs import write
+
         write(folder, session.config.stash[ALL_ITEMS])
 
 

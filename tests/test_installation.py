@@ -98,7 +98,7 @@ def test_the_wheel_reads_its_packaged_sequences(program, tmp_path):
 
 
 # the kernels of the fresh environment are compiled for it
-@pytest.mark.long
+@pytest.mark.nightly
 def test_the_wheel_brakes_a_packaged_scenario(program, tmp_path):
     words = ("run", "velim_a1", "--pacing", "free", "--set", "initial_speed_m_s=3", "--json")
     result = json.loads(output_of(program, tmp_path, *words))

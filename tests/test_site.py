@@ -47,6 +47,7 @@ class Loads(HTMLParser):
                 self.addresses.append(value)
 
 
+@pytest.mark.nightly
 def test_no_page_loads_anything_from_the_internet(site):
     pages = sorted(site.rglob("*.html"))
     assert len(pages) > 30
@@ -58,6 +59,7 @@ def test_no_page_loads_anything_from_the_internet(site):
     assert elsewhere == set()
 
 
+@pytest.mark.nightly
 def test_no_style_sheet_loads_anything_from_the_internet(site):
     sheets = sorted(site.rglob("*.css"))
     assert sheets
@@ -66,6 +68,7 @@ def test_no_style_sheet_loads_anything_from_the_internet(site):
         assert [address for address in loaded if FROM_ELSEWHERE.match(address)] == []
 
 
+@pytest.mark.nightly
 def test_the_search_works_without_a_server(site):
     with browsing() as browser:
         browser.get((site / "index.html").as_uri() + "?q=creepage")
@@ -78,6 +81,7 @@ def test_the_search_works_without_a_server(site):
         assert "creepage" in page.read_text(encoding="utf-8")
 
 
+@pytest.mark.nightly
 def test_the_first_use_of_a_term_links_to_the_glossary_and_shows_its_meaning(site):
     text = (site / "units.html").read_text(encoding="utf-8")
     (link,) = re.findall(r'<a class="?term"? [^>]*glossary\.html#wsp"? [^>]*>WSP<', text)
@@ -88,6 +92,7 @@ def test_the_first_use_of_a_term_links_to_the_glossary_and_shows_its_meaning(sit
     assert 'class="term"' not in glossary
 
 
+@pytest.mark.nightly
 def test_a_page_has_every_picture_in_light_and_in_dark(site):
     for page in sorted(site.rglob("*.html")):
         text = page.read_text(encoding="utf-8")

@@ -9,8 +9,9 @@ import licences
 import pytest
 import test_architecture
 import written_reference
+from collected import ALL_ITEMS
 from packaging.utils import canonicalize_name
-from written_docs import ALL_ITEMS, conformance
+from written_docs import conformance
 
 from rollerrig.configs import store
 from rollerrig.firmware_sim import bench_node

@@ -9,7 +9,6 @@ import inspect
 import re
 
 import licences
-import pytest
 import test_architecture
 import written_reference
 from benchmarks import explain
@@ -40,7 +39,6 @@ STANDARDS = (
     "Masters",
 )
 FURTHER_THRESHOLDS = "| further threshold | value | where | reason |"
-ALL_ITEMS = pytest.StashKey[list[pytest.Item]]()
 
 
 def write(folder, items):

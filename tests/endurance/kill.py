@@ -13,6 +13,7 @@ import signal
 import time
 from typing import Any
 
+import process_tree
 from rich.table import Table
 
 from endurance import runs
@@ -117,7 +118,7 @@ def _still_running(pids: list[int]) -> list[int]:
     """Wait until the processes have exited; return those that still run after a while."""
     end_s = time.monotonic() + _EXIT_WITHIN_S
     while True:
-        left = [pid for pid in pids if runs.is_running(pid)]
+        left = [pid for pid in pids if process_tree.is_running(pid)]
         if not left or time.monotonic() >= end_s:
             return left
         time.sleep(0.02)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from process_tree import descendants
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes import children
@@ -159,24 +160,3 @@ def last_s(rows: ring.Ring) -> float:
         return 0.0
     newest, _, _ = rows.read(count - 1)
     return float(newest[-1, signals.column("time")])
-
-
-def descendants(pid: int) -> dict[int, str]:
-    """Return the command lines of all processes that a process has started, by their number."""
-    found: dict[int, str] = {}
-    # a process may exit while its files are read
-    with contextlib.suppress(OSError):
-        for task in Path(f"/proc/{pid}/task").glob("*/children"):
-            for child in map(int, task.read_text(encoding="ascii").split()):
-                line = Path(f"/proc/{child}/cmdline").read_text(encoding="utf-8")
-                found[child] = line.replace("\0", " ")
-                found |= descendants(child)
-    return found
-
-
-def is_running(pid: int) -> bool:
-    """Return whether a process runs; a zombie does not."""
-    with contextlib.suppress(OSError):
-        status = Path(f"/proc/{pid}/status").read_text(encoding="utf-8")
-        return "\nState:\tZ" not in status
-    return False

@@ -4,11 +4,11 @@ Only a process with motors has the node, so the test is such a process.
 """
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
+from program import python
+
+pytestmark = pytest.mark.xdist_group("vehicles")
 
 SCRIPT = """
 import json
@@ -53,20 +53,9 @@ print(json.dumps(found))
 
 @pytest.fixture(scope="module")
 def found():
-    environment = os.environ | {
-        "ROLLERRIG_AXLES": "6",
-        "ROLLERRIG_EQUIPMENT": "dynamic_brake",
-    }
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT],
-        capture_output=True,
-        text=True,
-        env=environment,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    done = python("-c", SCRIPT, ROLLERRIG_AXLES="6", ROLLERRIG_EQUIPMENT="dynamic_brake")
+    assert done.status == 0, done.messages
+    return json.loads(done.printed)
 
 
 def test_a_unit_permits_shares_to_the_motors_of_its_group_and_node_19_takes_a_demand(found):

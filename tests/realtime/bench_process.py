@@ -1,19 +1,16 @@
 """`rollerrig run` as a separate process with free ports, and a simple WSP unit on its bus."""
 
-import functools
 import json
-import multiprocessing
 import os
 import re
 import signal
 import subprocess
-import sys
 import threading
 import time
-from multiprocessing import connection, forkserver
 from pathlib import Path
 
-from rollerrig.configs.processes import parent_death
+import program
+
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
@@ -38,98 +35,13 @@ def until(condition, what, timeout_s=PATIENCE_S):
         time.sleep(0.02)
 
 
-@functools.cache
-def forking():
-    """A context whose server has loaded what a bench needs and forks benches.
-
-    It exits with this process.
-    """
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["loaded_bench"])
-    environment = os.environ.copy()
-    # Python 3.11 has no other way to let the server find the module
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent)
-    forkserver.ensure_running()
-    os.environ.clear()
-    os.environ.update(environment)
-    return context
-
-
-class Forked:
-    """`rollerrig` as a process in a new session, forked where `loaded_bench` is loaded.
-
-    Used like Popen.
-    """
-
-    def __init__(self, words, stdout, stderr, before=int):
-        for path in (stdout, stderr):
-            path.write_bytes(b"")
-        folder = os.getcwd()
-        environment = dict(os.environ)
-        cores = os.sched_getaffinity(0)
-        self._process = forking().Process(
-            target=_begin,
-            args=(words, stdout, stderr, before, folder, environment, cores),
-            daemon=True,
-        )
-        self._process.start()
-        self.pid = self._process.pid
-        self._stdout = stdout
-        self._lock = threading.Lock()
-
-    @property
-    def returncode(self):
-        # if two threads read it simultaneously, only one of them would receive it
-        with self._lock:
-            return self._process.exitcode
-
-    poll = returncode.fget
-
-    def wait(self, timeout=None):
-        connection.wait([self._process.sentinel], timeout)
-        status = self.returncode
-        if status is None:
-            raise subprocess.TimeoutExpired("rollerrig run", timeout)
-        return status
-
-    def communicate(self, timeout=None):
-        self.wait(timeout)
-        return self._stdout.read_text(), None
-
-    def send_signal(self, number):
-        if self.poll() is None:
-            os.kill(self.pid, number)
-
-    def kill(self):
-        self.send_signal(signal.SIGKILL)
-
-
-def _begin(words, stdout, stderr, before, folder, environment, cores):
-    """Become the process: streams, session, folder, environment and cores as if newly started."""
-    os.setsid()
-    os.chdir(folder)
-    # the server may have been started by a test that is restricted to one core
-    os.sched_setaffinity(0, cores)
-    os.environ.clear()
-    os.environ.update(environment)
-    new_file = os.O_WRONLY | os.O_CREAT | os.O_TRUNC
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-    os.dup2(os.open(stdout, new_file), 1)
-    os.dup2(os.open(stderr, new_file), 2)
-    parent_death.signal_at_parent_death(os.getppid(), signal.SIGTERM)
-    before()
-    from rollerrig.realtime import cli
-
-    sys.exit(cli.main(words))
-
-
 class BenchProcess:
     """A run that has been started.
 
     `finish` waits for it; then `status` is its exit status, and `result` what it printed as JSON.
     """
 
-    def __init__(self, out, *arguments, scenario="velim_a1", before=int):
+    def __init__(self, out, *arguments, scenario="velim_a1", **more):
         self.out = Path(out)
         self.stderr_path = self.out.parent / f"{self.out.name}.stderr"
         words = [
@@ -146,20 +58,20 @@ class BenchProcess:
             "modbus.enabled=false",
             *map(str, arguments),
         ]
-        stdout_path = self.out.parent / f"{self.out.name}.stdout"
-        self.process = Forked(words, stdout_path, self.stderr_path, before)
+        self.stdout_path = self.out.parent / f"{self.out.name}.stdout"
+        self.process = program.start(words, self.stdout_path, self.stderr_path, **more)
         self.status = None
         self.result = None
 
     def finish(self, timeout_s=PATIENCE_S):
         """Wait for the end of the run; return self."""
         try:
-            stdout, _ = self.process.communicate(timeout=timeout_s)
+            self.status = self.process.wait(timeout_s)
         except subprocess.TimeoutExpired:
             self.process.kill()
             raise
-        self.status = self.process.returncode
-        self.result = json.loads(stdout) if stdout else None
+        printed = self.stdout_path.read_text()
+        self.result = json.loads(printed) if printed else None
         return self
 
     @property

@@ -1,6 +1,10 @@
 """Runs that several test files examine: each run is made once in a session of tests."""
 
+import functools
+from pathlib import Path
+
 import bench_process
+import program
 import pytest
 
 ON_LEAVES = ("--set", "adhesion=leaf_film", "--set", "initial_speed_m_s=20")
@@ -39,3 +43,20 @@ def free_stop(folders):
 def wall_run(folders):
     """The first four seconds of velim_a1 in real time."""
     return bench_process.run(folders / "wall", "--pacing", "wall", "--set", "duration_max_s=4")
+
+
+@pytest.fixture(scope="session")
+def free_run_of(folders):
+    """A function that returns the folder of a free run of a scenario, with every tick, and what the
+    command has printed.
+    """
+
+    @functools.cache
+    def run(scenario):
+        folder = folders / "of_vehicles" / Path(scenario).stem
+        words = ("run", scenario, "--pacing", "free", "--set", "loop.record_hz=1000")
+        done = program.rollerrig(*words, "--out", folder)
+        assert done.status == 0, done.messages
+        return folder, done.printed
+
+    return run

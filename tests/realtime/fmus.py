@@ -2,7 +2,9 @@
 3.
 """
 
+import functools
 import subprocess
+import tempfile
 import zipfile
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -53,30 +55,9 @@ def build(
         "modelDescription.xml": edit(description(version, name, inputs or INPUTS, sources)),
         **(files or {}),
     }
-    defined = [*(["-DFMI2"] if version == 2 else []), *(f"-D{one}" for one in defines)]
     if binary:
-        library = folder / f"{name}.so"
-        subprocess.run(
-            [
-                "gcc",
-                "-shared",
-                "-fPIC",
-                "-O1",
-                "-ffp-contract=off",
-                *defined,
-                f"-I{folder}",
-                f"-I{HEADERS}",
-                "-o",
-                library,
-                SOURCE,
-                folder / "stubs.c",
-                "-lm",
-            ],
-            check=True,
-        )
-        files[f"binaries/{'linux64' if version == 2 else fmpy.platform_tuple}/{name}.so"] = (
-            library.read_bytes()
-        )
+        platform = "linux64" if version == 2 else fmpy.platform_tuple
+        files[f"binaries/{platform}/{name}.so"] = _library(version, tuple(defines))
     if sources:
         # FMI 3: prefixed functions, for tools that link several FMUs into one
         header = "#define FMI2\n" if version == 2 else f"#define FMI3_FUNCTION_PREFIX {name}_\n"
@@ -96,6 +77,21 @@ def build(
         for place, content in files.items():
             archive.writestr(place, content)
     return path
+
+
+@functools.cache
+def _library(version, defines):
+    """Return the compiled library with these defines; each is compiled once."""
+    defined = [*(["-DFMI2"] if version == 2 else []), *(f"-D{one}" for one in defines)]
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place)
+        _parameters(folder / "parameters.h")
+        _stubs(folder / "stubs.c", version)
+        options = ["-shared", "-fPIC", "-O1", "-ffp-contract=off", *defined]
+        options += [f"-I{folder}", f"-I{HEADERS}"]
+        files = ["-o", folder / "wsp.so", SOURCE, folder / "stubs.c", "-lm"]
+        subprocess.run(["gcc", *options, *files], check=True)
+        return (folder / "wsp.so").read_bytes()
 
 
 def build_can(

@@ -15,7 +15,7 @@ EXAMPLE = Path(__file__).parents[2] / "docs/examples/first_stops.ipynb"
 
 
 def python(code, *arguments):
-    """Run code in a new Python process and return its output."""
+    """Run code in a Python process that has loaded nothing, and return its output."""
     return subprocess.run(
         [sys.executable, "-c", code, *map(str, arguments)],
         capture_output=True,
@@ -74,6 +74,7 @@ def test_the_api_and_the_command_line_have_the_same_version():
     assert python(code) == f"rollerrig {rollerrig.__version__}"
 
 
+@pytest.mark.nightly
 def test_a_run_that_is_not_valid_causes_a_warning(tmp_path):
     with pytest.warns(UserWarning, match="the coach did not stop within 1 s"):
         stop = rollerrig.run("velim_a1", pacing="free", out=tmp_path / "stop", duration_max_s=1.0)
@@ -150,6 +151,7 @@ def test_runs_are_compared_and_drawn(free_stop, stop_on_leaves, tmp_path):
     assert picture._repr_svg_().lstrip().startswith(("<svg", "<?xml"))
 
 
+@pytest.mark.nightly
 def test_a_campaign_returns_a_row_for_each_run(tmp_path):
     plan = tmp_path / "two.toml"
     plan.write_text(
@@ -180,6 +182,7 @@ def test_a_folder_that_holds_no_run_is_refused(tmp_path):
         rollerrig.load(tmp_path)
 
 
+@pytest.mark.nightly
 def test_the_notebook_of_the_documentation_runs(tmp_path, monkeypatch):
     import nbformat
     from nbclient import NotebookClient

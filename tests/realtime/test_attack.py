@@ -11,6 +11,8 @@ from endurance import fuzz, runs
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
+pytestmark = pytest.mark.nightly
+
 # simulated seconds: without attack, under attack, end of the run; after the attack, a busy machine
 # needs time for the answers
 QUIET_S = (1.0, 3.0)

@@ -173,6 +173,7 @@ def test_a_burst_lasts_from_sync_to_the_last_tpdo_and_not_to_a_unit_s_answer():
 # -- short real runs
 
 
+@pytest.mark.nightly
 def test_bench_contact_times_every_law(capsys, monkeypatch):
     monkeypatch.setattr(contact, "_CALLS", 20_000)
     monkeypatch.setattr(table8, "_ROUNDS", 2)
@@ -184,6 +185,7 @@ def test_bench_contact_times_every_law(capsys, monkeypatch):
         assert law["time_ns"] > 1.0
 
 
+@pytest.mark.nightly
 def test_bench_loop_measures_a_real_run(capsys):
     assert cli.main(["bench", "loop", "--seconds", "1", "--json"]) == 0
     result = json.loads(capsys.readouterr().out)["loop"]["loop"]
@@ -191,6 +193,7 @@ def test_bench_loop_measures_a_real_run(capsys):
     assert result["lateness_us"]["max"] >= result["lateness_us"]["p99"] > 0.0
 
 
+@pytest.mark.nightly
 def test_bench_bus_follows_the_magnets_from_the_frame_to_the_tick():
     # on a busy machine the client needs up to 2 s to join
     valve, timing = bus.to_valve(4.0)
@@ -243,6 +246,7 @@ def recorded_stop():
     return RecordedStop(stop, law, coaches)
 
 
+@pytest.mark.nightly
 def test_every_model_of_table_8_meets_the_same_states_of_one_sliding_stop(recorded_stop):
     stop, law, coaches = recorded_stop
     assert stop.memory.shape == (4, coach_state.SIZE)
@@ -272,6 +276,7 @@ def test_every_model_of_table_8_meets_the_same_states_of_one_sliding_stop(record
             assert (state.wheelset_forces != polach.wheelset_forces).any()
 
 
+@pytest.mark.nightly
 def test_the_vehicle_of_table_8_is_the_step_without_its_contacts(recorded_stop):
     stop, law, coaches = recorded_stop
     model = coaches["degraded"]
@@ -328,6 +333,7 @@ def test_table_8_has_the_papers_figures():
     assert table8.ROWS[-1].whole_s == 362.0
 
 
+@pytest.mark.nightly
 def test_the_sweep_for_hunting_prints_the_critical_speed(monkeypatch):
     monkeypatch.setattr(hunting, "SPEEDS_M_S", (30.0, 60.0, 90.0))
     arguments = argparse.Namespace(set=["multibody.laying=0.025"])

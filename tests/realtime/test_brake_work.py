@@ -4,23 +4,28 @@ A process simulates one kind of vehicle, so each run is a process.
 """
 
 import json
-import os
 import re
-import subprocess
-import sys
 
 import numpy as np
 import program
 import pyarrow.parquet
 import pytest
-from program import LONGEST_S
+from program import BOTH_BRAKES
 
 from rollerrig.realtime.record import brake_work
+
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
 
 WITHIN = 1e-3
 AXLES = range(1, 7)
 # the brakes that each scenario has besides the friction brake
-OTHER_BRAKE = {"tram_low_dynamic": "motors", "tram_emergency_magnetic": "magnets"}
+OTHER_BRAKES = {
+    BOTH_BRAKES: ["motors", "magnets"],
+    "tram_low_dynamic": ["motors"],
+    "tram_emergency_magnetic": ["magnets"],
+}
+EQUIPMENT = {"motors": "dynamic_brake", "magnets": "magnetic_track_brake"}
 
 # run in a process with the vehicle of the run: the table and the picture of its brakes
 REPORT = """
@@ -41,21 +46,22 @@ def rollerrig(*words):
     return printed
 
 
-@pytest.fixture(scope="module", params=OTHER_BRAKE)
-def stop(request, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("brakes") / "run"
-    printed = rollerrig(
-        *("run", request.param, "--pacing", "free", "--set", "loop.record_hz=1000"),
-        *("--out", folder),
-    )
-    return request.param, folder, printed
+@pytest.fixture(
+    scope="module",
+    params=[
+        name if name == BOTH_BRAKES else pytest.param(name, marks=pytest.mark.nightly)
+        for name in OTHER_BRAKES
+    ],
+)
+def stop(request, free_run_of):
+    return request.param, *free_run_of(request.param)
 
 
 def test_the_work_of_all_brakes_is_that_of_their_recorded_forces(stop):
     scenario, folder, printed = stop
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     brakes = summary["brakes"]
-    assert list(brakes) == ["friction", OTHER_BRAKE[scenario]]
+    assert list(brakes) == ["friction", *OTHER_BRAKES[scenario]]
     assert sum(brake["share"] for brake in brakes.values()) == pytest.approx(1.0)
     assert "work of the brakes: friction brake" in printed
 
@@ -83,7 +89,8 @@ def test_the_picture_of_a_stop_has_a_plot_of_the_brakes_and_a_lane_for_each_axle
     text = picture.read_text(encoding="utf-8")
     # matplotlib writes each text of a picture as a comment or as an element
     assert "brake forces, kN" in text
-    assert f"{brake_work.TITLES[OTHER_BRAKE[scenario]]}" in text
+    for brake in OTHER_BRAKES[scenario]:
+        assert brake_work.TITLES[brake] in text
     for axle in AXLES:
         assert re.search(rf"axle {axle}\b", text)
 
@@ -91,20 +98,16 @@ def test_the_picture_of_a_stop_has_a_plot_of_the_brakes_and_a_lane_for_each_axle
 def test_the_table_of_the_brakes_has_a_row_for_each_with_its_work_beside_a_picture(stop):
     scenario, folder, _ = stop
     brakes = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["brakes"]
-    equipment = "dynamic_brake" if OTHER_BRAKE[scenario] == "motors" else "magnetic_track_brake"
-    done = subprocess.run(
-        [sys.executable, "-c", REPORT, folder],
-        env=os.environ | {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": equipment},
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=True,
+    equipment = ",".join(EQUIPMENT[brake] for brake in OTHER_BRAKES[scenario])
+    done = program.python(
+        *("-c", REPORT, folder), ROLLERRIG_AXLES="6", ROLLERRIG_EQUIPMENT=equipment
     )
+    assert done.status == 0, done.messages
     for brake, figures in brakes.items():
         work_MJ = f"{1e-6 * figures['work_J']:.2f}"
         row = rf"<td[^>]*>{brake_work.TITLES[brake]}</td><td[^>]*>{work_MJ}</td>"
-        assert re.search(row, done.stdout)
-    assert "share, %" in done.stdout
+        assert re.search(row, done.printed)
+    assert "share, %" in done.printed
 
 
 def test_a_vehicle_with_friction_brakes_only_has_no_figures_of_brakes():

@@ -83,6 +83,7 @@ def failing_sequence(tmp_path):
     return str(path)
 
 
+@pytest.mark.nightly
 def test_a_failed_sequence_exits_with_1_with_and_without_a_reader(failing_sequence, tmp_path):
     command = ("sequence", failing_sequence, "--wsp", "none", "--out")
     with_reader = str(tmp_path / "read")
@@ -100,7 +101,7 @@ def test_a_run_is_complete_when_nobody_reads_its_progress(tmp_path):
 @pytest.mark.parametrize(
     ("friction", "status", "workers"),
     [
-        (0.05, 0, 2),
+        pytest.param(0.05, 0, 2, marks=pytest.mark.nightly),
         # this friction is out of bounds, so one of the three runs fails
         (7.0, 1, 1),
     ],
@@ -118,7 +119,15 @@ def test_a_campaign_without_a_reader_finishes_with_its_usual_exit_status(
 
 
 # standard input is 0 ("<&-" closes it), output 1 (">&-"), error 2 ("2>&-")
-@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize(
+    "closed",
+    [
+        pytest.param("2>&-", marks=pytest.mark.nightly),
+        pytest.param(">&- 2>&-", marks=pytest.mark.nightly),
+        pytest.param("<&-", marks=pytest.mark.nightly),
+        "<&- >&- 2>&-",
+    ],
+)
 def test_a_run_needs_no_standard_stream(closed, tmp_path):
     out = tmp_path / "run"
     done = run_in_shell(*STOP, "--out", str(out), closed=closed)

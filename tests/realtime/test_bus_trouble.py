@@ -40,7 +40,7 @@ def foreign_bus():
 
 
 @pytest.mark.conformance("Bad input", "a lost bus ends the run with status 2 and its record")
-@pytest.mark.parametrize("pacing", ["wall", "lockstep"])
+@pytest.mark.parametrize("pacing", [pytest.param("wall", marks=pytest.mark.nightly), "lockstep"])
 def test_a_bus_that_is_lost_while_the_rig_runs_ends_the_run_with_status_2_and_keeps_its_record(
     pacing, tmp_path
 ):
@@ -200,6 +200,7 @@ def test_in_lockstep_frames_wait_for_the_wire_and_the_run_repeats_bit_for_bit(tm
     assert 25.0 < one.result["bus"]["load_percent"] < 45.0
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("CAN", "arbitration by the clock")
 def test_in_real_time_frames_wait_for_the_wire_and_no_answer_is_lost(tmp_path):
     bench = run_on_wire(tmp_path / "run", "wall")
@@ -244,7 +245,7 @@ def test_a_valve_command_acts_later_where_its_frame_has_to_wait_for_a_slower_wir
 
 
 @pytest.mark.conformance("CAN", "arbitration in simulated time: free pacing equals lockstep")
-@pytest.mark.parametrize("bitrate", [500_000, 250_000])
+@pytest.mark.parametrize("bitrate", [500_000, pytest.param(250_000, marks=pytest.mark.nightly)])
 def test_free_pacing_lets_the_answers_act_as_late_as_the_wire_of_lockstep_does(bitrate, tmp_path):
     def run(pacing):
         bench = BenchProcess(

@@ -306,7 +306,9 @@ def test_a_campaign_that_was_killed_continues_where_it_stopped(plan_file, tmp_pa
     assert_unchanged(before)
 
 
-@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    "by", [pytest.param(signal.SIGINT, marks=pytest.mark.nightly), signal.SIGTERM]
+)
 def test_an_interrupted_campaign_stops_in_order_and_keeps_its_finished_runs(
     plan_file, tmp_path, by
 ):
@@ -335,6 +337,7 @@ def test_a_campaign_shows_no_counter_of_runs_before_its_first_result(plan_file, 
     assert "continued" not in done.stderr
 
 
+@pytest.mark.nightly
 def test_a_campaign_that_is_killed_again_and_again_gives_the_same_result_to_the_byte(
     plan_file, tmp_path
 ):
@@ -360,6 +363,7 @@ def test_a_campaign_that_is_killed_again_and_again_gives_the_same_result_to_the_
         assert (out / "results" / name).read_bytes() == whole.read_bytes()
 
 
+@pytest.mark.nightly
 def test_a_full_disk_stops_a_campaign_with_status_2_and_finished_chunks_are_kept(
     plan_file, tmp_path
 ):
@@ -384,6 +388,7 @@ def test_a_full_disk_stops_a_campaign_with_status_2_and_finished_chunks_are_kept
     assert {path: path.read_bytes() for path in (out / "results").iterdir()} == before
 
 
+@pytest.mark.nightly
 def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(plan_file, tmp_path):
     pytest.importorskip("distributed")
     plan = campaign.load(plan_file())

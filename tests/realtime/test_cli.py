@@ -30,6 +30,7 @@ def test_every_verb_shows_an_example_that_its_own_parser_takes(verb, capsys):
     assert cli.parser().parse_args(words[1:]).verb == verb.name
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "verb", [verb for verb in cli.VERBS if verb.session], ids=lambda verb: verb.name
 )
@@ -216,7 +217,12 @@ OFTEN = (
 
 
 @pytest.mark.parametrize(
-    "words", [("campaign", "low_adhesion"), ("explain", "open_none")], ids=lambda words: words[0]
+    "words",
+    [
+        ("campaign", "low_adhesion"),
+        pytest.param(("explain", "open_none"), marks=pytest.mark.nightly),
+    ],
+    ids=lambda words: words[0],
 )
 def test_long_work_on_a_pipe_says_now_and_then_how_far_it_is(words, tmp_path):
     with subprocess.Popen(

@@ -569,6 +569,7 @@ def asks_to_confirm(user):
         return False
 
 
+@pytest.mark.nightly
 def test_a_library_of_sequences_is_stopped_from_the_page(tmp_path):
     one = desk.Desk(tmp_path, own=True)
 
@@ -623,6 +624,7 @@ def test_an_error_of_the_command_line_becomes_an_alarm_that_is_acknowledged(tmp_
     assert [alarm.level for alarm in one.alarms] == ["error"]
 
 
+@pytest.mark.nightly
 def test_two_runs_are_compared_and_a_note_is_kept_on_the_page(runs):
     async def play(user):
         user.find(marker="compare").click()
@@ -749,6 +751,7 @@ def test_a_bench_is_prepared_started_disturbed_and_stopped_from_the_page(tmp_pat
     assert emergency_stops == [Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET]
 
 
+@pytest.mark.nightly
 def test_a_browser_runs_the_rig_sees_an_axle_lock_and_stops_it(tmp_path):
     with served(tmp_path) as one, browsing() as browser:
         browser.get(one.address)
@@ -782,6 +785,7 @@ def open_tab(browser, name):
     browser.execute_script("arguments[0].click()", tab)
 
 
+@pytest.mark.nightly
 def test_the_emergency_stop_stays_in_view_on_every_screen(tmp_path):
     with served(tmp_path) as one, browsing() as browser:
         browser.get(one.address)
@@ -805,6 +809,7 @@ return frame !== null && frame.clientWidth > 0 && frame.scrollWidth <= frame.cli
 """
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("width", [1180, 1280, 1700])
 def test_every_column_of_the_table_of_runs_is_in_view(runs, width):
     with served(runs) as one, browsing() as browser:
@@ -816,6 +821,7 @@ def test_every_column_of_the_table_of_runs_is_in_view(runs, width):
         until(lambda: browser.execute_script(TABLE_FITS), width)
 
 
+@pytest.mark.nightly
 def test_the_plots_have_legends_and_an_idle_rig_has_no_magnified_noise(tmp_path):
     chart_options = """
     return desk.settings.plots.map((plot) => {
@@ -849,6 +855,7 @@ def test_the_plots_have_legends_and_an_idle_rig_has_no_magnified_noise(tmp_path)
         assert not any("tick" in label or "missed" in label for label in labels)
 
 
+@pytest.mark.nightly
 def test_who_works_with_the_keyboard_sees_where_it_is(tmp_path):
     focused = """
     const one = document.activeElement;

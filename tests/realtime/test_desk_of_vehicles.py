@@ -91,6 +91,7 @@ def check_axles(desk_page, titles):
         assert f"valve_{axle}" in columns
 
 
+@pytest.mark.nightly
 def test_the_desk_shows_the_torque_of_each_motor_and_that_it_is_released(tmp_path):
     with rolling(tmp_path, "tram_low_dynamic") as desk_page:
         assert not any(texts_of_motors(desk_page).values())
@@ -118,6 +119,7 @@ def test_the_desk_shows_the_torque_of_each_motor_and_that_it_is_released(tmp_pat
         desk_page.shows("nodes 16, 48, 17, 49 operational")
 
 
+@pytest.mark.nightly
 def test_the_desk_shows_the_magnets_of_each_bogie_on_the_rail(tmp_path):
     # weak magnets, which act at the gentle demand
     magnets = (

@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 
+import process_tree
 import pytest
 from bench_process import BenchProcess, until
-from endurance import runs
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
@@ -35,7 +35,7 @@ def killed(process, *words):
 
     def descendants():
         assert process.poll() is None
-        commands_by_pid = runs.descendants(process.pid)
+        commands_by_pid = process_tree.descendants(process.pid)
         all_commands = "\n".join(commands_by_pid.values())
         complete = all(word in all_commands for word in words)
         return commands_by_pid if complete else None
@@ -44,13 +44,14 @@ def killed(process, *words):
     process.kill()
     process.wait()
     try:
-        until(lambda: not any(map(runs.is_running, running)), f"the end of {running}", 60.0)
+        until(lambda: not any(map(process_tree.is_running, running)), f"the end of {running}", 60.0)
     finally:
-        for pid in filter(runs.is_running, running):
+        for pid in filter(process_tree.is_running, running):
             os.kill(pid, signal.SIGKILL)
     return running
 
 
+@pytest.mark.nightly
 def test_workers_benches_and_units_of_a_killed_sequence_exit_and_their_records_are_kept(tmp_path):
     process = start(
         "sequence", "low_speed_010", "emergency_120", "--jobs", 2, "--out", tmp_path / "out"
@@ -65,7 +66,7 @@ def test_workers_benches_and_units_of_a_killed_sequence_exit_and_their_records_a
         assert not (folder / "channels.tail").exists()
 
 
-@pytest.mark.parametrize("verb", ["explain", "campaign"])
+@pytest.mark.parametrize("verb", [pytest.param("explain", marks=pytest.mark.nightly), "campaign"])
 def test_the_workers_of_a_killed_verb_exit(verb, tmp_path):
     if verb == "explain":
         process = start("explain", "open_rail_cleaning", "--out", tmp_path / "out")
@@ -93,7 +94,11 @@ def test_a_run_that_is_killed_while_its_unit_is_frozen_leaves_no_process(tmp_pat
     ("command", "words"),
     [
         ("sh -c 'echo no such port >&2; exit 3'", ("status 3", "no such port")),
-        ("no_such_program {port}", ("status 1", "no_such_program: No such file or directory")),
+        pytest.param(
+            "no_such_program {port}",
+            ("status 1", "no_such_program: No such file or directory"),
+            marks=pytest.mark.nightly,
+        ),
     ],
 )
 def test_a_unit_command_that_exits_is_reported_immediately_with_its_status_and_last_output(
@@ -147,7 +152,7 @@ def limit_file_size(pid, size=20_000):
     resource.prlimit(pid, resource.RLIMIT_FSIZE, (size, resource.RLIM_INFINITY))
 
 
-@pytest.mark.parametrize("pacing", ["wall", "lockstep"])
+@pytest.mark.parametrize("pacing", [pytest.param("wall", marks=pytest.mark.nightly), "lockstep"])
 def test_a_disk_that_gets_full_is_an_event_and_status_2_and_the_record_is_kept(pacing, tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", pacing, "--set", "duration_max_s=4")
     bench.runs_for(0.5)
@@ -178,6 +183,7 @@ def test_a_summary_that_cannot_be_written_is_reported_with_status_2(tmp_path):
     assert bench.record.column("time_s")[-1] > 1.9
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("size", ["64k", "3m"])
 def test_a_small_disk_is_reported_with_status_2_at_the_start_or_when_it_is_full(size, tmp_path):
     place = tmp_path / "disk"

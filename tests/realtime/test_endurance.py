@@ -6,6 +6,8 @@ import re
 import pytest
 from endurance import kill, runs, soak
 
+pytestmark = pytest.mark.nightly
+
 
 @pytest.fixture(scope="module")
 def soaked():

@@ -33,21 +33,37 @@ def find_out(rig, out):
     ("hidden", "signs"),
     [
         ({"kind": "frame_lost", "at_s": 36000.0}, []),  # the fault never begins
-        ({"kind": "drive_trip", "axle": 3}, ["drive_trip axle=3"]),
+        pytest.param(
+            {"kind": "drive_trip", "axle": 3}, ["drive_trip axle=3"], marks=pytest.mark.nightly
+        ),
         (
             {"kind": "drive_over_temperature", "axle": 2, "at_s": 2.0},
             ["drive_over_temperature axle=2"],
         ),
-        ({"kind": "power_dip", "at_s": 2.0, "for_s": 1.0}, ["power_dip"]),
-        ({"kind": "node_off", "node": 16}, ["node_off or bus_off node=16"]),
-        ({"kind": "node_off", "node": 17, "at_s": 2.0, "for_s": 1.0}, ["node_off node=17"]),
+        pytest.param(
+            {"kind": "power_dip", "at_s": 2.0, "for_s": 1.0},
+            ["power_dip"],
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(
+            {"kind": "node_off", "node": 16},
+            ["node_off or bus_off node=16"],
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param(
+            {"kind": "node_off", "node": 17, "at_s": 2.0, "for_s": 1.0},
+            ["node_off node=17"],
+            marks=pytest.mark.nightly,
+        ),
         ({"kind": "bus_off", "node": 17, "at_s": 2.0, "for_s": 1.0}, ["bus_off node=17"]),
         ({"kind": "frame_lost", "can_id": 0x190, "every": 2}, ["frame_lost can_id=0x190"]),
         (
             {"kind": "frame_delayed", "can_id": 0x191, "delay_s": 0.05, "at_s": 2.0},
             ["frame_delayed can_id=0x191"],
         ),
-        ({"kind": "error_frame", "node": 16}, ["error_frame node=16"]),
+        pytest.param(
+            {"kind": "error_frame", "node": 16}, ["error_frame node=16"], marks=pytest.mark.nightly
+        ),
         ({"kind": "receive_error", "node": 17, "at_s": 2.0}, ["receive_error node=17"]),
         ({"kind": "wsp_frozen", "at_s": 2.0}, ["wsp_frozen"]),
     ],
@@ -75,8 +91,8 @@ def test_a_rig_without_such_a_fault_is_braked_without_a_bus(tmp_path) -> None:
     ("fault", "signs"),
     [
         (None, []),
-        ("sander_empty", ["sander_empty axle=1"]),
-        ("sander_blocked", ["sander_blocked axle=1"]),
+        pytest.param("sander_empty", ["sander_empty axle=1"], marks=pytest.mark.nightly),
+        pytest.param("sander_blocked", ["sander_blocked axle=1"], marks=pytest.mark.nightly),
         ("sander_wrong_orifice", ["sander_wrong_orifice axle=1"]),
         ("sander_late", ["sander_late axle=1"]),
     ],
@@ -87,12 +103,14 @@ def test_a_faulty_sander_is_found_by_the_sand_that_it_gives(tmp_path, fault, sig
     assert fault_signs.of(run) == signs
 
 
+@pytest.mark.nightly
 def test_a_sand_box_that_becomes_empty_during_a_stop_is_no_fault(tmp_path) -> None:
     run = run_stop(tmp_path, speed_m_s=25.0, sanders={"axle": 1, "from_s": 1.0, "box_kg": 0.3})
     assert run.column("sand_box_1_kg")[-1] == 0.0
     assert fault_signs.of(run) == []
 
 
+@pytest.mark.nightly
 def test_a_search_whose_stops_are_not_valid_reports_the_faults_that_they_show(tmp_path) -> None:
     rig = sealed(tmp_path, {"kind": "wsp_frozen", "at_s": 1.0})
     with pytest.raises(ConfigError, match=r"the WSP unit was lost.*the stops show wsp_frozen"):

@@ -23,6 +23,7 @@ def started(*words, cache, out):
     )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "words",
     [("run", "velim_a1", "--pacing", "free"), ("explain", "open_rail_cleaning")],

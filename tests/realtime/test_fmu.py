@@ -43,7 +43,7 @@ def fmu(tmp_path_factory):
     return fmus.build(tmp_path_factory.mktemp("fmu"))
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.nightly), 3])
 def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(
     version, stop_with_wsp, tmp_path
 ):
@@ -65,7 +65,7 @@ def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(
     assert json.loads((run.out / "summary.json").read_text())["wsp"]["unit"] == f"fmu:{unit}"
 
 
-@pytest.mark.parametrize("version", [2, 3])
+@pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.nightly)])
 def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version, tmp_path):
     names = {
         **{f"V{axle}": "m/s" for axle in range(1, 5)},
@@ -97,7 +97,11 @@ def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version
             "CRASH_AT_S=1.0",
             "wsp.fmu crashed (signal 6, SIGABRT); its last words: the next step crashes",
         ),
-        ("HANG_AT_S=1.0", "the FMU hangs: doStep at 1.000 s has not returned within 2 s"),
+        pytest.param(
+            "HANG_AT_S=1.0",
+            "the FMU hangs: doStep at 1.000 s has not returned within 2 s",
+            marks=pytest.mark.nightly,
+        ),
     ],
 )
 def test_an_fmu_that_fails_is_a_unit_that_died_and_the_record_is_kept(defines, said, tmp_path):
@@ -111,6 +115,7 @@ def test_an_fmu_that_fails_is_a_unit_that_died_and_the_record_is_kept(defines, s
     assert "the WSP unit wsp.fmu " in failed.fields["reason"]
 
 
+@pytest.mark.nightly
 def test_the_unit_in_c_of_the_documents_becomes_an_fmu_that_prevents_locked_wheels(docs, tmp_path):
     # the script takes the headers of the Python that it finds first
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
@@ -144,6 +149,7 @@ def test_the_script_that_compiles_the_unit_in_c_names_the_package_that_it_lacks(
     ]
 
 
+@pytest.mark.nightly
 def test_the_brakes_apply_when_an_fmu_dies_in_real_time(tmp_path):
     unit = fmus.build(tmp_path, defines=["CRASH_AT_S=1.0"])
     run = bench_process.run(tmp_path / "run", "--set", "duration_max_s=10", "--wsp", f"fmu:{unit}")
@@ -170,6 +176,7 @@ def test_a_frozen_fmu_goes_on_where_it_was(tmp_path, fmu):
     assert run.record.column("time_s")[-1] > 2.9
 
 
+@pytest.mark.nightly
 def test_a_packaged_sequence_is_played_with_an_fmu_and_judged(fmu, tmp_path, capsys):
     assert (
         cli.main(

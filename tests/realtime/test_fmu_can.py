@@ -2,7 +2,6 @@
 rig by frames.
 """
 
-import functools
 import json
 import os
 
@@ -65,6 +64,7 @@ def test_a_can_node_of_an_fmu_that_crashes_is_a_unit_that_died_and_the_record_is
     assert not json.loads((run.out / "summary.json").read_text())["valid"]
 
 
+@pytest.mark.nightly
 def test_the_brakes_apply_when_a_can_node_of_an_fmu_hangs_in_real_time_also_on_one_core(tmp_path):
     unit = fmus.build_can(tmp_path, defines=["HANG_AT_S=1.0"])
     core = min(os.sched_getaffinity(0))
@@ -77,7 +77,7 @@ def test_the_brakes_apply_when_a_can_node_of_an_fmu_hangs_in_real_time_also_on_o
         "2",
         "--wsp",
         f"fmu:{unit}",
-        before=functools.partial(os.sched_setaffinity, 0, {core}),
+        cores={core},
     )
     assert run.status == 4  # not valid
     lost_s = min(event.time_s for event in run.reported(Code.UNIT_LOST))

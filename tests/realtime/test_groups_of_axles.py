@@ -11,7 +11,10 @@ import fmus
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import rollerrig
+from program import BOTH_BRAKES, rollerrig
+
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
 
 ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")
 
@@ -69,7 +72,7 @@ def test_a_stored_identifier_of_another_group_is_refused_before_the_run(
     memory = tmp_path / "memory"
     store(memory, node, values, settings)
     status, _, messages = rollerrig(
-        *("run", "tram_low", "--pacing", "lockstep", "--set", f"bus.store={memory}", *ON_HUB),
+        *("run", BOTH_BRAKES, "--pacing", "lockstep", "--set", f"bus.store={memory}", *ON_HUB),
         *("--out", tmp_path / "run"),
     )
     assert status == 2
@@ -143,7 +146,7 @@ def events_of(folder):
 def test_a_fault_stops_the_unit_of_one_group_and_the_others_go_on(tmp_path):
     folder = tmp_path / "run"
     status, _, messages = rollerrig(
-        *("run", "tram_low", "--pacing", "lockstep", "--set", "duration_max_s=3", *ON_HUB),
+        *("run", BOTH_BRAKES, "--pacing", "lockstep", "--set", "duration_max_s=3", *ON_HUB),
         *("--fault", "wsp_frozen group=2 at=1 for=1", "--out", folder),
     )
     # a run of three seconds does not stop
@@ -175,7 +178,7 @@ def test_a_fault_stops_the_unit_of_one_group_and_the_others_go_on(tmp_path):
 @pytest.mark.parametrize(
     ("scenario", "fault", "message"),
     [
-        ("tram_low", "wsp_frozen group=3", "group = 3"),
+        (BOTH_BRAKES, "wsp_frozen group=3", "group = 3"),
         ("velim_a1", "wsp_frozen group=1", "group"),
     ],
 )
@@ -216,6 +219,7 @@ def train(tmp_path_factory):
     return folder
 
 
+@pytest.mark.nightly
 def test_a_train_with_one_unit_a_car_in_two_processes_repeats_to_the_byte(train, tmp_path):
     status, _, messages = rollerrig(*TRAIN, "--out", tmp_path / "again")
     assert status == 4, messages
@@ -229,6 +233,7 @@ def test_a_train_with_one_unit_a_car_in_two_processes_repeats_to_the_byte(train,
     assert ids.count(0x211) == ids.count(0x231) == ids.count(0x080)
 
 
+@pytest.mark.nightly
 def test_an_fmu_for_each_group_gives_the_channels_of_the_reference_units(fmu, train, tmp_path):
     status, _, messages = rollerrig(*TRAIN, "--wsp", f"fmu:{fmu}", "--out", tmp_path / "fmu")
     assert status == 4, messages
@@ -238,6 +243,7 @@ def test_an_fmu_for_each_group_gives_the_channels_of_the_reference_units(fmu, tr
         np.testing.assert_array_equal(table[name].to_numpy(), expected[name].to_numpy(), name)
 
 
+@pytest.mark.nightly
 def test_an_fmu_protects_a_last_group_that_has_two_axles(fmu, tmp_path):
     folder = tmp_path / "tram"
     status, _, messages = rollerrig(
@@ -255,6 +261,7 @@ def test_an_fmu_protects_a_last_group_that_has_two_axles(fmu, tmp_path):
 # --- the rig as an FMU ---
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("scenario", ["bogie_low", "tram_low", "multiple_unit_low"])
 def test_the_rig_of_every_vehicle_as_an_fmu_brakes_as_a_free_run(scenario, tmp_path):
     out = tmp_path / "rig.fmu"

@@ -4,9 +4,9 @@ import json
 import os
 import signal
 
+import process_tree
 import pytest
 from bench_process import until
-from endurance import runs
 from short_sequences import WALKING_PACE
 
 from rollerrig.realtime.desk.programs import Program
@@ -43,8 +43,8 @@ def terminate(program):
 @pytest.mark.parametrize(
     ("interrupt", "jobs", "name"),
     [
-        (interrupt_as_the_desk_does, 2, "SIGINT"),
-        (interrupt_as_a_terminal_does, 2, "SIGINT"),
+        pytest.param(interrupt_as_the_desk_does, 2, "SIGINT", marks=pytest.mark.nightly),
+        pytest.param(interrupt_as_a_terminal_does, 2, "SIGINT", marks=pytest.mark.nightly),
         (terminate, 1, "SIGTERM"),
     ],
 )
@@ -68,11 +68,13 @@ def test_an_interrupted_library_plays_nothing_more_reports_what_was_played_and_l
         return [log.parent for log in logs] if is_played and len(logs) == jobs else None
 
     begun = until(playing, "sequences that play")
-    processes = [program.pid, *runs.descendants(program.pid)]
+    processes = [program.pid, *process_tree.descendants(program.pid)]
     assert len(processes) >= 1 + jobs
     interrupt(program)
     until(lambda: program.status is not None, "the end of the program")
-    until(lambda: not any(map(runs.is_running, processes)), "the end of all processes", 60.0)
+    until(
+        lambda: not any(map(process_tree.is_running, processes)), "the end of all processes", 60.0
+    )
 
     assert program.status == 4, program.lines
     assert not any("Traceback" in line for line in program.lines)

@@ -221,6 +221,7 @@ def merge_some_and_wait(plan, out, chunks) -> None:
     time.sleep(600.0)
 
 
+@pytest.mark.nightly
 def test_a_large_campaign_that_is_killed_ten_times_gives_the_same_result_to_the_byte(
     plan, tmp_path, few_rows
 ):
@@ -258,6 +259,7 @@ def dying_unit():
     return unit
 
 
+@pytest.mark.nightly
 def test_workers_that_die_change_no_byte(plan, tmp_path, monkeypatch, few_rows):
     armed = tmp_path / "armed"
     armed.mkdir()

@@ -168,6 +168,7 @@ def latest_times_ns(port):
         return set()
 
 
+@pytest.mark.nightly
 def test_a_viewer_sees_the_run_under_the_name_of_the_recorders_recording(run, tmp_path):
     rows, _, _ = run.rings
     port = viewer.free_port()
@@ -220,6 +221,7 @@ def test_without_a_display_a_page_is_served_on_loopback_and_a_client_is_noticed(
 # --- stalled, terminated and finished ---
 
 
+@pytest.mark.nightly
 def test_a_live_view_that_stalls_is_replaced_and_the_rows_go_on(run):
     stalled = run.worker
     os.kill(stalled, signal.SIGSTOP)
@@ -243,6 +245,7 @@ def test_a_live_view_that_is_terminated_leaves_no_process(run):
     until(lambda: has_exited(worker), "the exit of the worker")
 
 
+@pytest.mark.nightly
 def test_the_live_view_exits_by_itself_after_the_run(run):
     run.finish()
     # A bench does this immediately. It has no effect after the run, because a viewer may still

@@ -83,7 +83,14 @@ def undisturbed(tmp_path_factory):
     return functools.cache(lambda case: run(tmp_path_factory.mktemp("alone") / case, CASES[case]))
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    "case",
+    [
+        "wire",
+        pytest.param("plain", marks=pytest.mark.nightly),
+        pytest.param("faults", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_run_in_lockstep_whose_bench_is_paused_repeatedly_is_the_same_to_the_byte(
     case, undisturbed, tmp_path
 ):
@@ -99,6 +106,7 @@ def test_a_run_in_lockstep_whose_bench_is_paused_repeatedly_is_the_same_to_the_b
     assert counts[0] > 3
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("case", ["plain", "faults"])
 def test_a_run_in_lockstep_on_busy_cores_is_the_same_to_the_byte(case, undisturbed, tmp_path):
     with repeat.busy_cores():
@@ -106,6 +114,7 @@ def test_a_run_in_lockstep_on_busy_cores_is_the_same_to_the_byte(case, undisturb
     check_same(undisturbed(case), disturbed)
 
 
+@pytest.mark.nightly
 def test_the_bench_waits_for_a_unit_that_is_only_slow(undisturbed, tmp_path):
     def stop_the_unit(bench):
         bench.runs_for(0.5)

@@ -4,24 +4,27 @@ A process simulates one kind of vehicle, so each run is a process.
 """
 
 import json
-import os
-import subprocess
-import sys
 import tomllib
 
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import rollerrig
+from program import BOTH_BRAKES, python, rollerrig
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import params, track_brake_params
 from rollerrig.wsp_interface import signals
 
-SCENARIO = "tram_emergency_magnetic"
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
+SCENARIOS = [BOTH_BRAKES, pytest.param("tram_emergency_magnetic", marks=pytest.mark.nightly)]
 WITHIN = 1e-3  # relative difference of two balances
 AXLES = range(1, 7)
-EQUIPPED = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": "magnetic_track_brake"}
+EQUIPPED = {
+    "ROLLERRIG_AXLES": "6",
+    "ROLLERRIG_EQUIPMENT": "dynamic_brake,magnetic_track_brake",
+}
 RAISED = "magnetic_track_brake.emergency_pressure_Pa=inf"
 
 # run in a process with the equipment: the objects of node 17, and a command over the bus
@@ -41,22 +44,37 @@ print(magnets.tolist())
 """
 
 
-def run(folder, *words):
-    """Run the scenario; return its channels, its resolved scenario and its summary."""
+def run(scenario, folder, *words):
+    """Run a scenario; return its channels, its resolved scenario and its summary."""
     status, _, messages = rollerrig(
-        *("run", SCENARIO, "--pacing", "free", "--set", "loop.record_hz=1000", "--out", folder),
+        *("run", scenario, "--pacing", "free", "--set", "loop.record_hz=1000", "--out", folder),
         *words,
     )
     assert status == 0, messages
+    return content(folder)
+
+
+def content(folder):
+    """The channels of a run, its resolved scenario and its summary."""
     table = pyarrow.parquet.read_table(folder / "channels.parquet")
     plan = tomllib.loads((folder / "scenario.toml").read_text(encoding="utf-8"))
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     return table, plan, summary
 
 
+@pytest.fixture(scope="module", params=SCENARIOS)
+def scenario(request):
+    return request.param
+
+
 @pytest.fixture(scope="module")
-def stop(tmp_path_factory):
-    return run(tmp_path_factory.mktemp("magnetic") / "stop")
+def folder(scenario, free_run_of):
+    return free_run_of(scenario)[0]
+
+
+@pytest.fixture(scope="module")
+def stop(folder):
+    return content(folder)
 
 
 def axles(table, name, unit=""):
@@ -92,10 +110,8 @@ def test_magnets_contacts_and_resistance_take_the_momentum_and_energy_of_the_tra
     )
 
 
-def test_explain_refuses_a_run_with_magnets_and_names_the_key_that_isolates_them(tmp_path):
-    recorded = tmp_path / "stop"
-    run(recorded)
-    status, _, messages = rollerrig("explain", recorded, "--out", tmp_path / "report")
+def test_explain_refuses_a_run_with_magnets_and_names_the_key_that_isolates_them(folder, tmp_path):
+    status, _, messages = rollerrig("explain", folder, "--out", tmp_path / "report")
     assert status == 2
     assert "a magnetic track brake" in messages
     assert "magnetic_track_brake.bogies=[]" in messages
@@ -129,17 +145,19 @@ def test_the_wheels_behind_magnets_find_more_friction(stop):
     assert friction.max() <= recovered
 
 
-def test_a_tram_stops_sooner_with_its_magnets_and_later_if_those_of_a_bogie_fail(stop, tmp_path):
+def test_a_tram_stops_sooner_with_its_magnets_and_later_if_those_of_a_bogie_fail(
+    scenario, stop, tmp_path
+):
     _, _, summary = stop
-    _, _, without = run(tmp_path / "without", "--set", RAISED)
-    failed, _, with_two = run(tmp_path / "failed", "--fault", "track_brake_dead bogie=2")
+    _, _, without = run(scenario, tmp_path / "without", "--set", RAISED)
+    failed, _, with_two = run(scenario, tmp_path / "failed", "--fault", "track_brake_dead bogie=2")
     distances_m = [found["stop_distance_m"] for found in (summary, with_two, without)]
     assert distances_m[0] < distances_m[1] < distances_m[2]
     assert axles(failed, "track_brake_force", "_N")[:, 2:4].max() == 0.0
 
 
-def test_below_the_cut_off_speed_the_magnets_are_switched_off(tmp_path):
-    table, _, _ = run(tmp_path / "cut", "--set", "magnetic_track_brake.cut_below_m_s=5")
+def test_below_the_cut_off_speed_the_magnets_are_switched_off(scenario, tmp_path):
+    table, _, _ = run(scenario, tmp_path / "cut", "--set", "magnetic_track_brake.cut_below_m_s=5")
     speed_m_s = table["vehicle_speed_m_s"].to_numpy()
     force_N = axles(table, "track_brake_force", "_N").sum(axis=1)
     assert force_N[(speed_m_s > 5.0) & (speed_m_s < 6.0)].min() > 0.0
@@ -147,14 +165,9 @@ def test_below_the_cut_off_speed_the_magnets_are_switched_off(tmp_path):
 
 
 def test_node_17_of_each_group_switches_its_magnets_and_loses_them_with_its_unit():
-    done = subprocess.run(
-        [sys.executable, "-c", NODE_PROGRAM],
-        env=os.environ | EQUIPPED,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    on, failed = done.stdout.splitlines()
+    done = python("-c", NODE_PROGRAM, **EQUIPPED)
+    assert done.status == 0, done.messages
+    on, failed = done.printed.splitlines()
     # the second group has axles 5 and 6
     assert on == "[0.0, 0.0, 0.0, 0.0, 1.0, 1.0]"
     assert "1.0" not in failed

@@ -7,8 +7,6 @@ registers of a running bench. What it has read is then compared with the recorde
 import csv
 import json
 import re
-import subprocess
-import sys
 import time
 
 import numpy as np
@@ -19,6 +17,9 @@ from program import LONGEST_S
 from pymodbus.client import ModbusTcpClient
 
 from rollerrig.firmware_sim.modbus.map import WORDS, MotorState
+
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
 
 ILLEGAL_ADDRESS = 2
 MOST_REGISTERS = 125
@@ -103,12 +104,7 @@ class Bench:
             *("--set", "modbus.port=0", "--set", "loop.record_hz=1000"),
             *("--out", str(folder), *more),
         ]
-        with self.messages.open("w") as file:
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "rollerrig.realtime.cli", *words],
-                stdout=subprocess.DEVNULL,
-                stderr=file,
-            )
+        self.process = program.start(words, folder.with_suffix(".printed"), self.messages)
         self.client = self.connected()
 
     def connected(self):
@@ -154,6 +150,7 @@ class Bench:
             self.process.wait()
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("Modbus", "motors and magnets of every axle hold the recorded channels")
 def test_every_register_of_motors_and_magnets_holds_its_channel_while_a_tram_brakes(tram, tmp_path):
     scenario, rows = tram
@@ -207,6 +204,7 @@ def check_against_channels(folder, seen):
     assert not_zero > len(seen) / 4
 
 
+@pytest.mark.nightly
 def test_the_state_of_a_motor_follows_slide_control_and_faults(tmp_path):
     rows = rows_of("tram_low_dynamic", tmp_path / "devices")
     document = (tmp_path / "devices" / "modbus.md").read_text(encoding="utf-8")

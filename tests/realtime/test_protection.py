@@ -4,6 +4,7 @@ The law of adhesion beyond the sliding at which it was validated is [A6] of
 `rig/contact/adhesion.py`. Each requirement is tested on all packaged sets of low adhesion.
 """
 
+import functools
 import json
 import shlex
 import sys
@@ -22,13 +23,22 @@ NEVER_VENTS = Path(__file__).parents[1] / "wsp_interface" / "never_vents.py"
 # slip bands that show the optimum
 BANDS = (0.02, 0.03, 0.16, 0.25, 0.40)
 
-STOPS = [(name, speed) for name in protection.LOW_SETS for speed in protection.SPEEDS_KM_H]
+# the stops on one set are computed in a moment; those on the others run every night
+SETS = [
+    name if name == "low" else pytest.param(name, marks=pytest.mark.nightly)
+    for name in protection.LOW_SETS
+]
 
 
-@pytest.fixture(scope="module")
-def cases():
-    """The stops on all sets of low adhesion, from all speeds."""
-    return protection.cases(bands=BANDS)
+@functools.cache
+def stops_on(name):
+    """The stops on a set of low adhesion from all speeds."""
+    return protection.cases((name,), bands=BANDS)
+
+
+@pytest.fixture
+def case(name, speed_km_h):
+    return stops_on(name)[name, speed_km_h]
 
 
 def test_every_packaged_set_of_adhesion_is_low_or_is_known_not_to_be():
@@ -57,9 +67,9 @@ def test_a_locked_wheel_has_no_more_than_the_initial_adhesion(name, speed_m_s):
 # --- stops with an emergency demand ---
 
 
-@pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
-def test_without_wsp_wheels_lock_and_the_stop_is_longer(cases, name, speed_km_h):
-    case = cases[name, speed_km_h]
+@pytest.mark.parametrize("speed_km_h", protection.SPEEDS_KM_H)
+@pytest.mark.parametrize("name", SETS)
+def test_without_wsp_wheels_lock_and_the_stop_is_longer(case, name, speed_km_h):
     assert case.without.longest_lock_s > 5.0
     assert case.reference.longest_lock_s <= 0.4
 
@@ -70,9 +80,9 @@ def test_without_wsp_wheels_lock_and_the_stop_is_longer(cases, name, speed_km_h)
         assert ratio >= protection.WITHOUT_OVER_REFERENCE
 
 
-@pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
-def test_the_best_slip_band_is_neither_the_narrowest_nor_the_widest(cases, name, speed_km_h):
-    case = cases[name, speed_km_h]
+@pytest.mark.parametrize("speed_km_h", protection.SPEEDS_KM_H)
+@pytest.mark.parametrize("name", SETS)
+def test_the_best_slip_band_is_neither_the_narrowest_nor_the_widest(case, name, speed_km_h):
     narrowest_m = case.by_band[BANDS[0]].distance_m
     widest_m = case.by_band[BANDS[-1]].distance_m
     assert case.best_m < narrowest_m
@@ -84,11 +94,9 @@ def test_the_best_slip_band_is_neither_the_narrowest_nor_the_widest(cases, name,
         assert case.best_m < widest_m
 
 
-@pytest.mark.parametrize(("name", "speed_km_h"), STOPS)
-def test_the_reference_wsp_needs_at_most_a_tenth_more_than_the_best_slip_band(
-    cases, name, speed_km_h
-):
-    case = cases[name, speed_km_h]
+@pytest.mark.parametrize("speed_km_h", protection.SPEEDS_KM_H)
+@pytest.mark.parametrize("name", SETS)
+def test_the_reference_wsp_needs_at_most_a_tenth_more_than_the_best_slip_band(case):
     assert case.reference.distance_m <= protection.REFERENCE_OVER_BEST * case.best_m
 
 
@@ -149,11 +157,11 @@ def test_the_line_tells_whether_the_vehicle_stopped_and_wheels_locked(stop, text
     "name",
     [
         "emergency_080",
-        "service_120",
-        "very_low_080",
-        "sudden_rise_120",
-        "patches_one_side",
-        "drag_braking",
+        pytest.param("service_120", marks=pytest.mark.nightly),
+        pytest.param("very_low_080", marks=pytest.mark.nightly),
+        pytest.param("sudden_rise_120", marks=pytest.mark.nightly),
+        pytest.param("patches_one_side", marks=pytest.mark.nightly),
+        pytest.param("drag_braking", marks=pytest.mark.nightly),
     ],
 )
 def test_a_unit_that_never_vents_fails_a_sequence_on_low_adhesion(name, tmp_path, capsys):

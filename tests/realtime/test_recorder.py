@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 import paced_writer
+import process_tree
 import pyarrow.parquet as pq
 import pytest
-from endurance import runs
 from rerun.chunk import RrdReader
 
 from rollerrig.realtime.bench import processes
@@ -77,7 +77,7 @@ class Killed:
             self.written_s = (int(rows.header[ring.WRITTEN]) - 1) / 100.0
         if "recorder" not in victims:
             until(lambda: not any(path.exists() for path in self.rings))
-            until(lambda: not runs.is_running(printed["recorder"]))
+            until(lambda: not process_tree.is_running(printed["recorder"]))
         bench.kill()
         bench.wait()
         for path in self.rings:

@@ -127,6 +127,7 @@ def test_what_no_rig_does_is_refused_with_a_message_and_the_rig_goes_on(imported
     assert lines[-4:] == ["step 0", "value 0.01", "get 0", "end"]
 
 
+@pytest.mark.nightly
 def test_a_step_before_the_initialisation_and_a_foreign_token_are_refused(imported):
     lines = imported.run("step:0:0.01")
     assert lines == [
@@ -139,6 +140,7 @@ def test_a_step_before_the_initialisation_and_a_foreign_token_are_refused(import
     assert "the instantiation token is not that of this FMU" in lines[0]
 
 
+@pytest.mark.nightly
 def test_without_rollerrig_there_is_a_message_and_no_crash(imported, tmp_path):
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True)
     lines = imported.run("init:0", python=tmp_path / "bare" / "bin" / "python")

@@ -124,6 +124,7 @@ def test_a_bench_out_of_descriptors_records_one_event_and_lets_a_unit_join_later
     assert "Traceback" not in bench.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("server", [Code.BUS_PLACE, Code.MODBUS_SERVED])
 def test_a_bench_that_ends_while_it_is_out_of_descriptors_fails_in_nothing(
     connect, tmp_path, server

@@ -53,7 +53,9 @@ class Master:
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
-@pytest.fixture(scope="module", params=["lockstep", "wall"])
+@pytest.fixture(
+    scope="module", params=["lockstep", pytest.param("wall", marks=pytest.mark.nightly)]
+)
 def bench(request, tmp_path_factory):
     """A coach that coasts, with a SYNC every 0.1 s."""
     tmp_path = tmp_path_factory.mktemp("timers")
@@ -192,8 +194,16 @@ def test_a_partner_is_lost_only_when_it_is_silent_for_longer_than_its_time(bench
     assert np.median(late_s) < 0.4
 
 
-@pytest.mark.parametrize("pacing", ["lockstep", "wall"])
-@pytest.mark.parametrize("sync_s", [0.02, 0.05, 0.1, 0.5])
+@pytest.mark.parametrize("pacing", ["lockstep", pytest.param("wall", marks=pytest.mark.nightly)])
+@pytest.mark.parametrize(
+    "sync_s",
+    [
+        0.02,
+        pytest.param(0.05, marks=pytest.mark.nightly),
+        pytest.param(0.1, marks=pytest.mark.nightly),
+        0.5,
+    ],
+)
 def test_the_reference_unit_heartbeats_within_the_rigs_patience_whatever_the_sync_period(
     sync_s, pacing, tmp_path
 ):

@@ -15,6 +15,7 @@ import bench_process
 import numpy as np
 import pytest
 from bench_process import HEARTBEAT, MAGNETS, BenchProcess, SimpleUnit
+from process_tree import is_running
 from short_sequences import WALKING_PACE
 
 from rollerrig.firmware_sim.faults import catalogue
@@ -54,15 +55,6 @@ def not_valid(bench, *parts):
 
     assert any(map(has_all_parts, reasons)), reasons
     return recorded
-
-
-def has_exited(pid):
-    """Return whether a process no longer exists or is a zombie."""
-    try:
-        with open(f"/proc/{pid}/status") as file:
-            return "\nState:\tZ" in file.read()
-    except OSError:
-        return True
 
 
 # --- the reasons ---
@@ -134,6 +126,7 @@ def test_a_unit_that_is_lost_repeatedly_makes_the_run_not_valid_and_the_losses_a
     not_valid(bench, f"the WSP unit was lost {losses} times (no heartbeat), first at ")
 
 
+@pytest.mark.nightly
 def test_a_unit_that_keeps_its_heartbeat_but_commands_no_valve_makes_the_run_not_valid(tmp_path):
     def answer(n):
         return [(MAGNETS, b"\0")] if n <= 150 else []
@@ -303,8 +296,17 @@ def test_an_emergency_stop_makes_a_run_not_valid_unless_the_coach_stands_or_is_s
 # --- interrupted ---
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
-@pytest.mark.parametrize("pacing", ["wall", "lockstep"])
+@pytest.mark.parametrize(
+    ("name", "pacing"),
+    [
+        ("SIGTERM", "wall"),
+        ("SIGHUP", "lockstep"),
+        pytest.param("SIGINT", "wall", marks=pytest.mark.nightly),
+        pytest.param("SIGINT", "lockstep", marks=pytest.mark.nightly),
+        pytest.param("SIGTERM", "lockstep", marks=pytest.mark.nightly),
+        pytest.param("SIGHUP", "wall", marks=pytest.mark.nightly),
+    ],
+)
 def test_a_run_that_a_signal_stops_completes_its_record_and_leaves_no_process(
     name, pacing, tmp_path
 ):
@@ -320,8 +322,8 @@ def test_a_run_that_a_signal_stops_completes_its_record_and_leaves_no_process(
     assert bench.record.column("time_s")[-1] >= 0.5
     assert not (bench.out / "channels.tail").exists()
     assert (bench.out / "run.rrd").stat().st_size > 10_000
-    assert has_exited(unit)
-    assert has_exited(recorder)
+    assert not is_running(unit)
+    assert not is_running(recorder)
 
 
 def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
@@ -350,7 +352,7 @@ def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
         "none",
         "--set",
         "initial_speed_m_s=3",
-        before=functools.partial(signal.signal, signal.SIGHUP, signal.SIG_IGN),
+        ignored=(signal.SIGHUP,),
     )
     bench.runs_for(0.3)
     bench.process.send_signal(signal.SIGHUP)
@@ -523,6 +525,7 @@ def test_of_a_unit_that_dies(rollerrig_bench):
 """
 
 
+@pytest.mark.nightly
 def test_the_fixture_finishes_a_test_with_an_error_if_the_run_was_not_valid(tmp_path):
     here = Path(__file__)
     (tmp_path / "test_user.py").write_text(USER_TEST.format(here=here.stem))

@@ -12,6 +12,8 @@ from program import rollerrig
 
 from rollerrig.configs import store
 
+pytestmark = [pytest.mark.nightly, pytest.mark.xdist_group("vehicles")]
+
 MAGNETS = "[start.tables.magnetic_track_brake]\n"
 UNCONTROLLED = '[start.tables.dynamic_brake]\nslide_control = "none"\n\n'
 # the beginning of the names of a vehicle's sequences: copies with a flaw, by their names, each with

@@ -5,8 +5,6 @@ files as any other program does.
 """
 
 import json
-import os
-import subprocess
 import sys
 import tomllib
 
@@ -14,13 +12,26 @@ import cantools
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import LONGEST_S, rollerrig
+from program import BOTH_BRAKES, python, rollerrig
 
 from rollerrig.configs import vehicle as constants
 from rollerrig.configs.errors import ConfigError, OtherAxlesError, OtherEquipmentError
 from rollerrig.realtime.bench import scenario
 
-AXLES = {"bogie_low": 2, "tram_low": 6, "multiple_unit_low": 8, "tram_low_dynamic": 6}
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
+
+AXLES = {
+    BOTH_BRAKES: 6,
+    "bogie_low": 2,
+    "tram_low": 6,
+    "multiple_unit_low": 8,
+    "tram_low_dynamic": 6,
+}
+# each vehicle has its kernels, so all but one run every night
+VEHICLES = [
+    name if name == BOTH_BRAKES else pytest.param(name, marks=pytest.mark.nightly) for name in AXLES
+]
 GRAVITY_M_S2 = 9.80665
 WITHIN = 1e-3  # relative difference of two balances
 
@@ -32,6 +43,7 @@ class Record:
     """A run's channels and scenario; `axles(name)` is an array of (samples, axles)."""
 
     def __init__(self, name, folder):
+        self.scenario = name
         self.folder = folder
         self.number_of_axles = AXLES[name]
         self.table = pyarrow.parquet.read_table(folder / "channels.parquet")
@@ -40,6 +52,9 @@ class Record:
         self.time_s = self.table["time_s"].to_numpy()
         self.speed_m_s = self.table["vehicle_speed_m_s"].to_numpy()
         self.contact_N = self.axles("adhesion") * self.axles("wheel_load", "_N")
+        self.magnets_N = 0.0
+        if "track_brake_force_1_N" in self.table.column_names:
+            self.magnets_N = self.axles("track_brake_force", "_N").sum(axis=1)
 
     def axles(self, name, unit=""):
         columns = []
@@ -52,21 +67,17 @@ class Record:
         return np.trapezoid(total, self.time_s)
 
 
-@pytest.fixture(scope="module", params=AXLES)
-def record(request, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("vehicles") / request.param
-    status, _, messages = rollerrig(
-        "run", request.param, "--pacing", "free", "--set", "loop.record_hz=1000", "--out", folder
-    )
-    assert status == 0, messages
+@pytest.fixture(scope="module", params=VEHICLES)
+def record(request, free_run_of):
+    folder, _ = free_run_of(request.param)
     return Record(request.param, folder)
 
 
 @pytest.fixture(scope="module")
-def on_bus(record):
+def on_bus(record, tmp_path_factory):
     """The same run on the bus, with a unit for each group."""
-    name = record.folder.name
-    folder = record.folder.parent / "on_bus" / name
+    name = record.scenario
+    folder = tmp_path_factory.mktemp("on_bus") / "run"
     status, _, messages = rollerrig(
         *("run", name, "--pacing", "lockstep", "--set", "loop.record_hz=1000"),
         *(*ON_HUB, "--out", folder),
@@ -91,6 +102,7 @@ def test_the_loads_of_all_axles_are_the_weight_of_the_vehicle(record):
     assert (braking[0::2] > braking[1::2]).all()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("record", ["tram_low"], indirect=True)
 def test_a_reference_unit_whose_axles_slide_in_the_first_second_learns_the_deceleration(record):
     reference_m_s = record.table["wsp_reference_speed_m_s"].to_numpy()
@@ -100,7 +112,7 @@ def test_a_reference_unit_whose_axles_slide_in_the_first_second_learns_the_decel
     assert not events & {"wsp.reference_drifts", "wsp.vents_without_sliding"}
 
 
-def test_a_vehicle_loses_the_momentum_and_energy_that_contacts_and_air_resistance_take(record):
+def test_a_vehicle_loses_the_momentum_and_energy_that_contacts_magnets_and_air_take(record):
     vehicle = record.plan["vehicle"]
     mass_kg = vehicle["mass_kg"]
     speed_m_s = record.speed_m_s
@@ -110,7 +122,8 @@ def test_a_vehicle_loses_the_momentum_and_energy_that_contacts_and_air_resistanc
         + vehicle["resistance_C_N_s2_m2"] * speed_m_s**2
     )
     moving = speed_m_s > 0.1
-    force_N = np.where(moving, record.contact_N.sum(axis=1) + resistance_N, 0.0)
+    taken_N = record.contact_N.sum(axis=1) + record.magnets_N + resistance_N
+    force_N = np.where(moving, taken_N, 0.0)
     last = np.flatnonzero(moving)[-1]
     assert record.integral(force_N) == pytest.approx(
         mass_kg * (speed_m_s[0] - speed_m_s[last]), rel=WITHIN
@@ -142,8 +155,9 @@ def test_brake_and_contact_change_the_angular_momentum_of_each_wheelset_of_a_veh
         assert driven_Nms - gained_Nms == pytest.approx(braked_Nms, rel=WITHIN)
 
 
+@pytest.mark.nightly
 def test_on_low_adhesion_every_vehicle_stops_sooner_with_its_wsp_units(record, tmp_path):
-    name = record.folder.name
+    name = record.scenario
     folder = tmp_path / "none"
     # on the bus, whose kernels are compiled already
     status, _, messages = rollerrig(
@@ -186,10 +200,11 @@ def test_each_group_has_its_nodes_and_its_unit_on_the_bus(record, on_bus):
     assert 0x211 + 32 * groups not in sent
 
 
+@pytest.mark.nightly
 def test_in_real_time_a_vehicle_runs_with_modbus(record, tmp_path):
     folder = tmp_path / "wall"
     status, _, messages = rollerrig(
-        *("run", record.folder.name, "--pacing", "wall", "--set", "duration_max_s=2"),
+        *("run", record.scenario, "--pacing", "wall", "--set", "duration_max_s=2"),
         *("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0"),
         *("--set", "modbus.port=0", "--out", folder),
     )
@@ -202,7 +217,7 @@ def test_in_real_time_a_vehicle_runs_with_modbus(record, tmp_path):
 
 def test_the_files_of_devices_describe_the_nodes_of_every_group(record, tmp_path):
     status, _, messages = rollerrig(
-        "devices", "--scenario", record.folder.name, "--out", tmp_path / "devices"
+        "devices", "--scenario", record.scenario, "--out", tmp_path / "devices"
     )
     assert status == 0, messages
     names = {path.name for path in (tmp_path / "devices").iterdir()}
@@ -223,6 +238,7 @@ def test_the_files_of_devices_describe_the_nodes_of_every_group(record, tmp_path
         assert all(signal.choices for signal in message.signals)
 
 
+@pytest.mark.nightly
 def test_a_sequence_plays_on_the_bus_with_all_axles_of_a_vehicle(tmp_path):
     sequence = tmp_path / "gentle.toml"
     sequence.write_text(
@@ -249,26 +265,28 @@ expect = "every cylinder_pressure > 1.5 bar"
     assert "Eight axles brake gently" in page
 
 
-def test_a_group_without_a_unit_is_reported_with_its_axles_and_the_command_that_starts_one(
-    tmp_path,
-):
+@pytest.mark.nightly
+def test_a_group_without_a_unit_is_reported_with_its_axles(tmp_path):
     # the command starts the unit of the leading group only
     unit = f"{sys.executable} -m rollerrig.realtime.cli wsp --bus {{address}} --lockstep 0.01"
     status, _, messages = rollerrig(
-        *("run", "tram_low", "--pacing", "lockstep", "--unit", unit, "--wait", "20"),
+        *("run", "tram_low", "--pacing", "lockstep", "--unit", unit, "--wait", "60"),
         *(*ON_HUB, "--out", tmp_path / "command"),
     )
     assert status == 2
     assert "no heartbeat on 740h (group 2, axles 5 to 6)" in messages
     assert "720h (" not in messages
 
+
+def test_the_message_about_groups_without_units_has_the_command_that_starts_one(tmp_path):
     status, _, messages = rollerrig(
-        *("run", "tram_low", "--pacing", "lockstep", "--wsp", "external", "--wait", "1"),
+        *("run", BOTH_BRAKES, "--pacing", "lockstep", "--wsp", "external", "--wait", "1"),
         *(*ON_HUB, "--out", tmp_path / "none"),
     )
     assert status == 2
     assert "720h (group 1, axles 1 to 4) and 740h (group 2, axles 5 to 6)" in messages
-    assert "ROLLERRIG_AXLES=6 rollerrig wsp --bus" in messages
+    assert "ROLLERRIG_AXLES=6" in messages
+    assert "rollerrig wsp --bus" in messages
     assert "--group 2" in messages
 
 
@@ -276,21 +294,21 @@ def test_a_group_without_a_unit_is_reported_with_its_axles_and_the_command_that_
     ("words", "message"),
     [
         (
-            ("tram_low_dynamic", "--set", "dynamic_brake.axles=[1, 9]"),
+            (BOTH_BRAKES, "--set", "dynamic_brake.axles=[1, 9]"),
             "axles = [1, 9]: the vehicle has 6 axles; list each driven axle once",
         ),
-        (("tram_low_dynamic", "--set", "dynamic_brake.force_N=0"), "without a curve"),
-        (("tram_low_dynamic", "--set", "dynamic_brake.demand_N_Pa=0.9"), "which have 125.0 kN"),
+        ((BOTH_BRAKES, "--set", "dynamic_brake.force_N=0"), "without a curve"),
+        ((BOTH_BRAKES, "--set", "dynamic_brake.demand_N_Pa=0.9"), "which have 125.0 kN"),
         (
-            ("tram_emergency_magnetic", "--set", "magnetic_track_brake.bogies=[1, 5]"),
+            (BOTH_BRAKES, "--set", "magnetic_track_brake.bogies=[1, 5]"),
             "bogies = [1, 5]: the vehicle has 3 bogies",
         ),
         (
-            ("tram_low_dynamic", "--fault", "dynamic_brake_lost axle=3"),
+            (BOTH_BRAKES, "--fault", "dynamic_brake_lost axle=3"),
             "axle 3 has no such brake; allowed are 1, 2, 5, 6 ([dynamic_brake] axles)",
         ),
         (
-            ("tram_low", "--fault", "track_brake_dead bogie=1"),
+            ("velim_a1", "--fault", "track_brake_dead bogie=1"),
             "track_brake_dead is a fault of vehicles with [magnetic_track_brake] bogies",
         ),
     ],
@@ -358,22 +376,16 @@ def test_a_running_rig_refuses_the_fault_of_a_motor_or_magnet_that_is_not_there(
 ):
     equipment = "dynamic_brake,magnetic_track_brake"
     environment = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": equipment}
-    done = subprocess.run(
-        [sys.executable, "-c", FAULT_OVER_MODBUS, str(number), str(target)],
-        env=os.environ | environment,
-        capture_output=True,
-        text=True,
-        timeout=LONGEST_S,
-        check=True,
-    )
+    done = python("-c", FAULT_OVER_MODBUS, number, target, **environment)
+    assert done.status == 0, done.messages
     begins = not message
-    assert done.stdout.startswith("refused") != begins
-    assert ("fault.begins" in done.stdout) == begins
+    assert done.printed.startswith("refused") != begins
+    assert ("fault.begins" in done.printed) == begins
     # the number of the target reaches the fault
-    assert f"={target}" in done.stdout
-    assert message in done.stdout
+    assert f"={target}" in done.printed
+    assert message in done.printed
     # a fault that is refused has no effect
-    assert done.stdout.strip().endswith(str(begins))
+    assert done.printed.strip().endswith(str(begins))
 
 
 SEQUENCE_OF_A_TRAM = """
@@ -439,7 +451,7 @@ def test_a_process_refuses_a_vehicle_with_other_equipment_and_names_the_remedy()
 def test_a_vehicle_without_a_dynamic_brake_does_not_have_its_channels(record):
     motors = record.plan.get("dynamic_brake", {"axles": []})
     has_motors = len(motors["axles"]) > 0
-    assert has_motors == record.folder.name.endswith("dynamic")
+    assert has_motors == (record.scenario in (BOTH_BRAKES, "tram_low_dynamic"))
     assert ("dynamic_torque_1_Nm" in record.table.column_names) == has_motors
 
 

@@ -3,12 +3,14 @@
 A process has the signals of one kind of vehicle, so each layout is made in a process.
 """
 
+import functools
 import json
-import os
-import subprocess
-import sys
 
 import pytest
+from program import python
+
+# they share the servers of programs of these vehicles, and runs
+pytestmark = pytest.mark.xdist_group("vehicles")
 
 # prints the titles of all tabs and plots of the default layout, and the paths of all entities
 PROGRAM = """
@@ -31,28 +33,25 @@ entities = [(line.path, line.names) for line in views.lines()]
 print(json.dumps({"names": names, "contents": contents, "entities": entities}))
 """
 TAB = "Motors and magnets"
+BOTH = "dynamic_brake,magnetic_track_brake"
 
 
+@functools.cache
 def layout(axles, equipment):
-    done = subprocess.run(
-        [sys.executable, "-c", PROGRAM],
-        env=os.environ | {"ROLLERRIG_AXLES": str(axles), "ROLLERRIG_EQUIPMENT": equipment},
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    return json.loads(done.stdout)
+    done = python(*("-c", PROGRAM), ROLLERRIG_AXLES=str(axles), ROLLERRIG_EQUIPMENT=equipment)
+    assert done.status == 0, done.messages
+    return json.loads(done.printed)
 
 
 @pytest.mark.parametrize(
-    ("equipment", "groups"),
+    "groups",
     [
-        ("dynamic_brake", ["dynamic_torques", "dynamic_share"]),
-        ("magnetic_track_brake", ["track_brake", "track_brake_lowered", "track_brake_cleaning"]),
+        ["dynamic_torques", "dynamic_share"],
+        ["track_brake", "track_brake_lowered", "track_brake_cleaning"],
     ],
 )
-def test_motors_and_magnets_have_a_tab_of_the_default_layout(equipment, groups):
-    found = layout(6, equipment)
+def test_motors_and_magnets_have_a_tab_of_the_default_layout(groups):
+    found = layout(6, BOTH)
     assert found["names"].count(TAB) == 1
     for group in groups:
         assert found["contents"].count(f"/{group}/**") == 1
@@ -61,7 +60,7 @@ def test_motors_and_magnets_have_a_tab_of_the_default_layout(equipment, groups):
 
 
 def test_the_lines_of_a_plot_of_motors_have_different_names():
-    found = layout(6, "dynamic_brake,magnetic_track_brake")
+    found = layout(6, BOTH)
     of_plot = {}
     for path, names in found["entities"]:
         group = path.split("/")[1]
@@ -72,6 +71,7 @@ def test_the_lines_of_a_plot_of_motors_have_different_names():
         assert len(set(names)) == len(names), group
 
 
+@pytest.mark.nightly
 def test_a_vehicle_without_motors_and_magnets_has_no_tab_of_them():
     found = layout(4, "")
     assert TAB not in found["names"]
@@ -79,6 +79,7 @@ def test_a_vehicle_without_motors_and_magnets_has_no_tab_of_them():
     assert not [path for path, _ in found["entities"] if "track_brake" in path or "dynamic" in path]
 
 
+@pytest.mark.nightly
 def test_each_group_of_axles_has_a_tab_with_a_column_for_each_of_its_axles():
     names = layout(8, "")["names"]
     assert "Axles 1 to 4" in names

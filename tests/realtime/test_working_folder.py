@@ -127,13 +127,23 @@ def test_the_modules_of_these_tests_would_run_if_they_were_imported(folder):
     (folder / "imported").unlink()
 
 
-@pytest.mark.parametrize("verb", VERBS)
+# all verbs are imported at each start
+@pytest.mark.parametrize(
+    "verb",
+    ["run", *(pytest.param(verb, marks=pytest.mark.nightly) for verb in VERBS if verb != "run")],
+)
 def test_a_verb_starts_without_an_import_from_the_working_folder(verb):
     done = run([ROLLERRIG, verb, "--help"])
     assert done.returncode == 0, done.stderr
 
 
-@pytest.mark.parametrize("verb", WORK)
+@pytest.mark.parametrize(
+    "verb",
+    [
+        pytest.param(verb, marks=() if verb in ("run", "export") else pytest.mark.nightly)
+        for verb in WORK
+    ],
+)
 def test_the_processes_of_a_verb_import_nothing_from_the_working_folder(verb):
     done = run([ROLLERRIG, *WORK[verb]])
     assert done.returncode == 0, done.stderr

@@ -103,7 +103,7 @@ def stop_with(command, protocol, out, eds_folder):
         )
         try:
             summary = await run
-            output, errors = await asyncio.wait_for(master.communicate(), 15.0)
+            output, errors = await asyncio.wait_for(master.communicate(), INSTALL_S)
         finally:
             if master.returncode is None:
                 master.kill()
@@ -128,18 +128,26 @@ MASTERS = [
         "npm_master",
         "socketcand",
         id="npm canopen 6.2.1",
-        marks=pytest.mark.conformance(
-            "Masters",
-            "npm canopen 6.2.1: enables drives, turns a roller, reads speeds, drives valves",
+        # they fetch packages
+        marks=(
+            pytest.mark.nightly,
+            pytest.mark.conformance(
+                "Masters",
+                "npm canopen 6.2.1: enables drives, turns a roller, reads speeds, drives valves",
+            ),
         ),
     ),
     pytest.param(
         "go_master",
         "virtualcan",
         id="gocanopen v1.4.4",
-        marks=pytest.mark.conformance(
-            "Masters",
-            "gocanopen v1.4.4: enables drives, turns a roller, reads speeds, drives valves",
+        # they fetch packages
+        marks=(
+            pytest.mark.nightly,
+            pytest.mark.conformance(
+                "Masters",
+                "gocanopen v1.4.4: enables drives, turns a roller, reads speeds, drives valves",
+            ),
         ),
     ),
     pytest.param(

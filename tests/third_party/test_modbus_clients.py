@@ -52,7 +52,7 @@ def rtu(site):
 
 @pytest.mark.conformance("Masters", "mbpoll over TCP and RTU on a pty: reads")
 @needs_mbpoll
-@pytest.mark.parametrize("way", [tcp, rtu])
+@pytest.mark.parametrize("way", [tcp, pytest.param(rtu, marks=pytest.mark.nightly)])
 def test_mbpoll_reads_speeds_counters_and_bits(way, site):
     at = way(site)
     status, text = mbpoll(at, "-a", 1, "-t", 4, "-r", 208, "-c", 3)
@@ -63,6 +63,7 @@ def test_mbpoll_reads_speeds_counters_and_bits(way, site):
     assert (status, read_values(text)) == (0, dict.fromkeys(range(8), 0))
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("Masters", "mbpoll over TCP and RTU on a pty: writes, walks a drive")
 @needs_mbpoll
 @pytest.mark.parametrize("way", [tcp, rtu])
@@ -77,6 +78,7 @@ def test_mbpoll_writes_set_points_and_walks_a_drive(way, site):
         assert read_values(text)[100] & 0x6F == state
 
 
+@pytest.mark.nightly
 @needs_mbpoll
 def test_mbpoll_is_told_what_it_may_not(site):
     at = tcp(site)
@@ -87,7 +89,15 @@ def test_mbpoll_is_told_what_it_may_not(site):
 
 @pytest.mark.conformance("Masters", "libmodbus over TCP without modbus_set_slave: unit 255")
 @pytest.mark.skipif(not LIBMODBUS, reason="needs libmodbus: apt-get install libmodbus5")
-@pytest.mark.parametrize("unit", [None, 0, 255, 1], ids=["default", "0", "255", "1"])
+@pytest.mark.parametrize(
+    "unit",
+    [
+        pytest.param(None, id="default"),
+        pytest.param(0, id="0", marks=pytest.mark.nightly),
+        pytest.param(255, id="255", marks=pytest.mark.nightly),
+        pytest.param(1, id="1", marks=pytest.mark.nightly),
+    ],
+)
 def test_libmodbus_reads_speeds_with_its_default_unit(unit, site):
     library = ctypes.CDLL(LIBMODBUS)
     library.modbus_new_tcp.restype = ctypes.c_void_p
@@ -104,6 +114,7 @@ def test_libmodbus_reads_speeds_with_its_default_unit(unit, site):
         library.modbus_free(context)
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("Masters", "goburrow/modbus (Go) over TCP without an ID: unit 0")
 def test_goburrow_reads_speeds_with_its_default_unit(go, tmp_path, site):
     client = build_go(go, GOBURROW_CLIENT, tmp_path)
@@ -142,16 +153,19 @@ def check_what_go_saw(done, site):
     assert site.written == [("speed_set_point", 2500), ("brake_demand_set_point", -1), ("run", 1)]
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("Masters", "simonvetter/modbus (Go) over TCP")
 def test_a_go_client_works_over_tcp(go_client, site):
     check_what_go_saw(run(go_client, f"tcp://127.0.0.1:{site.listen()}"), site)
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("Masters", "simonvetter/modbus (Go) over RTU")
 def test_a_go_client_works_over_rtu(go_client, site):
     check_what_go_saw(run(go_client, f"rtu://{site.serial()}"), site)
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("Masters", "simonvetter/modbus (Go) over TLS")
 @pytest.mark.skipif(not shutil.which("openssl"), reason="needs the command openssl")
 def test_a_go_client_works_over_tls_with_its_certificate_and_not_without(go_client, site, tmp_path):
@@ -182,6 +196,7 @@ def test_a_go_client_works_over_tls_with_its_certificate_and_not_without(go_clie
     )
 
 
+@pytest.mark.nightly
 @needs_mbpoll
 def test_two_clients_at_once_do_not_disturb_each_other(site):
     at = tcp(site)

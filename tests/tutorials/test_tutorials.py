@@ -28,7 +28,7 @@ PAGES = (
 # commands of the README that are not run here, and why
 NOT_RUN = {
     "make demo": "installs the package; its command is run by other tests",
-    "make test": "runs this test",
+    "make test": "runs tests, as this one",
     ". .venv/bin/activate": "the tests have the installation on their path",
     "rollerrig run velim_a1 --live": "opens a window",
     "rollerrig desk": "serves until it is stopped",
@@ -48,7 +48,14 @@ OUTPUT = re.compile(r"\n```text\n(?P<lines>.*?)```\n", re.DOTALL)
 ALONE = "--set bus.interface=hub --set bus.socketcand_port=0 --set modbus."
 
 
-@pytest.mark.parametrize("page", PAGES)
+# one of them is followed in `make test`
+QUICK = "howto_compare.md"
+
+
+@pytest.mark.parametrize(
+    "page",
+    [QUICK, *(pytest.param(page, marks=pytest.mark.nightly) for page in PAGES if page != QUICK)],
+)
 def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
     port = free_port()
     done = 0
@@ -89,6 +96,7 @@ def environment():
     return variables
 
 
+@pytest.mark.nightly
 def test_every_command_of_the_readme_runs_here_or_has_a_reason(docs, tmp_path):
     (tmp_path / "docs").symlink_to(docs)
     readme = (docs.parent / "README.md").read_text(encoding="utf-8")

@@ -46,6 +46,7 @@ def test_a_unit_that_exits_is_reported_with_its_last_lines(tmp_path, capfd):
     assert "wsp.log" in result["error"]
 
 
+@pytest.mark.nightly
 def test_a_unit_that_does_not_exist_is_reported_with_its_name(tmp_path, capfd):
     status, result, _ = run(capfd, tmp_path / "run", "./no_such_unit {port}")
     assert status == 2
@@ -124,6 +125,7 @@ def test_each_run_of_a_campaign_starts_the_unit(tmp_path):
     ]
 
 
+@pytest.mark.nightly
 def test_a_unit_that_fails_is_the_error_of_each_run_of_a_campaign(tmp_path):
     plan = tmp_path / "two.toml"
     plan.write_text(PLAN)
@@ -144,8 +146,12 @@ def test_a_plan_starts_no_program_itself(tmp_path):
     ("unit", "state"),
     [
         ("sh -c 'echo waiting for a licence; sleep 1000'", "still runs; its last words: waiting"),
-        ("sh -c 'echo done; exit 0'", "exited with status 0; its last words: done"),
-        ("sleep 1000", "still runs; it has written nothing"),
+        pytest.param(
+            "sh -c 'echo done; exit 0'",
+            "exited with status 0; its last words: done",
+            marks=pytest.mark.nightly,
+        ),
+        pytest.param("sleep 1000", "still runs; it has written nothing", marks=pytest.mark.nightly),
     ],
 )
 def test_a_silent_program_of_a_sequence_is_the_first_thing_that_its_error_states(

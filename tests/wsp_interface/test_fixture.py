@@ -108,6 +108,7 @@ def processes_with(text):
     return processes
 
 
+@pytest.mark.nightly
 def test_the_plugin_needs_no_conftest_and_each_worker_has_separate_ports_and_folders(
     session, tmp_path
 ):
@@ -151,7 +152,7 @@ def test_the_tests_of_a_module_share_a_bench_with_a_unit_of_the_user(session, tm
     assert Path(run, "stop.svg").is_file()
 
 
-@pytest.mark.parametrize("workers", [(), ("-n", "1")])
+@pytest.mark.parametrize("workers", [(), pytest.param(("-n", "1"), marks=pytest.mark.nightly)])
 def test_no_bench_outlives_a_session_that_is_killed(workers, session, tmp_path):
     other_pytest = session({"test_waits.py": WAITS}, *workers)
     end_s = time.monotonic() + 300.0

@@ -11,6 +11,7 @@ import time
 import tomllib
 from pathlib import Path
 
+import program
 import pytest
 
 from rollerrig.configs.errors import ConfigError
@@ -166,6 +167,7 @@ def listening_inode(port):
     raise AssertionError(f"no socket listens on {port}")
 
 
+@pytest.mark.nightly
 def test_a_full_disk_is_an_error_and_no_pass(stop, tmp_path):
     # a limit on the size of files acts as a full disk: the bench and its recorder cannot write
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
@@ -180,11 +182,8 @@ def test_a_full_disk_is_an_error_and_no_pass(stop, tmp_path):
 
 def test_a_sequence_on_a_running_bench_reports_the_timing_that_the_bus_shows(tmp_path):
     log = tmp_path / "stderr"
-    bench = subprocess.Popen(
+    bench = program.start(
         [
-            sys.executable,
-            "-m",
-            "rollerrig.realtime.cli",
             "run",
             "velim_a1",
             "--pacing",
@@ -204,10 +203,8 @@ def test_a_sequence_on_a_running_bench_reports_the_timing_that_the_bus_shows(tmp
             "--set",
             "modbus.enabled=false",
         ],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=log.open("w"),
-        text=True,
+        tmp_path / "stdout",
+        log,
     )
     try:
         address = own_bench._address(bench, log)

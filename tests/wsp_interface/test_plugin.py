@@ -57,7 +57,7 @@ def play_handshake(server, chunks=(b"< hi >", b"< ok >", b"< ok >")) -> tuple:
     thread = threading.Thread(target=play)
     thread.start()
     try:
-        opened = plugin.RollerrigBus(f"127.0.0.1:{port}/rig0", connect_timeout=10.0)
+        opened = plugin.RollerrigBus(f"127.0.0.1:{port}/rig0", connect_timeout=60.0)
     finally:
         thread.join()
     return opened, accepted[0]

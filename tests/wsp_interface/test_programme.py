@@ -11,6 +11,7 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+import program
 import pytest
 
 from rollerrig.configs import store
@@ -85,16 +86,9 @@ def test_every_packaged_programme_of_another_vehicle_and_its_sequences_are_valid
     kinds = [group.kind for group in loaded.groups]
     assert {programme.MANDATORY, programme.BY_AGREEMENT, programme.APART} <= set(kinds)
     # the process starts itself again for the vehicle
-    done = subprocess.run(
-        [sys.executable, "-m", "rollerrig.realtime.cli", "programme", name, "--check"],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        cwd=tmp_path,
-    )
-    assert done.returncode == 0, done.stderr
-    assert f"{len(loaded.sequences)} sequences are valid" in done.stdout + done.stderr
+    done = program.rollerrig("programme", name, "--check", folder=tmp_path)
+    assert done.status == 0, done.messages
+    assert f"{len(loaded.sequences)} sequences are valid" in done.printed + done.messages
 
 
 @pytest.mark.parametrize(
@@ -220,6 +214,7 @@ def test_the_evidence_has_the_hash_of_the_files_in_the_command_of_the_unit(tmp_p
     assert programme_command._fingerprint(one, programme_command._tested(options)) != mark
 
 
+@pytest.mark.nightly
 def test_a_programme_that_is_killed_continues_with_what_is_left(files, tmp_path, capsys):
     out = tmp_path / "out"
     words = [sys.executable, "-m", "rollerrig.realtime.cli", "programme", str(files)]

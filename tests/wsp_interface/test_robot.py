@@ -105,6 +105,7 @@ def shared(tmp_path_factory):
     return folder, results
 
 
+@pytest.mark.nightly
 def test_a_bench_of_a_suite_setup_is_there_for_all_tests_of_the_suite(shared):
     folder, results = shared
     assert results["The train brakes"] == ("PASS", "")
@@ -119,6 +120,7 @@ def test_a_bench_of_a_suite_setup_is_there_for_all_tests_of_the_suite(shared):
     ]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("test", "parts"),
     [

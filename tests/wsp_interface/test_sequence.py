@@ -1,10 +1,9 @@
 """Sequences: how they are read, what is refused with which line, and the packaged library."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
+import program
 import pytest
 from synthetic_record import GOOD
 
@@ -151,9 +150,8 @@ def of_vehicle(vehicle: str) -> list[str]:
 
 def check(*names: str) -> tuple[int, str]:
     """Check sequences in a process, as a user does; return the exit status and the messages."""
-    words = [sys.executable, "-m", "rollerrig.realtime.cli", "sequence", "--check", *names]
-    done = subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
-    return done.returncode, done.stderr
+    done = program.rollerrig("sequence", "--check", *names)
+    return done.status, done.messages
 
 
 @pytest.mark.parametrize("vehicle", sorted(set(store.names("vehicles")) - {"uic_z1"}))

@@ -94,7 +94,7 @@ class Master:
         """Start the heartbeat, the nodes and the reading of PDOs, then enable the drives."""
         self.network.send_periodic(0x700 + UNIT, bytes([OPERATIONAL]), HEARTBEAT_S)
         for number, node in self.nodes.items():
-            node.nmt.wait_for_heartbeat(timeout=5.0)
+            node.nmt.wait_for_heartbeat(timeout=60.0)
             if number in DRIVES:
                 node.setup_402_state_machine()
             else:

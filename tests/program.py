@@ -1,0 +1,172 @@
+"""Programs in separate processes, forked where rollerrig is loaded already (`fork_server.py`).
+
+Nearly all tests that need a process start it here, because a start by hand costs seconds of
+processor time. `test_program.py` shows that both are the same.
+"""
+
+import functools
+import json
+import os
+import selectors
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+from pathlib import Path
+from typing import NamedTuple
+
+from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError, OtherVehicleError
+from rollerrig.configs.vehicle import AXLES_VARIABLE, EQUIPMENT_VARIABLE
+from rollerrig.realtime.bench import scenario
+
+# s. The program compiles the kernels of its vehicle where nothing has used them before.
+LONGEST_S = 900
+CLI = ("-m", "rollerrig.realtime.cli")
+SERVER = Path(__file__).with_name("fork_server.py")
+# a tram with motors and magnets: with it `make test` compiles for one vehicle besides the coach
+BOTH_BRAKES = str(Path(__file__).with_name("data") / "both_brakes.toml")
+
+
+class Program:
+    """A Python program in a new session; used like Popen.
+
+    `words` follow `python`: a module ("-m", "rollerrig.realtime.cli", ...) or a text ("-c", ...).
+    `variables` are added to the environment. `streams` are standard input, output and error.
+    `ignored` are signals that the program ignores.
+    """
+
+    def __init__(self, words, streams, variables=None, folder=None, ignored=(), cores=None):
+        environment = os.environ | (variables or {})
+        request = {
+            "words": list(map(str, words)),
+            "environment": environment,
+            "folder": str(folder or os.getcwd()),
+            "ignored": list(ignored),
+            "cores": sorted(cores or os.sched_getaffinity(0)),
+        }
+        replies, reply = os.pipe()
+        channel = server(
+            environment.get(AXLES_VARIABLE, ""), environment.get(EQUIPMENT_VARIABLE, "")
+        )
+        descriptors = [*(stream.fileno() for stream in streams), reply]
+        socket.send_fds(channel, [json.dumps(request).encode()], descriptors)
+        os.close(reply)
+        self._replies = open(replies)  # noqa: SIM115
+        number = self._replies.readline()
+        assert number, "the fork server has exited"
+        self.pid = int(number)
+        self._status = None
+        # if two threads read it simultaneously, only one of them would receive it
+        self._lock = threading.Lock()
+
+    def poll(self):
+        return self._exit_status(0.0)
+
+    returncode = property(poll)
+
+    def _exit_status(self, timeout_s):
+        with self._lock, selectors.DefaultSelector() as selector:
+            if self._status is None:
+                selector.register(self._replies, selectors.EVENT_READ)
+                if selector.select(timeout_s):
+                    # no status comes from a server that was killed, and its programs with it
+                    self._status = int(self._replies.readline() or -signal.SIGKILL)
+                    self._replies.close()
+            return self._status
+
+    def wait(self, timeout=None):
+        status = self._exit_status(timeout)
+        if status is None:
+            raise subprocess.TimeoutExpired("the program", timeout)
+        return status
+
+    def send_signal(self, number):
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def terminate(self):
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self):
+        self.send_signal(signal.SIGKILL)
+
+
+@functools.cache
+def server(axles, equipment):
+    """The socket of the server for this kind of vehicle. It is started when it is needed."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    variables = {AXLES_VARIABLE: axles, EQUIPMENT_VARIABLE: equipment}
+    environment = os.environ | {name: value for name, value in variables.items() if value}
+    with theirs:
+        subprocess.Popen(
+            # the programs that benches fork write their command lines over this one
+            [sys.executable, SERVER, str(theirs.fileno()), "forks the programs of tests"],
+            pass_fds=(theirs.fileno(),),
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+    return ours
+
+
+class Done(NamedTuple):
+    """The result of a program: its exit status, what it has printed, and its messages."""
+
+    status: int
+    printed: str
+    messages: str
+
+
+def python(*words, folder=None, timeout_s=LONGEST_S, **variables):
+    """Return the result of a Python program; `words` follow `python`."""
+    with (
+        open(os.devnull) as nothing,
+        tempfile.TemporaryFile("w+") as printed,
+        tempfile.TemporaryFile("w+") as messages,
+    ):
+        program = Program(words, (nothing, printed, messages), variables, folder)
+        try:
+            program.wait(timeout_s)
+        finally:
+            program.kill()
+        printed.seek(0)
+        messages.seek(0)
+        return Done(program.returncode, printed.read(), messages.read())
+
+
+def rollerrig(*words, **more):
+    """Return the result of the command line `rollerrig`."""
+    return python(*CLI, *words, **variables_of(words), **more)
+
+
+def start(words, stdout, stderr, **more):
+    """Start the command line `rollerrig` with its output in two files; return the program."""
+    with open(os.devnull) as nothing, stdout.open("wb") as printed, stderr.open("wb") as messages:
+        streams = (nothing, printed, messages)
+        return Program((*CLI, *words), streams, variables_of(words), **more)
+
+
+def variables_of(words):
+    """The variables with which the command line would start itself again for these words."""
+    found = {}
+    for word in words:
+        if word in store.names_of_vehicles("sequences"):
+            content, _ = store.load("sequences", word)
+            found |= _variables_of_scenario(content["scenario"])
+        elif word in store.names("scenarios") or str(word).endswith(".toml"):
+            found |= _variables_of_scenario(str(word))
+    return found
+
+
+@functools.cache
+def _variables_of_scenario(name):
+    try:
+        scenario.load(name)
+    except OtherVehicleError as error:
+        return error.environment
+    except ConfigError:
+        pass  # another file, or a wrong one, which is a matter of the command
+    return {}
