@@ -55,6 +55,7 @@ def explain(runs: list[str], out: Path, capsys: pytest.CaptureFixture[str]) -> d
     return report
 
 
+@pytest.mark.nightly
 @pytest.mark.explanation
 def test_stops_of_a_fault_free_bench_over_the_bus_are_consistent(tmp_path, capsys) -> None:
     report = explain(run_stops(tmp_path), tmp_path / "report", capsys)
@@ -75,6 +76,7 @@ def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(
     assert cause["parameters"]["fraction"]["value"] == pytest.approx(0.01, abs=5e-4)
 
 
+@pytest.mark.nightly
 @pytest.mark.explanation
 @pytest.mark.parametrize(("axle", "fraction"), [(2, -0.02), (4, 0.02)])
 def test_a_wheel_whose_radius_is_far_off_is_the_only_cause(

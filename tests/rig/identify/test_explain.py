@@ -1,4 +1,7 @@
-"""The whole explanation, on stops of generators that share no code with it."""
+"""The whole explanation, on stops of generators that share no code with it.
+
+`make test` has one explanation for each verdict.
+"""
 
 import shutil
 from pathlib import Path
@@ -51,12 +54,23 @@ def test_cleaning_by_leading_wheels_is_identified_and_improves_runs_never_fitted
     assert min(squares_before) <= gain.before**2 <= max(squares_before)
 
 
+def test_a_softer_contact_is_identified_and_what_its_form_leaves_is_reported_with_it(
+    tmp_path: Path,
+) -> None:
+    diagnosis = explain(braking_stops.make(tmp_path / "layer", {"interfacial_layer": 0.9}, 107191))
+    assert diagnosis.verdict == "partly"
+    assert names_of_causes(diagnosis) == ["interfacial_layer"]
+    assert any(evidence.is_significant(test, 20.0) for test in diagnosis.remainder)
+
+
+@pytest.mark.nightly
 def test_an_irregularity_of_longer_waves_is_not_reported_as_a_patch(tmp_path: Path) -> None:
     # this rail has a dip of 4 % over 36 m, in all runs, which was reported as a patch before
     diagnosis = explain(braking_stops.make(tmp_path / "none", {}, 61002))
     assert diagnosis.verdict == "consistent"
 
 
+@pytest.mark.nightly
 def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_identified(
     tmp_path: Path,
 ) -> None:
@@ -79,6 +93,7 @@ def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_identified(
     assert np.ptp(radii_m) > 0.0
 
 
+@pytest.mark.nightly
 def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a_stronger_brake(
     tmp_path: Path,
 ) -> None:
@@ -92,6 +107,7 @@ def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a
     assert "along the runs in the size of brake_gain" in clear
 
 
+@pytest.mark.nightly
 def test_a_wheel_clock_that_runs_behind_is_not_reported_as_a_late_sensor(tmp_path: Path) -> None:
     folder = mujoco_stops.make(tmp_path / "clock", {"wheel_clock_drift": 0.0012}, 15)
     diagnosis = explain(folder)
@@ -122,6 +138,7 @@ def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(tmp_path:
     assert effect["empirical_period"] == pytest.approx(period_m, rel=1e-4)
 
 
+@pytest.mark.nightly
 def test_a_drop_under_the_first_wheelset_at_some_moment_is_not_reported_as_cleaning(
     tmp_path: Path,
 ) -> None:
