@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numba.core.dispatcher import Dispatcher
 from rolling import Rig
+from tiers import first_of
 
 from rollerrig.rig import heat, plant, vehicle, wheelset
 from rollerrig.rig.compiled.kernel import kernel
@@ -20,7 +21,6 @@ from rollerrig.rig.lanes.layout import LANES, RIGS
 from rollerrig.rig.mechanisms import applied
 from rollerrig.rig.state import AXLES, SLOTS, views
 
-SEEDS = range(20)
 MODES = ("track", "contaminated_rollers")
 CLOSE = 1e-9
 # slots of a stage of a step, not of the state
@@ -478,8 +478,9 @@ def test_the_kernels_of_a_step_are_checked_in_their_order():
     assert list(dict.fromkeys(called)) == list(dict.fromkeys(ORDER))
 
 
+@pytest.mark.parametrize("seeds", first_of([range(3), range(3, 20)]), ids=["few", "many"])
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("name", TWINS)
-def test_a_kernel_of_the_lanes_agrees_with_its_twin_in_the_plant(name, mode):
-    for seed in SEEDS:
+def test_a_kernel_of_the_lanes_agrees_with_its_twin_in_the_plant(name, mode, seeds):
+    for seed in seeds:
         TWINS[name](Case(seed, mode))

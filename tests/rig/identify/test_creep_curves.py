@@ -7,6 +7,7 @@ import creep_generators as generators
 import creep_rates
 import numpy as np
 import pytest
+from tiers import first_of
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
@@ -19,11 +20,6 @@ from rollerrig.rig.identify.paper import polach_fit
 
 MEASURED = Path(__file__).parents[2] / "data" / "measured"
 SEED = 5
-
-
-def seeds(number):
-    """Return the parameters of a test by seed: the first one, and the others in the nightly tier."""
-    return [0, *(pytest.param(seed, marks=pytest.mark.nightly) for seed in range(1, number))]
 
 
 def judged(name):
@@ -210,7 +206,7 @@ def test_a_load_that_grows_with_creepage_is_not_judged_and_makes_no_fall(points)
     assert "together with creepage" in effect(answer, conditions.LOAD).why_not
 
 
-@pytest.mark.parametrize("seed", seeds(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_speed_that_sliding_lowers_is_not_judged_as_a_dependence_of_friction(seed):
     """A robot turns its wheels at nearly one speed: the faster they slide, the slower it drives."""
     rng = np.random.default_rng(seed)
@@ -226,7 +222,7 @@ def test_a_speed_that_sliding_lowers_is_not_judged_as_a_dependence_of_friction(s
     assert [e.name for e in answer.reported] == [conditions.SERIES]
 
 
-@pytest.mark.parametrize("seed", seeds(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_series_of_one_point_is_not_reported_to_differ(seed):
     rng = np.random.default_rng(seed)
     creepage = rng.uniform(0.001, 0.4, 200)
@@ -409,7 +405,7 @@ def polach_points(points, k_a, seed):
     return curve._replace(adhesion=adhesion + 0.006 * rng.standard_normal(points))
 
 
-@pytest.mark.parametrize("seed", seeds(3))
+@pytest.mark.parametrize("seed", first_of(range(3)))
 def test_polachs_law_fits_its_points_on_a_stiffer_contact_and_the_first_screen_shows_the_patch(
     seed, tmp_path
 ):
@@ -452,7 +448,7 @@ def test_points_whose_neighbours_share_large_errors_are_not_said_to_fit_or_not_t
     assert answer.law_fails or "would not have shown a misfit" in answer.law_why_not
 
 
-@pytest.mark.parametrize("seed", seeds(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_fall_by_a_third_in_fifteen_points_is_shown(seed):
     rng = np.random.default_rng(seed)
     creepage = np.linspace(0.005, 0.3, 15)
@@ -471,7 +467,7 @@ def test_a_fall_by_a_third_in_fifteen_points_is_shown(seed):
     assert answer.fall.low < true_fall < answer.fall.high
 
 
-@pytest.mark.parametrize("seed", seeds(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_sharp_bend_that_a_smooth_curve_overshoots_is_no_fall(seed):
     rng = np.random.default_rng(seed)
     creepage = np.sort(rng.uniform(0.001, 0.3, 200))
