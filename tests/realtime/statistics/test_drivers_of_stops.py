@@ -26,7 +26,7 @@ def ishigami(shares):
 
 
 @pytest.mark.parametrize(
-    ("campaigns", "share"), [(12, 0.04), pytest.param(200, 0.02, marks=pytest.mark.nightly)]
+    ("campaigns", "share"), [(40, 0.04), pytest.param(200, 0.02, marks=pytest.mark.nightly)]
 )
 def test_intervals_of_sobol_indices_hold_the_known_ones_in_95_of_100(campaigns, share):
     pytest.importorskip("SALib")
