@@ -26,6 +26,7 @@ from rollerrig.realtime.discover import fault_signs
 from rollerrig.realtime.record import records
 from rollerrig.realtime.reports import proposed_stops
 from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import decision
 from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.identify.next_stops import planning
@@ -42,15 +43,22 @@ HISTORY = "discover.json"
 Row = dict[str, Any]  # one stop or one round, as in discover.json
 Log = Callable[[str], None]
 Progress = Callable[[str, float], None]
+Explain = Callable[[Dataset, int, Progress], Diagnosis]  # of a dataset and a seed
 
 
 def find_out(
-    rig: str, out: Path, most: int, seed: int, log: Log, progress: Progress
+    rig: str,
+    out: Path,
+    most: int,
+    seed: int,
+    log: Log,
+    progress: Progress,
+    explain: Explain = decision.explain_braking_runs,
 ) -> tuple[Diagnosis, dict[str, Any]]:
     """Return the diagnosis of the last round, and the history of all rounds.
 
-    `most` is the largest number of stops. A search that was interrupted continues. Raises
-    ConfigError.
+    `most` is the largest number of stops. `explain` returns the diagnosis of the stops of a round.
+    A search that was interrupted continues. Raises ConfigError.
     """
     least = len(FIRST_SPEEDS_M_S)
     if most < least or seed < 0:
@@ -71,7 +79,7 @@ def find_out(
         history["rounds"] = rounds
 
         folders = _run_missing(rig, out, stops, seed, log)
-        diagnosis = _explain(folders, out, seed, progress)
+        diagnosis = _explain(folders, out, seed, progress, explain)
         rounds.append(_round_row(diagnosis, len(folders)))
         log(_round_line(len(rounds), rounds[-1]))
 
@@ -226,7 +234,9 @@ def plan_of(rig: str, stop: Stop) -> scenario.Scenario:
 # --- rounds ---
 
 
-def _explain(folders: Sequence[Path], out: Path, seed: int, progress: Progress) -> Diagnosis:
+def _explain(
+    folders: Sequence[Path], out: Path, seed: int, progress: Progress, explain: Explain
+) -> Diagnosis:
     """Return the diagnosis of the stops; its notes name the faults that the stops show.
 
     Raises ConfigError, with these faults, if the stops cannot be explained.
@@ -244,7 +254,7 @@ def _explain(folders: Sequence[Path], out: Path, seed: int, progress: Progress) 
             LONGEST_S,
         )
         data = dataset.load(written)._replace(name=out.name)
-        diagnosis = decision.explain_braking_runs(data, seed, progress)
+        diagnosis = explain(data, seed, progress)
     except ConfigError as error:
         message = str(error)
         if faults:

@@ -16,8 +16,6 @@ from sealed import answers, cases, score
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
 
-pytestmark = pytest.mark.nightly
-
 TESTS = Path(__file__).parents[1]
 GAIN = "gain on runs never fitted, share of the possible: median, quartiles"
 REMAINDER = "effect outside the library: reported as a remainder"

@@ -2,8 +2,10 @@
 
 import json
 import re
+import shutil
 
 import pytest
+from generator import diagnoses
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
@@ -11,6 +13,7 @@ from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.discover import discover, sealed_rig
 from rollerrig.realtime.record import records
 from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.preparation import prepare
 from rollerrig.rig.identify.next_stops.prototype import Stop
@@ -39,8 +42,8 @@ def brake(rig, folder, speed_m_s, held_s=0.0):
     return discover.brake((str(rig), folder, stop, 0))
 
 
-def find_out(rig, out, most, log=print):
-    return discover.find_out(str(rig), out, most, 0, log, lambda *_: None)
+def find_out(rig, out, most, **changed):
+    return discover.find_out(str(rig), out, most, 0, print, lambda *_: None, **changed)
 
 
 def test_only_the_key_of_a_sealed_rig_shows_what_it_hides_and_a_seed_repeats_both(
@@ -108,7 +111,7 @@ def test_a_rig_holds_a_speed_while_its_wheels_slide_and_the_replay_needs_no_forc
     assert (nu**2 / variance).mean() == pytest.approx(1.0, abs=0.2)
 
     # a force on the vehicle does not change the residuals
-    uphill = explanation._replace(causes=(candidates.Cause("track_gradient", 0, {}, (0.02,)),))
+    uphill = explanation._replace(causes=(Cause("track_gradient", 0, {}, (0.02,)),))
     nu_uphill, _ = sensitivity.replay_vehicles(design, candidates.inputs(design, uphill))
     assert (nu_uphill == nu).all()
 
@@ -156,6 +159,119 @@ def test_a_history_of_another_rig_is_refused(tmp_path) -> None:
         find_out("velim_a1", tmp_path, 9)
 
 
+# --- the search, with given diagnoses of its rounds ---
+
+SPEED = Cause("speed_dependent_friction", 0, {}, (0.004,))
+TIME = Cause("friction_trend", 0, {}, (0.01,))
+EITHER = (diagnoses.identified(SPEED, [TIME.name]),)
+RADIUS = (diagnoses.identified(Cause("wheel_radius", 3, {}, (0.006,))),)
+
+
+def explain_as(rounds, seen):
+    """Return an `explain` that finds the causes of these rounds; `seen` collects its datasets."""
+    tests = [diagnoses.score_test(cause) for cause in (SPEED, TIME)]
+
+    def explain(data, seed, progress):
+        seen.append(data)
+        return diagnoses.diagnosis(data, rounds[len(seen) - 1], tests)
+
+    return explain
+
+
+def stops_of(history):
+    """Return the number of stops of each round."""
+    return [row["stops"] for row in history["rounds"]]
+
+
+@pytest.fixture(scope="module")
+def searched(tmp_path_factory):
+    """A search of five stops in which two causes look alike: folder, history and datasets."""
+    out = tmp_path_factory.mktemp("search") / "found"
+    seen = []
+    _, history = find_out("velim_a1", out, 5, explain=explain_as([EITHER] * 2, seen))
+    return out, history, seen
+
+
+def with_stops(searched, out, number):
+    """Copy the first stops of the search, and return where the file of each one was written."""
+    for name in range(1, number + 1):
+        folder = f"{name:02d}"
+        shutil.copytree(searched[0] / "stops" / folder, out / "stops" / folder)
+    return {path: path.stat().st_mtime_ns for path in out.glob("stops/*/channels.parquet")}
+
+
+def written_again(files):
+    """Return the files that are not as they were."""
+    return [path for path, at_ns in files.items() if path.stat().st_mtime_ns != at_ns]
+
+
+def test_the_search_runs_new_stops_until_the_budget_is_used_up(searched) -> None:
+    out, history, seen = searched
+    assert stops_of(history) == [3, 5]
+    names = ["01", "02", "03", "04", "05"]
+    assert sorted(path.name for path in (out / "stops").iterdir()) == names
+    rows = history["stops"]
+    assert [row["initial_speed_m_s"] for row in rows[:3]] == [38.0, 22.0, 30.0]
+    assert len({discover._stop_of(row) for row in rows}) == 5
+    for row in rows[3:]:
+        assert SPEED.name in row["why"]
+    # the third stop is never fitted
+    for data in seen:
+        assert [run.name for run in data.group("validate")] == ["03"]
+    assert [len(data.group("tune")) for data in seen] == [2, 4]
+
+    written = json.loads((out / "discover.json").read_text())
+    assert written["stops_used"] == 5
+    assert written["verdict"] == "explained"
+    assert written["causes"] == [[SPEED.name, TIME.name]]
+
+
+def test_the_last_round_runs_no_more_stops_than_the_budget_has(searched, tmp_path) -> None:
+    with_stops(searched, tmp_path, 4)
+    _, history = find_out("velim_a1", tmp_path, 4, explain=explain_as([EITHER] * 2, []))
+    assert stops_of(history) == [3, 4]
+
+
+def test_the_search_is_over_with_one_cause_that_nothing_looks_like(searched, tmp_path) -> None:
+    files = with_stops(searched, tmp_path, 3)
+    diagnosis, history = find_out("velim_a1", tmp_path, 9, explain=explain_as([RADIUS], []))
+    assert stops_of(history) == [3]
+    assert history["rounds"][0]["causes"] == [["wheel_radius"]]
+    assert diagnosis.causes == list(RADIUS)
+    assert written_again(files) == []
+
+
+def test_the_search_is_over_after_two_rounds_without_a_cause(searched, tmp_path) -> None:
+    files = with_stops(searched, tmp_path, 5)
+    diagnosis, history = find_out("velim_a1", tmp_path, 9, explain=explain_as([(), ()], []))
+    assert stops_of(history) == [3, 5]
+    assert diagnosis.verdict == "consistent"
+    assert written_again(files) == []
+
+
+def test_a_search_that_was_interrupted_continues_with_its_stops(searched, tmp_path) -> None:
+    files = with_stops(searched, tmp_path, 5)
+    # the search had judged three stops, and had run two more
+    _, history = find_out("velim_a1", tmp_path, 3, explain=explain_as([EITHER], []))
+    assert stops_of(history) == [3]
+    _, history = find_out("velim_a1", tmp_path, 5, explain=explain_as([EITHER] * 2, []))
+    assert stops_of(history) == [3, 5]
+    assert written_again(files) == []
+
+
+def test_data_that_cannot_be_explained_end_the_search_with_the_reason(searched, tmp_path) -> None:
+    def explain(data, seed, progress):
+        raise ConfigError("this is the reason")
+
+    with_stops(searched, tmp_path, 3)
+    with pytest.raises(ConfigError, match="this is the reason"):
+        find_out("velim_a1", tmp_path, 3, explain=explain)
+
+
+# --- whole searches ---
+
+
+@pytest.mark.nightly
 @pytest.mark.explanation
 def test_a_large_effect_is_found_and_an_interrupted_search_continues(tmp_path, capsys) -> None:
     hidden = {
@@ -193,6 +309,7 @@ TWO_EFFECTS = {
 }
 
 
+@pytest.mark.nightly
 @pytest.mark.explanation
 @pytest.mark.parametrize("case", TWO_EFFECTS)
 def test_each_of_two_causes_is_identified_with_its_confusable_causes(tmp_path, case) -> None:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bench_process import BenchProcess
+from generator import diagnoses
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.firmware_sim.faults import catalogue
@@ -16,12 +17,9 @@ from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.datasets import run_dataset, run_sensors
 from rollerrig.realtime.record import records
 from rollerrig.realtime.reports import cause_sentences, extended_model
-from rollerrig.rig.identify.causes import candidates
 from rollerrig.rig.identify.causes.candidates import Cause
-from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide.choice import IdentifiedCause
-from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
-from rollerrig.rig.identify.decide.evidence import ScoreTest
+from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.mechanisms import applied
 from rollerrig.rig.plant import Plant
 
@@ -57,6 +55,7 @@ def explain(runs: list[str], out: Path, capsys: pytest.CaptureFixture[str]) -> d
     return report
 
 
+@pytest.mark.nightly
 @pytest.mark.explanation
 def test_stops_of_a_fault_free_bench_over_the_bus_are_consistent(tmp_path, capsys) -> None:
     report = explain(run_stops(tmp_path), tmp_path / "report", capsys)
@@ -77,6 +76,7 @@ def test_a_wheel_of_another_diameter_hidden_in_stops_over_the_bus_is_found(
     assert cause["parameters"]["fraction"]["value"] == pytest.approx(0.01, abs=5e-4)
 
 
+@pytest.mark.nightly
 @pytest.mark.explanation
 @pytest.mark.parametrize(("axle", "fraction"), [(2, -0.02), (4, 0.02)])
 def test_a_wheel_whose_radius_is_far_off_is_the_only_cause(
@@ -323,52 +323,8 @@ CAUSES = {
 
 def diagnosis_of(*causes: Cause) -> Diagnosis:
     """The diagnosis that `explain` would return if it had found these causes."""
-    data = dataset.load("open_none")
-    design = preparation.prepare(data, data.group("tune")[:1])
-    base = candidates.untuned(design)
-    identified = []
-    for cause in causes:
-        deviation = (1e-6,) * len(cause.values)
-        test = ScoreTest(
-            name=cause.name,
-            axle=cause.axle,
-            shape=cause.shape,
-            estimate=cause.values,
-            bias=(0.0,) * len(cause.values),
-            deviation=deviation,
-            statistic=99.0,
-            p_value=0.001,
-            expected=1.0,
-            spread=1.0,
-        )
-        identified.append(
-            IdentifiedCause(
-                score_test=test,
-                cause=cause,
-                likelihood_ratio=99.0,
-                ratio_by_filter=(99.0,) * 5,
-                deviation=deviation,
-                confusable=(),
-                rivals=(),
-            )
-        )
-    return Diagnosis(
-        data=data,
-        design=design,
-        held_out=None,
-        base=base,
-        final=base._replace(causes=causes),
-        verdict=Verdict.EXPLAINED,
-        causes=identified,
-        set_aside=[],
-        score_tests=[],
-        remainder=[],
-        gain=None,
-        p_value=0.001,
-        notes=[],
-        formula=None,
-        elapsed_s=1.0,
-    )
+    found = [diagnoses.identified(cause) for cause in causes]
+    return diagnoses.diagnosis(dataset.load("open_none"), found, runs=1)
 
 
 @pytest.mark.parametrize("name", CAUSES)

@@ -111,8 +111,9 @@ def recorded(**mechanisms: float) -> preparation.Design:
     # the recorded torque and load are those of the base model
     capacity = np.vectorize(lambda pressure_Pa: brake.capacity(pressure_Pa, rig.params.brake))
     torque_Nm = capacity(history.cylinder_pressure[::every])
-    load_N = np.empty((history.time.size, 4))
-    for i, felt in enumerate(history.felt_acceleration):
+    felt_m_s2 = history.felt_acceleration[::every]
+    load_N = np.empty((felt_m_s2.size, 4))
+    for i, felt in enumerate(felt_m_s2):
         for j in range(4):
             load_N[i, j] = vehicle.load(j, felt, plain_vehicle())
 
@@ -124,7 +125,7 @@ def recorded(**mechanisms: float) -> preparation.Design:
         time_s=history.time[::every],
         speed_m_s=history.vehicle_speed[::every],
         wheel_speed_rad_s=history.wheel_speed[::every],
-        load_N=load_N[::every],
+        load_N=load_N,
         torque_Nm=torque_Nm,
         position_m=None,
         surface_m_s=None,

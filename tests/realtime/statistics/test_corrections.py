@@ -12,7 +12,6 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.campaign import campaign, etcs, speed_steps
 from rollerrig.realtime.campaign.statistics import corrections, draws
 
-CAMPAIGNS = 200
 RUNS = 3000
 # weakness: a generalised Pareto law with this shape above its median, so that its tail is known
 SHAPE = -0.2
@@ -24,13 +23,20 @@ def weak_ratio(uniform):
     return 1.0 - SCALE * (uniform**-SHAPE - 1.0) / SHAPE
 
 
-def test_intervals_of_kdry_rst_hold_the_true_factor_in_93_to_97_of_100_at_every_level():
+@pytest.mark.parametrize(
+    ("campaigns", "share", "share_at_a_level"),
+    [(12, 0.10, 0.25), pytest.param(200, 0.02, 0.04, marks=pytest.mark.nightly)],
+)
+def test_intervals_of_kdry_rst_hold_the_true_factor_in_95_of_100_at_every_level(
+    campaigns, share, share_at_a_level
+):
+    """The shares may differ from 95 % by `share`, and be lower at a level by `share_at_a_level`."""
     rng = np.random.default_rng(17)
     levels = (0, 1, 2, 4, 6)
     in_interval = dict.fromkeys(levels, 0)
     above_bound = dict.fromkeys(levels, 0)
     methods = {}
-    for _ in range(CAMPAIGNS):
+    for _ in range(campaigns):
         found = corrections.corrections(weak_ratio(rng.random(RUNS)), levels=levels)
         for level, factor in zip(levels, found, strict=True):
             true_factor = weak_ratio(corrections.failing_share(level))
@@ -44,10 +50,10 @@ def test_intervals_of_kdry_rst_hold_the_true_factor_in_93_to_97_of_100_at_every_
         **dict.fromkeys((4, 6), corrections.BY_TAIL),
     }
     # of all levels: at each level alone, 200 campaigns cannot distinguish 95 from 92 %
-    assert 0.93 <= sum(in_interval.values()) / (CAMPAIGNS * len(levels)) <= 0.97
-    assert 0.93 <= sum(above_bound.values()) / (CAMPAIGNS * len(levels)) <= 0.97
-    assert min(in_interval.values()) >= 0.91 * CAMPAIGNS
-    assert min(above_bound.values()) >= 0.91 * CAMPAIGNS
+    for held in (in_interval, above_bound):
+        of_all = sum(held.values()) / (campaigns * len(levels))
+        assert of_all == pytest.approx(0.95, abs=share)
+        assert min(held.values()) >= (0.95 - share_at_a_level) * campaigns
 
 
 def test_intervals_of_kwet_rst_hold_the_true_ratio_in_93_to_97_of_100():

@@ -7,44 +7,47 @@ import pytest
 
 from rollerrig.realtime.campaign.statistics import differences, draws
 
-CAMPAIGNS = 400
+
+@pytest.fixture(params=[100, pytest.param(400, marks=pytest.mark.nightly)])
+def campaigns(request):
+    return request.param
 
 
 def missed(low: float, high: float, true: float) -> bool:
     return not low <= true <= high
 
 
-def test_the_interval_of_pairs_holds_the_true_median_in_95_percent_of_the_campaigns():
+def test_the_interval_of_pairs_holds_the_true_median_in_95_percent_of_the_campaigns(campaigns):
     random = np.random.default_rng(1)
     misses = 0
-    for _ in range(CAMPAIGNS):
+    for _ in range(campaigns):
         # a skewed law: its mean is not its median
         found = differences.paired(random.exponential(size=40) - math.log(2.0) + 1.5)
         misses += missed(found.low, found.high, 1.5)
-    assert misses <= 0.08 * CAMPAIGNS
+    assert misses <= 0.08 * campaigns
 
 
-def test_chance_alone_is_significant_in_5_percent_of_the_campaigns():
+def test_chance_alone_is_significant_in_5_percent_of_the_campaigns(campaigns):
     random = np.random.default_rng(2)
     pairs = 0
     samples = 0
-    for _ in range(CAMPAIGNS):
+    for _ in range(campaigns):
         first, second = random.normal(size=(2, 40))
         pairs += differences.is_significant(differences.paired(second - first).p_value)
         samples += differences.is_significant(differences.unpaired(first, second).p_value)
-    assert pairs <= 0.08 * CAMPAIGNS
-    assert samples <= 0.08 * CAMPAIGNS
+    assert pairs <= 0.08 * campaigns
+    assert samples <= 0.08 * campaigns
 
 
-def test_the_interval_of_the_medians_holds_for_samples_of_any_size():
+def test_the_interval_of_the_medians_holds_for_samples_of_any_size(campaigns):
     random = np.random.default_rng(3)
     misses = 0
-    for _ in range(CAMPAIGNS):
+    for _ in range(campaigns):
         first = random.exponential(size=30)
         second = random.exponential(size=80) + 2.0
         found = differences.unpaired(first, second)
         misses += missed(found.low, found.high, 2.0)
-    assert misses <= 0.05 * CAMPAIGNS
+    assert misses <= 0.05 * campaigns
 
 
 def test_pairs_show_a_small_change_that_two_samples_hide():
@@ -97,11 +100,11 @@ def test_too_few_pairs_have_no_interval():
     assert (found.low, found.high) == (-np.inf, np.inf)
 
 
-def test_the_correction_keeps_the_chance_that_any_of_many_figures_is_significant():
+def test_the_correction_keeps_the_chance_that_any_of_many_figures_is_significant(campaigns):
     random = np.random.default_rng(6)
     any_significant = 0
-    for _ in range(CAMPAIGNS):
+    for _ in range(campaigns):
         p_values = [differences.paired(random.normal(size=20)).p_value for _ in range(6)]
         any_significant += any(map(differences.is_significant, differences.corrected(p_values)))
-    assert any_significant <= 0.08 * CAMPAIGNS
+    assert any_significant <= 0.08 * campaigns
     assert differences.corrected([]) == []

@@ -92,7 +92,11 @@ def distances_m(mode, count, seed):
     return distance_m
 
 
-@pytest.mark.parametrize(("mode", "count"), [(G, 4_000), (P, 12_000)], ids=["G", "P"])
+@pytest.mark.parametrize(
+    ("mode", "count"),
+    [(G, 4_000), pytest.param(P, 12_000, marks=pytest.mark.nightly)],
+    ids=["G", "P"],
+)
 def test_a_small_campaign_agrees_with_a_published_one_of_ten_million_stops(mode, count):
     found_m = distances_m(mode, count, seed=11)
     # four standard errors of the small campaign

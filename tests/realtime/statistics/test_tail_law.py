@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from rollerrig.realtime.campaign.statistics import tail
 
@@ -17,6 +17,44 @@ def pareto(rng, shape, size):
     return -np.log(uniform) if shape == 0.0 else (uniform**-shape - 1.0) / shape
 
 
+def profile_at(law, value, begin):
+    """Return the largest log-likelihood of all laws of which `EXCEEDED` is above this value [T4].
+
+    Independent of `tail`: with the densities of scipy.
+    """
+
+    def cost(place):
+        shape, log_scale = place
+        above_threshold = stats.genpareto.sf(value - law.threshold, shape, scale=np.exp(log_scale))
+        if not above_threshold > EXCEEDED:
+            return np.inf
+        share = EXCEEDED / above_threshold
+        number = law.excesses.size
+        sizes = stats.genpareto.logpdf(law.excesses, shape, scale=np.exp(log_scale)).sum()
+        return -sizes - stats.binom.logpmf(number, law.draws, share)
+
+    options = {"xatol": 1e-6, "fatol": 1e-7, "maxiter": 2000}
+    return -optimize.minimize(cost, begin, method="Nelder-Mead", options=options).fun
+
+
+@pytest.mark.parametrize("shape", [-0.2, 0.0, 0.2])
+def test_the_likelihood_at_the_ends_of_an_interval_is_lower_by_a_quantile_of_chi_squared(shape):
+    law = tail.fit(pareto(np.random.default_rng(SEEDS[shape]), shape, RUNS))
+    found = tail.exceeded(law, EXCEEDED)
+    place = np.array([law.shape, np.log(law.scale)])
+    best = profile_at(law, found.estimate, place)
+    # the scale that reaches the value with the same shape is near the best one
+    for end, quantile in (
+        (found.low, stats.norm.ppf(0.975)),
+        (found.high, stats.norm.ppf(0.975)),
+        (found.bound, stats.norm.ppf(0.95)),
+    ):
+        factor = (end - law.threshold) / (found.estimate - law.threshold)
+        lower = best - profile_at(law, end, place + np.array([0.0, np.log(factor)]))
+        assert np.sqrt(2.0 * lower) == pytest.approx(quantile, rel=0.01)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize("shape", [-0.2, 0.0, 0.2])
 def test_intervals_of_600_campaigns_hold_the_true_value_in_93_to_97_of_100(shape):
     rng = np.random.default_rng(SEEDS[shape])

@@ -126,7 +126,10 @@ def test_a_clock_that_runs_fast_is_found_where_a_position_is_measured(tmp_path: 
 
 @pytest.mark.parametrize(
     ("stops", "code"),
-    [(braking_stops, Code.TORQUE_NOT_ACTING), (mujoco_stops, Code.TORQUE_SHARE)],
+    [
+        (braking_stops, Code.TORQUE_NOT_ACTING),
+        pytest.param(mujoco_stops, Code.TORQUE_SHARE, marks=pytest.mark.nightly),
+    ],
 )
 def test_a_commanded_torque_is_found_where_the_slide_protection_works(
     tmp_path: Path, stops, code: Code
@@ -169,7 +172,14 @@ EFFECTS = {
 
 
 @pytest.mark.parametrize("name", EFFECTS)
-@pytest.mark.parametrize("stops", [braking_stops, other_stops, mujoco_stops])
+@pytest.mark.parametrize(
+    "stops",
+    [
+        braking_stops,
+        pytest.param(other_stops, marks=pytest.mark.nightly),
+        pytest.param(mujoco_stops, marks=pytest.mark.nightly),
+    ],
+)
 def test_an_effect_of_physics_is_no_mistake(tmp_path: Path, stops, name: str) -> None:
     folder = stops.make(tmp_path / "set", EFFECTS[name], 1807)
     assert check.findings(dataset.load(folder)) == []

@@ -7,6 +7,7 @@ import creep_generators as generators
 import creep_rates
 import numpy as np
 import pytest
+from tiers import first_of
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
@@ -205,7 +206,7 @@ def test_a_load_that_grows_with_creepage_is_not_judged_and_makes_no_fall(points)
     assert "together with creepage" in effect(answer, conditions.LOAD).why_not
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_speed_that_sliding_lowers_is_not_judged_as_a_dependence_of_friction(seed):
     """A robot turns its wheels at nearly one speed: the faster they slide, the slower it drives."""
     rng = np.random.default_rng(seed)
@@ -221,7 +222,7 @@ def test_a_speed_that_sliding_lowers_is_not_judged_as_a_dependence_of_friction(s
     assert [e.name for e in answer.reported] == [conditions.SERIES]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_series_of_one_point_is_not_reported_to_differ(seed):
     rng = np.random.default_rng(seed)
     creepage = rng.uniform(0.001, 0.4, 200)
@@ -349,17 +350,19 @@ def test_impossible_values_are_refused_with_column_and_remedy(column, value, mes
 # --- how often it is right ---
 
 
+# the command `creep_rates.py` measures the rates on more curves
+@pytest.mark.parametrize("curves", [1, pytest.param(5, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("truth", creep_rates.ALL, ids=lambda truth: truth.name)
-def test_curves_with_known_truth_are_answered_without_a_false_report(truth):
-    # the command `creep_rates.py` measures the rates on more curves
-    found = creep_rates.answers(truth, range(1000, 1005))
+def test_curves_with_known_truth_are_answered_without_a_false_report(truth, curves):
+    found = creep_rates.answers(truth, range(1000, 1000 + curves))
     assert found.false_reports == []
     assert found.missed == []
 
 
+@pytest.mark.parametrize("curves", [1, pytest.param(4, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("truth", creep_rates.FORMS, ids=lambda truth: truth.name)
-def test_curves_in_any_measured_form_are_answered_without_a_false_report(truth):
-    found = creep_rates.answers_on_forms(truth, range(1000, 1004))
+def test_curves_in_any_measured_form_are_answered_without_a_false_report(truth, curves):
+    found = creep_rates.answers_on_forms(truth, range(1000, 1000 + curves))
     assert found.false_reports == []
 
 
@@ -402,7 +405,7 @@ def polach_points(points, k_a, seed):
     return curve._replace(adhesion=adhesion + 0.006 * rng.standard_normal(points))
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", first_of(range(3)))
 def test_polachs_law_fits_its_points_on_a_stiffer_contact_and_the_first_screen_shows_the_patch(
     seed, tmp_path
 ):
@@ -445,7 +448,7 @@ def test_points_whose_neighbours_share_large_errors_are_not_said_to_fit_or_not_t
     assert answer.law_fails or "would not have shown a misfit" in answer.law_why_not
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_fall_by_a_third_in_fifteen_points_is_shown(seed):
     rng = np.random.default_rng(seed)
     creepage = np.linspace(0.005, 0.3, 15)
@@ -464,7 +467,7 @@ def test_a_fall_by_a_third_in_fifteen_points_is_shown(seed):
     assert answer.fall.low < true_fall < answer.fall.high
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", first_of(range(5)))
 def test_a_sharp_bend_that_a_smooth_curve_overshoots_is_no_fall(seed):
     rng = np.random.default_rng(seed)
     creepage = np.sort(rng.uniform(0.001, 0.3, 200))

@@ -248,6 +248,7 @@ def test_a_base_model_has_no_modes_that_all_brakes_share(stops) -> None:
 # --- whole explanations of stops with nothing hidden ---
 
 
+@pytest.mark.nightly
 @pytest.mark.explanation
 @pytest.mark.parametrize(
     ("kind", "seed"),

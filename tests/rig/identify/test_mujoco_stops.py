@@ -1,6 +1,7 @@
 """The stops in MuJoCo, which judge `explain`, keep the physics that they declare.
 
-Momentum, rotation, loads and adhesion hold in the written files.
+Momentum, rotation, loads and adhesion hold in the written files. These are laws of the generator,
+not of rollerrig, so they are in the nightly tier.
 """
 
 import math
@@ -69,6 +70,7 @@ def trace():
     return coach.run(stops.nature({}, SEED, RUN))
 
 
+@pytest.mark.nightly
 def test_the_same_seed_writes_the_same_bytes_and_another_seed_others(tmp_path, clean):
     again = stops.make(tmp_path / "same", {}, SEED, (RUN,))
     other = stops.make(tmp_path / "other", {}, SEED + 1, (RUN,))
@@ -80,6 +82,7 @@ def test_the_same_seed_writes_the_same_bytes_and_another_seed_others(tmp_path, c
 # --- mechanics ---
 
 
+@pytest.mark.nightly
 def test_loads_sum_to_the_weight_and_move_forward_by_the_moment_of_braking(clean):
     record = record_of(clean, LONG_RUN)
     loads_N = record.loads_N
@@ -101,6 +104,7 @@ def test_loads_sum_to_the_weight_and_move_forward_by_the_moment_of_braking(clean
     assert mean_N[0] > mean_N[2] > mean_N[1] > mean_N[3]
 
 
+@pytest.mark.nightly
 def test_momentum_closes_on_a_clean_set_within_noise_and_calibration(clean):
     for run in (RUN, LONG_RUN):
         record = record_of(clean, run)
@@ -119,6 +123,7 @@ def test_momentum_closes_on_a_clean_set_within_noise_and_calibration(clean):
         assert rail_Ns + resistance_Ns == pytest.approx(momentum_Ns, rel=4 * stops.CALIBRATION)
 
 
+@pytest.mark.nightly
 def test_brakes_rail_and_air_take_the_energy_that_the_coach_loses(trace):
     speed_m_s = trace[:, coach.SPEED_M_S]
     spins_rad_s = coach.four(trace, coach.SPINS)
@@ -137,6 +142,7 @@ def test_brakes_rail_and_air_take_the_energy_that_the_coach_loses(trace):
     )
 
 
+@pytest.mark.nightly
 def test_the_wheels_obey_the_papers_adhesion_in_its_closed_form(clean):
     """Lambert's function solves the implicit equation.
 
@@ -173,6 +179,7 @@ def test_the_wheels_obey_the_papers_adhesion_in_its_closed_form(clean):
     assert np.std(ratio) < 0.08
 
 
+@pytest.mark.nightly
 def test_speed_rotation_and_torque_have_one_clock(trace):
     spins_rad_s = coach.four(trace, coach.SPINS)
     forces_N = coach.four(trace, coach.FORCES)
@@ -186,6 +193,7 @@ def test_speed_rotation_and_torque_have_one_clock(trace):
 # --- numerics ---
 
 
+@pytest.mark.nightly
 def test_half_the_step_gives_the_same_stop(trace):
     fine = coach.run(stops.nature({}, SEED, RUN), coach.STEP_S / 2.0)[::2]
     n = min(len(trace), len(fine))
@@ -197,6 +205,7 @@ def test_half_the_step_gives_the_same_stop(trace):
     assert np.sqrt((spins_rad_s**2).mean()) < stops.SPIN_NOISE_RAD_S
 
 
+@pytest.mark.nightly
 def test_the_iteration_ends_at_the_root_from_every_guess():
     K = contact.stiffness(RADIUS_M)
     for sliding_m_s in (1e-3, 0.1, 2.0, 15.0):
@@ -211,6 +220,7 @@ def test_the_iteration_ends_at_the_root_from_every_guess():
 # --- hidden effects ---
 
 
+@pytest.mark.nightly
 def test_every_effect_changes_the_records_and_no_other_file_reveals_it(tmp_path, clean):
     clean_lines = (clean / "runs" / f"{RUN}.csv").read_text().splitlines()
     head = (stops.make(tmp_path / "none", {}, SEED, (RUN,)) / "dataset.toml").read_text()
@@ -225,6 +235,7 @@ def test_every_effect_changes_the_records_and_no_other_file_reveals_it(tmp_path,
         assert files == ["dataset.toml", "runs", f"{RUN}.csv"]
 
 
+@pytest.mark.nightly
 def test_a_gain_or_an_inertia_changes_by_the_share_that_is_its_size():
     effects = {"brake_gain": 0.04, "wheel_inertia": 0.05}
     trace = coach.run(stops.nature(effects, SEED, RUN))
@@ -237,6 +248,7 @@ def test_a_gain_or_an_inertia_changes_by_the_share_that_is_its_size():
     np.testing.assert_allclose(1.05 * INERTIA_KGM2 * rate_rad_s2, balance_Nm, atol=1e-5)
 
 
+@pytest.mark.nightly
 def test_a_delay_is_as_long_as_its_size(trace):
     stop = stops.nature({}, SEED, RUN)
     late = {"speed_sensor_delay": 0.005, "torque_sensor_delay": 0.010}

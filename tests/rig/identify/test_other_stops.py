@@ -1,4 +1,7 @@
-"""The second generator of braking stops keeps the conditions that it declares."""
+"""The second generator of braking stops keeps the conditions that it declares.
+
+These are laws of the generator, not of rollerrig, so they are in the nightly tier.
+"""
 
 import ast
 from pathlib import Path
@@ -64,6 +67,7 @@ def test_the_second_generator_imports_nothing_of_the_bench():
     assert "rollerrig" not in Path(conditions.__file__).read_text()
 
 
+@pytest.mark.nightly
 def test_the_same_seed_writes_the_same_files(clean, tmp_path):
     again = other_stops.make(tmp_path, {}, SEED, (RUN,))
     other = other_stops.make(tmp_path / "other", {}, SEED + 1, (RUN,))
@@ -72,6 +76,7 @@ def test_the_same_seed_writes_the_same_files(clean, tmp_path):
     assert (other / file).read_bytes() != (clean / file).read_bytes()
 
 
+@pytest.mark.nightly
 def test_wheels_slide_do_not_lock_and_the_coach_slows_down(clean):
     for path in sorted((clean / "runs").glob("*.csv")):
         record = record_of(path)
@@ -86,6 +91,7 @@ def test_wheels_slide_do_not_lock_and_the_coach_slows_down(clean):
         assert np.allclose(np.diff(record["time_s"]), STEP_S), path.name
 
 
+@pytest.mark.nightly
 def test_the_records_of_a_clean_set_keep_the_balance_of_coach_and_wheels(clean):
     # sum r T = sum (J domega/dt + C) contains no adhesion law
     head = (clean / "dataset.toml").read_text()
@@ -110,6 +116,7 @@ def test_the_records_of_a_clean_set_keep_the_balance_of_coach_and_wheels(clean):
         assert noise_m_s == pytest.approx(0.0301, rel=0.08), path.name
 
 
+@pytest.mark.nightly
 def test_each_wheel_of_a_clean_stop_obeys_the_degraded_adhesion_in_its_closed_form(stop):
     plan, fine = stop
     speed_m_s = fine[:, :1]
@@ -144,6 +151,7 @@ def test_each_wheel_of_a_clean_stop_obeys_the_degraded_adhesion_in_its_closed_fo
     assert np.abs(balance_Nm[slides]).max() < 150.0
 
 
+@pytest.mark.nightly
 def test_the_friction_of_the_rail_scatters_by_two_percent_over_eight_metres():
     field = other_stops.friction_field(np.random.default_rng(2), 0.0141, (30,))
     assert field.std() * np.sqrt(2.0) == pytest.approx(0.02, rel=0.1)
@@ -153,6 +161,7 @@ def test_the_friction_of_the_rail_scatters_by_two_percent_over_eight_metres():
     assert correlation == pytest.approx(np.exp(-1.0), abs=0.1)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", other_stops.NAMES)
 def test_each_effect_changes_one_of_the_records(name, clean, tmp_path_factory):
     size = {**other_stops.SMALLEST, **other_stops.UNKNOWN}[name]

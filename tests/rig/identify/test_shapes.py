@@ -34,9 +34,11 @@ class Fitted(NamedTuple):
     base: Explanation
 
 
-def fitted_stops(folder: Path) -> Fitted:
-    """Return generated stops without a hidden cause, with their fitted base."""
-    data = dataset.load(braking_stops.make(folder / "stops", {}, SEED_OF_STOPS))
+@pytest.fixture(scope="module")
+def stops(tmp_path_factory: pytest.TempPathFactory) -> Fitted:
+    """Generated stops without a hidden cause, with their fitted base."""
+    folder = tmp_path_factory.mktemp("stops")
+    data = dataset.load(braking_stops.make(folder, {}, SEED_OF_STOPS))
     runs = data.group("tune")
     design = preparation.prepare(data, runs)
     base = fitting.fit(design, candidates.untuned(design)).explanation
@@ -53,8 +55,7 @@ def simulated(stops: Fitted, explanation: Explanation, seed: int) -> Design:
 # --- scales and edges ---
 
 
-def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path) -> None:
-    stops = fitted_stops(tmp_path)
+def test_the_edges_of_a_patch_move_to_where_the_friction_changes(stops: Fitted) -> None:
     patch = Cause("contaminated_patch", 0, {"start_m": 212.0, "length_m": 90.0}, (0.3,))
     design = simulated(stops, stops.base._replace(causes=(patch,)), seed=3)
 
@@ -68,8 +69,7 @@ def test_the_edges_of_a_patch_move_to_where_the_friction_changes(tmp_path: Path)
     assert shape["start_m"] + shape["length_m"] == pytest.approx(302.0, abs=4.0)
 
 
-def test_the_scale_of_a_cause_moves_to_that_of_the_rail(tmp_path: Path) -> None:
-    stops = fitted_stops(tmp_path)
+def test_the_scale_of_a_cause_moves_to_that_of_the_rail(stops: Fitted) -> None:
     cleaning = Cause("rail_cleaning", 0, {"energy_J_m": 60.0}, (0.25,))
     design = simulated(stops, stops.base._replace(causes=(cleaning,)), seed=4)
 
@@ -186,9 +186,8 @@ def sand(runs: list[Run], start_s: float, duration_s: float) -> Cause:
 
 
 def test_sand_in_every_run_is_found_to_the_instant_on_a_rail_that_it_made_look_rough(
-    tmp_path: Path,
+    stops: Fitted,
 ) -> None:
-    stops = fitted_stops(tmp_path)
     base = stops.base._replace(sigma=0.003)
     true = sand(stops.runs, start_s=6.33, duration_s=4.55)
     design = simulated(stops, base._replace(causes=(true,)), seed=5)
@@ -206,9 +205,8 @@ def test_sand_in_every_run_is_found_to_the_instant_on_a_rail_that_it_made_look_r
 
 
 def test_a_patch_shows_behind_another_cause_on_the_rail_that_is_left_without_it(
-    tmp_path: Path,
+    stops: Fitted,
 ) -> None:
-    stops = fitted_stops(tmp_path)
     inertia = Cause("wheel_inertia", 0, {}, (0.1,))
     patch = Cause("contaminated_patch", 0, {"start_m": 60.0, "length_m": 50.0}, (0.25,))
     design = simulated(stops, stops.base._replace(causes=(inertia, patch)), seed=6)
