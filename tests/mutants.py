@@ -1,8 +1,8 @@
-"""Applies the faults of `mutants.toml` to a copy of this checkout, and reports which tests find them.
+"""Applies the faults of `mutants.toml` to a copy of this checkout: which tests find them?
 
-    .venv/bin/python tests/mutants.py                      # all faults: hours
-    .venv/bin/python tests/mutants.py hertz_load fill_vent # these faults
-    .venv/bin/python tests/mutants.py --tier test --whole  # all tests of a tier where the named ones do not find it
+    .venv/bin/python tests/mutants.py                          # all faults
+    .venv/bin/python tests/mutants.py hertz_growth hold_timer  # these faults
+    .venv/bin/python tests/mutants.py --tier test --whole      # all tests of a tier, if necessary
 
 A fault is one line that a developer could get wrong. Its row names the tests that are expected to
 find it. The program first runs all these tests in the unchanged copy, and they must pass. Then it
@@ -15,7 +15,6 @@ find all. Faults with `found = "none"` do not count: their row states why no tes
 import argparse
 import contextlib
 import os
-import queue
 import signal
 import subprocess
 import sys
@@ -23,7 +22,6 @@ import tempfile
 import tomllib
 from collections import Counter
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -73,7 +71,9 @@ class Fault(NamedTuple):
     def changed(self, source: str) -> str:
         """Return the source with the fault. Raises ValueError unless it has `old` once."""
         if source.count(self.old) != 1:
-            raise ValueError(f"{self.name}: {self.file} has {source.count(self.old)} times {self.old!r}")
+            raise ValueError(
+                f"{self.name}: {self.file} has {source.count(self.old)} times {self.old!r}"
+            )
         return source.replace(self.old, self.new)
 
 
@@ -92,7 +92,9 @@ class Copy:
         _git("clone", "--quiet", "--shared", str(ROOT), str(self.root))
         for name in _git("diff", "--name-only", "--no-renames", "HEAD").splitlines():
             (self.root / name).unlink(missing_ok=True)
-        changed = _git("diff", "--name-only", "--no-renames", "--diff-filter=d", "HEAD").splitlines()
+        changed = _git(
+            "diff", "--name-only", "--no-renames", "--diff-filter=d", "HEAD"
+        ).splitlines()
         for name in [*changed, *_git("ls-files", "--others", "--exclude-standard").splitlines()]:
             (self.root / name).parent.mkdir(parents=True, exist_ok=True)
             (self.root / name).write_bytes((ROOT / name).read_bytes())
@@ -106,11 +108,15 @@ class Copy:
             **os.environ,
             "PYTHONPATH": str(hook),
             "XDG_CACHE_HOME": str(folder / "cache"),
+            # bytecode is kept also where the shell says that it shall not be: pytest starts often
+            "PYTHONDONTWRITEBYTECODE": "",
         }
         self._check_imports()
 
     def _check_imports(self) -> None:
-        program = "import rollerrig.rig, rollerrig; print(rollerrig.__file__, rollerrig.rig.__file__)"
+        program = (
+            "import rollerrig.rig, rollerrig; print(rollerrig.__file__, rollerrig.rig.__file__)"
+        )
         printed = subprocess.run(
             [sys.executable, "-c", program],
             cwd=self.root,
@@ -230,26 +236,17 @@ def main() -> int:
     for fault in chosen:
         fault.changed((ROOT / fault.file).read_text())
 
+    # a copy and its processes also end with this program
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    results = []
     with tempfile.TemporaryDirectory(prefix="rollerrig-mutants-") as folder:
-        copies: queue.SimpleQueue[Copy] = queue.SimpleQueue()
-        for number in range(given.jobs):
-            copies.put(Copy(Path(folder) / str(number)))
-
-        def judge(fault: Fault) -> tuple[Fault, str]:
-            copy = copies.get()
-            try:
-                tier, test = found_by(copy, fault, tiers, given.whole)
-            finally:
-                copies.put(copy)
-            print(f"{fault.name:34} {tier:10} {test}", flush=True)
-            return fault, tier
-
+        copy = Copy(Path(folder))
         if not given.unchecked:
-            copy = copies.get()
             check_unchanged(copy, chosen, tiers)
-            copies.put(copy)
-        with ThreadPoolExecutor(given.jobs) as workers:
-            results = list(workers.map(judge, chosen))
+        for fault in chosen:
+            tier, test = found_by(copy, fault, tiers, given.whole)
+            print(f"{fault.name:34} {tier:10} {test}", flush=True)
+            results.append((fault, tier))
     return 0 if report(results, tiers) else 1
 
 
@@ -257,7 +254,6 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("names", nargs="*", metavar="NAME", help="faults; all of the table if none")
     parser.add_argument("--tier", choices=(*TIERS, "both"), default="both")
-    parser.add_argument("--jobs", type=int, default=1, help="faults at the same time")
     parser.add_argument(
         "--whole", action="store_true", help="run a whole tier where the named tests find nothing"
     )
