@@ -14,16 +14,20 @@ find all. Faults with `found = "none"` do not count: their row states why no tes
 
 import argparse
 import contextlib
+import importlib
 import os
 import signal
 import subprocess
 import sys
 import tempfile
+import time
 import tomllib
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, NoReturn
+
+import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 TABLE = Path(__file__).with_suffix(".toml")
@@ -34,7 +38,28 @@ FOUND_BY_TEST_TIER = 0.95
 NAMED_TESTS_S = 3600
 WHOLE_TIER_S = 6 * 3600
 # exit status of pytest
-PASSED, FAILED, NO_TESTS = 0, 1, 5
+PASSED, NO_TESTS = 0, 5
+# exit status of a child in which pytest does not run
+BROKEN = 70
+# time between two looks at a child
+_POLL_S = 0.1
+# Packages of other people that most tests import. They are imported once, and each run of pytest is
+# a fork of this process. Packages of the copy are imported after the fork.
+PRELOADED = (
+    "hypothesis",
+    "numpy",
+    "scipy.ndimage",
+    "scipy.optimize",
+    "scipy.signal",
+    "scipy.stats",
+    "pyarrow.parquet",
+    "can",
+    "canopen",
+    "cantools",
+    "pymodbus.server",
+    "rich.table",
+    "matplotlib.figure",
+)
 NOT_FOUND = "not found"
 # sitecustomize.py: Python then imports the packages of the copy in place of those of this checkout
 IMPORT_COPY = """import sys
@@ -100,17 +125,18 @@ class Copy:
             (self.root / name).write_bytes((ROOT / name).read_bytes())
         (self.root / ".venv").symlink_to(sys.prefix)
 
-        hook = folder / "import_copy"
-        hook.mkdir()
+        self.hook = folder / "import_copy"
+        self.hook.mkdir()
         text = IMPORT_COPY.format(root=str(ROOT), copy=str(self.root))
-        (hook / "sitecustomize.py").write_text(text)
+        (self.hook / "sitecustomize.py").write_text(text)
         self.environment = {
             **os.environ,
-            "PYTHONPATH": str(hook),
+            "PYTHONPATH": str(self.hook),
             "XDG_CACHE_HOME": str(folder / "cache"),
-            # bytecode is kept also where the shell says that it shall not be: pytest starts often
+            # bytecode is kept also where the shell says that it shall not be
             "PYTHONDONTWRITEBYTECODE": "",
         }
+        self._faults = 0  # applied so far
         self._check_imports()
 
     def _check_imports(self) -> None:
@@ -132,26 +158,38 @@ class Copy:
         """Run tests with these marks. Return pytest's exit status, None after a timeout, and the
         output.
         """
-        command = [sys.executable, "-m", "pytest", "-x", "-p", "no:cacheprovider", "--tb=short"]
-        with subprocess.Popen(
-            [*command, "-m", marks, *tests],
-            cwd=self.root,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            start_new_session=True,
-        ) as process:
+        words = ["-x", "-p", "no:cacheprovider", "--tb=short", "-m", marks, *tests]
+        with tempfile.TemporaryFile() as output:
+            child = os.fork()
+            if child == 0:
+                self._run_in_child(words, output.fileno())
             try:
-                output, _ = process.communicate(timeout=timeout_s)
-            except subprocess.TimeoutExpired:
-                return None, ""
+                status = _wait(child, timeout_s)
             finally:
                 # also processes that a failed test has left
                 with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)
-        return process.returncode, output
+                    os.killpg(child, signal.SIGKILL)
+            output.seek(0)
+            return status, output.read().decode(errors="replace")
+
+    def _run_in_child(self, words: list[str], output: int) -> NoReturn:
+        """Run pytest in this process, a child with its own group of processes, and exit."""
+        status = BROKEN
+        try:
+            os.setsid()
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            os.dup2(os.open(os.devnull, os.O_RDONLY), sys.stdin.fileno())
+            os.dup2(output, sys.stdout.fileno())
+            os.dup2(output, sys.stderr.fileno())
+            os.chdir(self.root)
+            os.environ.update(self.environment)
+            sys.dont_write_bytecode = False
+            sys.path[:] = [str(self.root), *sys.path[1:]]
+            exec((self.hook / "sitecustomize.py").read_text(), {})
+            status = int(pytest.main(words))
+            sys.stdout.flush()
+        finally:
+            os._exit(status)
 
     @contextlib.contextmanager
     def with_fault(self, fault: Fault) -> Any:
@@ -161,12 +199,24 @@ class Copy:
         state = path.stat()
         path.write_text(fault.changed(source))
         # Python compiles a source again only if its size or its time in seconds has changed
-        os.utime(path, (state.st_atime, state.st_mtime + 10))
+        self._faults += 1
+        os.utime(path, (state.st_atime, state.st_mtime + 10 * self._faults))
         try:
             yield
         finally:
             path.write_text(source)
             os.utime(path, ns=(state.st_atime_ns, state.st_mtime_ns))
+
+
+def _wait(child: int, timeout_s: float) -> int | None:
+    """Return the exit status of a child process, None if it has none after a timeout."""
+    end_s = time.monotonic() + timeout_s
+    while time.monotonic() < end_s:
+        ended, status = os.waitpid(child, os.WNOHANG)
+        if ended:
+            return os.waitstatus_to_exitcode(status)
+        time.sleep(_POLL_S)
+    return None
 
 
 def _git(*words: str) -> str:
@@ -236,6 +286,8 @@ def main() -> int:
     for fault in chosen:
         fault.changed((ROOT / fault.file).read_text())
 
+    for name in PRELOADED:
+        importlib.import_module(name)
     # a copy and its processes also end with this program
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     results = []
