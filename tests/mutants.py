@@ -245,7 +245,7 @@ def failing_test(status: int | None, output: str) -> str:
         return ""
     for line in output.splitlines():
         if line.startswith(("FAILED ", "ERROR ")):
-            return line.split()[1]
+            return line.partition(" ")[2].partition(" - ")[0]
     return f"pytest exits with {status}"
 
 
