@@ -22,6 +22,7 @@ import sys
 import tempfile
 import time
 import tomllib
+import traceback
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
@@ -187,8 +188,11 @@ class Copy:
             sys.path[:] = [str(self.root), *sys.path[1:]]
             exec((self.hook / "sitecustomize.py").read_text(), {})
             status = int(pytest.main(words))
-            sys.stdout.flush()
+        except BaseException:
+            traceback.print_exc()
         finally:
+            sys.stdout.flush()
+            sys.stderr.flush()
             os._exit(status)
 
     @contextlib.contextmanager
@@ -267,6 +271,9 @@ def report(results: list[tuple[Fault, str]], tiers: Iterable[str]) -> bool:
         here = Counter(tier for fault, tier in judged if fault.room == room)
         print(f"{room:40} " + ", ".join(f"{tier} {here[tier]}" for tier in sorted(here)))
     print(f"{len(judged)} faults: " + ", ".join(f"{tier} {by_tier[tier]}" for tier in by_tier))
+    for fault, tier in results:
+        if fault.found == "none":
+            print(f"not counted: {fault.name} ({tier}): {fault.reason}")
 
     enough = True
     if "test" in tiers:
