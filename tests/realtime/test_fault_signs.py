@@ -4,12 +4,9 @@ import pytest
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.drive402.drive import OVER_TEMPERATURE
-from rollerrig.realtime.discover import bus_signs, discover, fault_signs, sealed_rig
+from rollerrig.realtime.discover import discover, fault_signs, sealed_rig
 from rollerrig.realtime.record import records
 from rollerrig.rig.identify.next_stops.prototype import Stop
-from rollerrig.wsp_interface.bus.connection_set import EMERGENCY
-from rollerrig.wsp_interface.bus.frames import Frame, candump_line
 from rollerrig.wsp_interface.events import Code
 
 
@@ -30,14 +27,6 @@ def run_stop(folder, *hidden, speed_m_s=12.0, **tables):
 
 def find_out(rig, out):
     return discover.find_out(rig, out, 3, 0, lambda _: None, lambda *_: None)
-
-
-def test_a_hot_drive_is_found_by_the_code_that_it_reports(tmp_path):
-    code = OVER_TEMPERATURE.to_bytes(2, "little")
-    frame = Frame(EMERGENCY + 2, code + bytes(6), time_ns=100_000_000)
-    (tmp_path / "can.log").write_text(candump_line(frame) + "\n")
-    run = records.Run(tmp_path, None, {}, [], {})
-    assert bus_signs.of(run) == ["drive_over_temperature axle=2"]
 
 
 @pytest.mark.parametrize(
