@@ -121,9 +121,10 @@ SLIDES_FIRST = [1.0] * 100 + [0.0] * 100
         ([2.0] * 200, [Code.WSP_VENTS_ON]),
         ([2.0] * 148 + [0.0] * 52, []),  # it closes in time
         ([2.0] * 145 + [1.0] + [2.0] * 4 + [0.0] * 50, []),  # holds in between
+        ([2.0] * 110 + [1.0] * 90, []),
         ([0.0] * 200, []),
     ],
-    ids=["stays open", "closes", "holds", "fills"],
+    ids=["stays open", "closes", "holds", "holds on", "fills"],
 )
 def test_a_vent_that_began_in_a_slide_may_stay_open_for_half_a_second_after_it(valves, found):
     assert findings_of_axle_1(SLIDES_FIRST, valves) == found
