@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 # each test starts processes: bytecode is kept also where the shell says that it shall not be
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test nightly kernel-can lint format docs pictures bench performance clean
+.PHONY: demo test nightly mutants kernel-can lint format docs pictures bench performance clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --also-without-wsp --out runs/demo
@@ -32,6 +32,10 @@ kernel-can: $(VENV)/ready-dev
 	$(BIN)/python tests/compile_kernels.py
 	$(BIN)/python tests/kernel_can/guest.py $(BIN)/python -m pytest -rs -p no:xdist -p no:cacheprovider \
 	  tests/kernel_can tests/wsp_interface/test_buses.py tests/wsp_interface/test_hub.py
+
+# which tests find faults that a developer could make (tests/mutants.toml), or some: make mutants FAULTS="hold_timer"
+mutants: $(VENV)/ready-dev
+	$(BIN)/python tests/mutants.py $(FAULTS)
 
 lint: $(VENV)/ready-dev
 	$(BIN)/ruff check .

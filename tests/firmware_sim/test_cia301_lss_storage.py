@@ -100,6 +100,21 @@ def test_an_identifier_that_is_not_allowed_is_refused(wire, lss):
             lss.configure_node_id(node_id)
 
 
+@pytest.mark.parametrize(("outside", "answers"), [(0, True), (1, False)])
+def test_a_node_answers_to_a_range_that_contains_its_numbers(wire, lss, outside, answers):
+    vendor, product, revision, serial = identity(wire.encoder())
+    for command, number in (
+        (0x46, vendor),
+        (0x47, product),
+        (0x48, revision),
+        (0x49, revision),
+        (0x4A, serial + outside),
+        (0x4B, serial + outside),
+    ):
+        wire.send(0x7E5, struct.pack("<BI3x", command, number))
+    assert wire.take(0x7E4) == [b"\x4f" + bytes(7)] * answers
+
+
 @pytest.mark.conformance("CiA 305", "LSS fastscan")
 def test_fastscan_finds_a_node_without_identifier(wire, lss):
     node = encoder406.build(wire.row)

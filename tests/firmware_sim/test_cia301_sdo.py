@@ -1,11 +1,13 @@
 """SDO server: the client of canopen over the hub, and raw requests that no client sends."""
 
+import can
 import canopen
 import pytest
 
 from rollerrig.firmware_sim.cia301 import communication, dictionary
 from rollerrig.firmware_sim.cia301.dictionary import Identity, Row
 from rollerrig.firmware_sim.cia301.node import Node
+from rollerrig.wsp_interface.bus.sdo_client import SdoClient
 
 NODE = 9
 IDENTITY = Identity(
@@ -259,3 +261,20 @@ def test_every_object_of_every_node_is_readable_or_write_only(wire):
                 assert not variable.fixed_size or len(data) == len(variable) // 8
             else:
                 assert wire.read(node.node_id, at >> 8, at & 0xFF) == 0x06010001
+
+
+def test_the_client_of_harnesses_reads_a_text_of_several_segments(wire):
+    wire.brake()
+    answers = []
+
+    def send(message):
+        wire.send(message.arbitration_id, bytes(message.data))
+        answers.extend(wire.take(0x591))
+
+    def read(timeout_s):
+        return can.Message(arbitration_id=0x591, data=answers.pop(0), is_extended_id=False)
+
+    client = SdoClient(send, read, pass_on=print)
+    assert client.read(17, 0x1008, 0) == b"brake I/O"
+    client.write(17, 0x1017, 0, (250).to_bytes(2, "little"))
+    assert client.read(17, 0x1017, 0) == b"\xfa\0"

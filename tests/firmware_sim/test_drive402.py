@@ -342,10 +342,24 @@ def test_profile_velocity_ramps_to_the_target_and_reports_that_it_is_reached(wir
     assert status(wire) & states.TARGET_REACHED == 0
     wire.run(300)
     set_signal(wire, "roller_speed", 5.0)
-    wire.run(20)
+    wire.run(5)
+    assert status(wire) & states.TARGET_REACHED == 0  # within the window time of 10 ms
+    wire.run(15)
     assert status(wire) & states.TARGET_REACHED
     assert status(wire) & states.SPEED_ZERO == 0
     assert wire.read(1, 0x606B) == (50_000).to_bytes(4, "little")
+
+
+def test_a_reversal_begins_with_the_deceleration(wire, drive):
+    wire.write(1, 0x6060, 0, PROFILE_VELOCITY, 1)
+    wire.write(1, 0x6083, 0, 100_000, 4)  # 10 rad/s2
+    wire.write(1, 0x6084, 0, 200_000, 4)  # 20 rad/s2
+    wire.write(1, 0x60FF, 0, 50_000, 4)
+    control(wire, *WALK[ENABLED])
+    wire.run(600)
+    wire.write(1, 0x60FF, 0, -60_000 & 0xFFFFFFFF, 4)
+    wire.run(100)
+    assert drive.device.axis.commands[axis.VELOCITY_rad_s] == pytest.approx(3.0)
 
 
 @pytest.mark.conformance("CiA 402", "repeated PDOs do not disturb a ramp")

@@ -9,12 +9,14 @@ import pytest
 from faulty_run import PLAN, samples
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.faults import catalogue, effects, panel
+from rollerrig.firmware_sim.faults import bus, catalogue, effects, panel
+from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.realtime.bench import bench, fault_registers, options, scenario, tick_data
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import events, signals
+from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
 # begin and end of each fault in seconds
@@ -686,6 +688,24 @@ def test_a_fault_is_chosen_injected_and_lifted_over_modbus():
     assert not rig.array.any()
     codes = [event.code for event in rig.events]
     assert codes == [Code.FAULT_BEGINS, Code.FAULT_LIFTED] * 2
+
+
+def test_each_of_two_swapped_sensors_shows_the_speed_of_the_other_axle():
+    rig = RigWithoutBus()
+    rig.faults.inject("swapped_axles", axle=2, other=3)
+    assert rig.array[effects.slot(effects.SOURCE, 2)] == 3
+    assert rig.array[effects.slot(effects.SOURCE, 3)] == 2
+
+
+@pytest.mark.parametrize(("every", "lost"), [(1, [0, 1, 2, 3, 4, 5]), (2, [1, 3, 5]), (3, [2, 5])])
+def test_a_rule_of_the_gate_meets_every_nth_frame_of_its_identifier(every, lost):
+    gate = bus.Gate(Controllers(lambda *_: None))
+    (rule,) = bus.rules_of("frame_lost", {"can_id": 0x190, "every": every})
+    gate.add(rule)
+    passed = [gate.passes(Frame(0x190, b""), 16, lambda: None) for _ in range(6)]
+    assert [at for at, passes in enumerate(passed) if not passes] == lost
+    assert gate.passes(Frame(0x191, b""), 16, lambda: None)
+    assert (rule.count, rule.hit) == (6, len(lost))
 
 
 def test_an_impossible_fault_is_refused_over_modbus_and_reported():

@@ -87,6 +87,15 @@ def test_a_stop_of_a_campaign_ends_where_the_coach_derails_and_is_not_valid(coac
     assert " left its rail after " in reason
 
 
+def test_a_wheel_that_has_left_its_rail_is_reported_with_its_side_and_its_wheelset(watch):
+    look, events_seen, _ = watch
+    buffer = np.zeros(SIZE + coach_state.SIZE)
+    coach_state.views(buffer[SIZE:]).left[5] = 120.0
+    look.look(buffer)
+    (event,) = events_seen
+    assert event.fields == {"side": "right", "axle": 3, "distance_m": 120.0}
+
+
 def test_a_planar_vehicle_cannot_derail(watch):
     look, events_seen, stopped = watch
     planar = tick_data.build(scenario.load("velim_a1"), Rows())

@@ -121,9 +121,10 @@ SLIDES_FIRST = [1.0] * 100 + [0.0] * 100
         ([2.0] * 200, [Code.WSP_VENTS_ON]),
         ([2.0] * 148 + [0.0] * 52, []),  # it closes in time
         ([2.0] * 145 + [1.0] + [2.0] * 4 + [0.0] * 50, []),  # holds in between
+        ([2.0] * 110 + [1.0] * 90, []),
         ([0.0] * 200, []),
     ],
-    ids=["stays open", "closes", "holds", "fills"],
+    ids=["stays open", "closes", "holds", "holds on", "fills"],
 )
 def test_a_vent_that_began_in_a_slide_may_stay_open_for_half_a_second_after_it(valves, found):
     assert findings_of_axle_1(SLIDES_FIRST, valves) == found
@@ -133,6 +134,25 @@ def test_a_vent_that_began_in_a_slide_may_stay_open_for_half_a_second_after_it(v
 def test_a_wheel_that_slips_in_either_direction_slides(sliding_m_s):
     assert vent_of_axle_1(0.0) == [Code.WSP_VENTS_WITHOUT_SLIDING]
     assert vent_of_axle_1(sliding_m_s) == []
+
+
+@pytest.mark.parametrize(("sliding", "swaps"), [((2,), [(1, 2)]), ((2, 3), [])])
+def test_swapped_axles_are_reported_only_where_one_other_axle_slides_unprotected(sliding, swaps):
+    found = []
+    one = Diagnosis(lambda code, /, **fields: found.append((code, fields)))
+    for cycle in range(300):
+        one.look(
+            Sample(
+                time_s=0.01 * cycle,
+                speed_m_s=10.0,
+                sliding_m_s=[8.0 if axle in sliding else 0.0 for axle in range(1, 5)],
+                valves=[2.0, 0.0, 0.0, 0.0],
+                reference_m_s=10.0,
+                brake_demand_Pa=3.8e5,
+            )
+        )
+    swapped = [fields for code, fields in found if code == Code.WSP_AXLES_SWAPPED]
+    assert [(fields["axle"], fields["other"]) for fields in swapped] == swaps
 
 
 def test_swapped_axles_are_found_and_named():

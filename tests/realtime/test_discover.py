@@ -63,7 +63,16 @@ def test_only_the_key_of_a_sealed_rig_shows_what_it_hides_and_a_seed_repeats_bot
         sealed(tmp_path, seed=seed)
         assert rig.read_text() == text
         assert key.read_text() == words
-    assert len({str(sealed_rig.draw(seed)) for seed in range(20)}) == 20
+    hidden = [sealed_rig.draw(seed) for seed in range(60)]
+    assert len(set(map(str, hidden))) == 60
+    axles = {
+        row[key]
+        for rig in hidden
+        for row in (rig["mechanisms"], *rig["fault"])
+        for key in row
+        if key.endswith("axle")
+    }
+    assert axles == {1, 2, 3, 4}
 
 
 def test_sealed_effects_act_and_no_file_of_a_run_shows_them(tmp_path, capsys) -> None:

@@ -155,6 +155,7 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     assert one.read("scenario") == wanted
     assert one.write("scenario", 999) == ILLEGAL_VALUE
     assert one.write("speed_set_point", 20) == ILLEGAL_VALUE
+    assert one.write("speed_set_point", 8100) == ILLEGAL_VALUE  # the rollers reach 80 m/s
     assert one.write("speed_set_point", 500) == 0
     assert one.write("brake_demand_set_point", 0) == 0
     one.until("at_set_speed", bool)

@@ -165,6 +165,13 @@ def test_samples_after_the_stop_change_no_mean():
     assert axle_3["adhesion_mean"] == pytest.approx(0.1, rel=0.01)
 
 
+def test_the_control_error_is_the_largest_and_the_root_mean_square_over_all_axles():
+    columns = braked()
+    columns["tracking_error_3_m_s"][:] = -0.02
+    tracking = summary.of(columns, COUNTERS, SCENARIO)["tracking"]
+    assert tracking == {"max_m_s": pytest.approx(0.02), "rms_m_s": pytest.approx(0.01)}
+
+
 def test_energy_is_the_sliding_work_of_the_stop():
     result = summary.of(braked(), COUNTERS, SCENARIO)
     _, axle_2, _, _ = result["axles"]

@@ -136,6 +136,9 @@ def test_a_margin_is_the_distance_to_the_limit_as_a_share_of_the_limit():
     failed = judged(limit("longest_lock", high=0.4))
     assert failed.result is Result.FAIL
     assert failed.margin == pytest.approx(-0.25)
+    least = judged(limit("longest_lock", low=0.4))
+    assert least.result is Result.PASS
+    assert least.margin == pytest.approx(0.25)
 
 
 def test_a_limit_of_zero_has_no_margin_but_a_result():

@@ -5,6 +5,7 @@ import pytest
 
 from rollerrig.realtime.reports import recorder as report
 from rollerrig.rig.identify.train_recorder import recording, verdict
+from rollerrig.rig.identify.train_recorder.alignment import Scale
 from rollerrig.rig.identify.train_recorder.findings import OffsetOrDelay, ScaleOrOffset
 
 RATE_HZ = 10.0
@@ -94,3 +95,12 @@ def test_at_one_speed_a_factor_and_an_offset_of_the_reference_are_unknown(tmp_pa
     assert unknown.details.scale_percent == pytest.approx(4.0, abs=0.3)
     assert unknown.details.offset_m_s == pytest.approx(1.0, abs=0.1)
     assert "record low and high speeds" in " ".join(report.story(account))
+
+
+def test_a_scale_gives_the_true_speeds_of_recorded_ones_and_back():
+    scale = Scale(ratio=0.02, offset_m_s=0.4)
+    recorded = scale.recorded(np.array([0.5, 10.0]))
+    np.testing.assert_allclose(recorded, [0.91, 10.6])
+    np.testing.assert_allclose(scale.corrected(recorded), [0.5, 10.0])
+    # a wheel that stands does not roll backwards because of the offset
+    assert scale.corrected(np.array([0.0])) == [0.0]

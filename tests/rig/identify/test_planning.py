@@ -128,6 +128,15 @@ def test_without_candidates_nothing_is_proposed(fitted: FittedData) -> None:
     assert planning.propose(planning.library(fitted, [], silent), 3) == []
 
 
+def test_possible_stops_vary_speed_pressure_and_mass() -> None:
+    stops = planning.possible(dataset.load("open_none"), ())
+    full = {stop for stop in stops if stop.axle == 0 and stop.held_s == 0.0}
+    assert {stop.pressure_Pa for stop in full} == set(planning.PRESSURES_PA)
+    assert len(full) == len(planning.SPEEDS_M_S) * len(planning.PRESSURES_PA) * 2
+    masses_kg = {stop.mass_kg for stop in full}
+    assert max(masses_kg) == planning.LADEN * min(masses_kg)
+
+
 def test_every_possible_stop_is_a_sequence_that_is_accepted(
     fitted: FittedData, speed_or_time: Library, tmp_path, capsys
 ) -> None:

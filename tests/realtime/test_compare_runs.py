@@ -1,0 +1,68 @@
+"""`compare` finds the channels that differ by more than their tolerance, and its exit status."""
+
+import json
+
+import numpy as np
+import pytest
+
+from rollerrig.realtime import cli
+from rollerrig.realtime.record.channels import Channels
+from rollerrig.wsp_interface import signals
+
+RECORD_HZ = 100.0
+
+
+def recorded(folder, rows, speed_m_s, summary):
+    """Write the folder of a run at a constant speed, with a spike of the first sliding at 0.5 s."""
+    values = np.zeros((rows, len(signals.COLUMNS)))
+    values[:, signals.column("time")] = np.arange(rows) / RECORD_HZ
+    values[:, signals.column("vehicle_speed")] = speed_m_s
+    values[50, signals.column("sliding", 1)] = speed_m_s - 20.0
+    folder.mkdir()
+    writer = Channels(folder)
+    writer.add(values)
+    writer.finish()
+    (folder / "scenario.toml").write_text('title = "a run"\n')
+    (folder / "summary.json").write_text(json.dumps(summary))
+    return str(folder)
+
+
+@pytest.fixture
+def folders(tmp_path):
+    """The folders of two runs that differ by 0.3 m/s; the second one is longer."""
+    summary = {"valid": True, "invalid_because": []}
+    return (
+        recorded(tmp_path / "a", 100, 20.0, summary),
+        recorded(tmp_path / "b", 120, 20.3, summary),
+    )
+
+
+@pytest.mark.parametrize(
+    ("tolerances", "status"),
+    [
+        ((), 0),
+        (("m_s=0.31",), 0),
+        (("m_s=0.29",), 1),
+        # the tolerance of a channel replaces that of its unit
+        (("m_s=0.31", "sliding_1_m_s=0.29"), 1),
+        (("m_s=0.29", "sliding_1_m_s=0.31", "vehicle_speed_m_s=0.31"), 0),
+    ],
+)
+def test_a_difference_above_its_tolerance_gives_status_1(folders, capsys, tolerances, status):
+    options = [word for tolerance in tolerances for word in ("--tolerance", tolerance)]
+    assert cli.main(["compare", *folders, *options, "--json"]) == status
+    printed = json.loads(capsys.readouterr().out)
+    assert printed["passed"] is (status == 0)
+
+
+def test_a_difference_has_its_largest_value_with_its_time_and_its_root_mean_square(folders, capsys):
+    cli.main(["compare", *folders, "--json"])
+    printed = json.loads(capsys.readouterr().out)
+    by_channel = {row["channel"]: row for row in printed["differences"]}
+    sliding = by_channel["sliding_1_m_s"]
+    assert sliding["largest"] == pytest.approx(0.3)
+    assert sliding["at_s"] == 0.5
+    # one sample of a hundred differs
+    assert sliding["rms"] == pytest.approx(0.03)
+    assert by_channel["vehicle_speed_m_s"]["rms"] == pytest.approx(0.3)
+    assert by_channel["sliding_2_m_s"]["largest"] == 0.0
