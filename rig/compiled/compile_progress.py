@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from rollerrig.rig.compiled import compile_lock, numba_import
+from rollerrig.rig.compiled import numba_import
 
 # isort: split
 from numba.core import event
@@ -99,9 +99,7 @@ class _CompileListener(event.Listener):
                     "compiling: %s",
                     self._progress(now_s - begin_s, self.compiled - compiled_before),
                 )
-        # first: who takes the lock from now on finds no thread, and starts one that releases it
         self._thread = None
-        compile_lock.release()
         if is_announced:
             log.warning(
                 "compiled %d kernels in %.0f s",

@@ -20,6 +20,7 @@ class LazyCache:
     def __init__(self, function: Any, counts_references: bool) -> None:
         """`counts_references` is true for a kernel that allocates memory."""
         self._function = function
+        self._name = f"{function.__module__}.{function.__qualname__}"
         self._counts_references = counts_references
         self._opened: Any = None
 
@@ -40,14 +41,20 @@ class LazyCache:
             rtsys.initialize(context)
         with numba_import.without_linear_algebra():
             loaded = self._open()._load_overload(signature, context)
-            if loaded is None and compile_lock.take():
+            locks = compile_lock.opened()
+            if loaded is None and locks:
+                locks.take(self._name)
                 # another process may have compiled it while this one waited
                 loaded = self._open()._load_overload(signature, context)
-                if loaded is not None:
-                    compile_lock.release()
             return loaded
 
     def save_overload(self, signature: Any, compiled: Any) -> None:
         """Keep the compiled code for a signature; it belongs to the time of compiling."""
         with compile_progress.saving():
             self._open().save_overload(signature, compiled)
+
+    def end_compiling(self) -> None:
+        """Let other processes load or compile the kernel, also if this one has failed."""
+        locks = compile_lock.opened()
+        if locks:
+            locks.release(self._name)

@@ -15,6 +15,7 @@ Source: numba/core/dispatcher.py and numba/core/codegen.py.
 from typing import Any
 
 from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import of numba
+from rollerrig.rig.compiled.lazy_cache import LazyCache
 
 # isort: split
 from numba.core import codegen, compiler, dispatcher, event, types, typing
@@ -78,6 +79,14 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
         )
         # numba's results of compiling, by the types of the arguments
         self._parts: dict[tuple[Any, ...], Any] = {}
+
+    def compile(self, sig: Any) -> Any:
+        """Compile the kernel for a call by Python, or load it from the cache."""
+        try:
+            return super().compile(sig)
+        finally:
+            if isinstance(self._cache, LazyCache):
+                self._cache.end_compiling()
 
     def get_call_template(self, args: Any, kws: Any) -> tuple[Any, ...]:
         """Return the signature of this kernel for a call by a kernel; compile it if necessary."""

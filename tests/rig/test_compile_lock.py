@@ -1,6 +1,5 @@
 """One process compiles, the others wait and load: kernels are compiled once, and nobody hangs."""
 
-import fcntl
 import os
 import signal
 import subprocess
@@ -9,7 +8,7 @@ import time
 
 import pytest
 
-from rollerrig.rig.compiled import compile_lock, kernel_cache
+from rollerrig.rig.compiled import compile_lock
 
 # a module with a kernel that needs some time to compile: its loops are unrolled by hand
 MODULE = """
@@ -120,18 +119,22 @@ def test_a_process_that_is_suspended_while_it_compiles_blocks_nobody_for_ever(pr
     assert compiled(second) > 0
 
 
-def test_a_forked_process_does_not_keep_the_lock(processes, tmp_path, monkeypatch):
-    monkeypatch.setattr(kernel_cache, "folder", lambda: tmp_path)
-    lock = compile_lock._CompileLock()
-    assert lock.take()
+def test_a_forked_process_does_not_keep_a_lock(tmp_path):
+    here = compile_lock.CompileLock(tmp_path)
+    here.take("kernel")
     child = os.fork()
     if child == 0:
         signal.pause()
     try:
-        lock.release()
-        descriptor = os.open(tmp_path / compile_lock.LOCK_FILE, os.O_RDWR)
-        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        os.close(descriptor)
+        here.release("kernel")
+        # a lock of another process would be an error here
+        program = (
+            "import sys; from pathlib import Path;"
+            "from rollerrig.rig.compiled.compile_lock import CompileLock;"
+            "sys.exit(not CompileLock(Path(sys.argv[1]))._try('kernel'))"
+        )
+        done = subprocess.run([sys.executable, "-c", program, str(tmp_path)])
+        assert done.returncode == 0
     finally:
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
