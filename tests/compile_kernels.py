@@ -15,12 +15,12 @@ from pathlib import Path
 
 import ending
 
+from rollerrig.realtime import cli
 from rollerrig.rig.compiled import kernel_cache
 
 ROOT = Path(__file__).parent.parent
 # exit status of a run that has passed, and of one that is not valid: a short run does not stop
 ACCEPTED = (0, 4)
-WORKERS = 2
 
 RUN = (
     "run",
@@ -35,30 +35,24 @@ RUN = (
     "modbus.port=0",
 )
 COACH = (*RUN, "--pacing", "free", "--set", "vehicle.model=multibody", "--set")
-# the generators of stops are no command, so their kernels need a program
-GENERATORS = """import sys
-from pathlib import Path
-from generator import braking_stops, other_stops
-other_stops.make(Path(sys.argv[-1]), {}, 1, ("a3",))
-braking_stops.make(Path(sys.argv[-1]), {}, 1)
-"""
 CAMPAIGN = """title = "two short stops"
 scenario = "velim_a1"
 design = "matrix"
 [vary]
 initial_speed_m_s = [1.0, 2.0]
 """
-# Series of commands; a worker runs the commands of a series one after another. The longest series
-# is first. A text is a Python program.
+# Series of commands; a process runs the commands of a series one after another, so that each kernel
+# which several of them need is compiled once.
 SERIES = (
-    ((*RUN, "--pacing", "wall"), (*RUN, "--pacing", "lockstep"), (*RUN, "--pacing", "free")),
-    ((*COACH, "rig=plain_track"), (*COACH, "rig=virtual_track")),
     (
-        ("tune", "velim_synthetic"),
-        ("campaign", "CAMPAIGN"),
+        (*RUN, "--pacing", "wall"),
+        (*RUN, "--pacing", "lockstep"),
+        (*RUN, "--pacing", "free"),
         (*RUN, "--pacing", "free", "--wsp", "none"),
-        GENERATORS,
+        (*COACH, "rig=plain_track"),
+        (*COACH, "rig=virtual_track"),
     ),
+    (("tune", "velim_synthetic"), ("campaign", "CAMPAIGN"), "generators"),
 )
 
 
@@ -71,11 +65,11 @@ def main():
     print("compiling kernels ...", flush=True)
     with (
         tempfile.TemporaryDirectory(prefix="rollerrig-compile-") as folder,
-        ThreadPoolExecutor(WORKERS) as workers,
+        ThreadPoolExecutor(len(SERIES)) as workers,
     ):
         running = []
-        for number, commands in enumerate(SERIES):
-            running.append(workers.submit(run_series, commands, Path(folder) / str(number)))
+        for number in range(len(SERIES)):
+            running.append(workers.submit(start_series, number, Path(folder) / str(number)))
         for series in running:
             series.result()
     if mark:
@@ -92,30 +86,45 @@ def mark_of_this_checkout():
     return folder / f"compiled-{digest}"
 
 
-def run_series(commands, folder):
-    """Run commands one after another, each with a result folder inside `folder`."""
+def start_series(number, folder):
+    """Run a series in a process; raise SystemExit with its messages if it fails."""
+    done = subprocess.run(
+        [sys.executable, __file__, str(number), str(folder)],
+        cwd=ROOT / "tests",
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    if done.returncode:
+        raise SystemExit(done.stderr)
+
+
+def run_series(number, folder):
+    """Run the commands of a series in this process, each with a result folder inside `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     plan = folder / "campaign.toml"
     plan.write_text(CAMPAIGN)
-    for number, words in enumerate(commands):
-        done = subprocess.run(
-            [sys.executable, *arguments_of(words, plan), "--out", str(folder / str(number))],
-            cwd=ROOT / "tests",
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-        )
-        if done.returncode not in ACCEPTED:
-            raise SystemExit(done.stderr)
+    for place, words in enumerate(SERIES[number]):
+        out = folder / str(place)
+        if words == "generators":
+            make_generated_stops(out)
+            continue
+        replaced = [str(plan) if word == "CAMPAIGN" else word for word in words]
+        status = cli.main([*replaced, "--out", str(out)])
+        if status not in ACCEPTED:
+            raise SystemExit(f"{' '.join(words)}: status {status}")
 
 
-def arguments_of(words, plan):
-    """Return the arguments of the interpreter for a program, or for the words of a command."""
-    if isinstance(words, str):
-        return ["-c", words]
-    replaced = [str(plan) if word == "CAMPAIGN" else word for word in words]
-    return ["-m", "rollerrig.realtime.cli", *replaced]
+def make_generated_stops(out):
+    """Make stops with the generators of the tests, which are no command."""
+    from generator import braking_stops, other_stops
+
+    other_stops.make(out, {}, 1, ("a3",))
+    braking_stops.make(out, {}, 1)
 
 
 if __name__ == "__main__":
-    main()
+    if len(sys.argv) > 1:
+        run_series(int(sys.argv[1]), Path(sys.argv[2]))
+    else:
+        main()

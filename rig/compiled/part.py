@@ -49,7 +49,7 @@ class KernelPipeline(compiler.CompilerBase):  # type: ignore[misc]
         return [steps]
 
 
-class _PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc]
+class _PartCompiler(dispatcher._FunctionCompiler):  # type: ignore[misc, name-defined]
     """Numba's compiler of one function, up to the LLVM code."""
 
     def _customize_flags(self, flags: Any) -> Any:
@@ -65,6 +65,10 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
     Where Python calls it, it is compiled as numba compiles any function. Where another kernel calls
     it, it is a part of that kernel.
     """
+
+    # of numba's base class, which has no published types
+    _cache: Any
+    _compiler: Any
 
     def __init__(
         self,
