@@ -59,20 +59,21 @@ class Truth(NamedTuple):
 
 
 @functools.cache
+def stop(kind, speed):
+    """Return the columns of a simulated stop."""
+    demand_and_friction = {"clean": CLEAN, "patch": PATCH}[kind]
+    first_Pa = {"clean": 1.5e5, "patch": 2.4e5}[kind]
+    text = SCENARIO.format(title=kind, speed=speed, first=first_Pa) + demand_and_friction
+    rows = free.simulate(scenario.read(tomllib.loads(text), Path(f"{kind}_{speed}.toml")))
+    return dict(zip(signals.COLUMNS, rows.T, strict=True))
+
+
 def stops(kind, speeds=SPEEDS):
     """Return the columns of simulated stops, by the names of the stops.
 
     `kind` is "clean" or "patch": without or with a slippery place.
     """
-    demand_and_friction = {"clean": CLEAN, "patch": PATCH}[kind]
-    first_Pa = {"clean": 1.5e5, "patch": 2.4e5}[kind]
-    columns_by_stop = {}
-    for speed in speeds:
-        text = SCENARIO.format(title=kind, speed=speed, first=first_Pa) + demand_and_friction
-        name = f"{kind}_{speed}"
-        rows = free.simulate(scenario.read(tomllib.loads(text), Path(f"{name}.toml")))
-        columns_by_stop[name] = dict(zip(signals.COLUMNS, rows.T, strict=True))
-    return columns_by_stop
+    return {f"{kind}_{speed}": stop(kind, speed) for speed in speeds}
 
 
 def record(true, rng, axles=4, reference=True, position=True):

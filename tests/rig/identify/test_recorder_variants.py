@@ -4,6 +4,7 @@ import functools
 
 import pytest
 import recorder_variants as variants
+from tiers import first_of
 
 from rollerrig.rig.identify.train_recorder import recording, verdict
 
@@ -15,7 +16,7 @@ def original(name):
 
 
 @pytest.mark.parametrize("form", variants.FORMS, ids=lambda form: form.name)
-@pytest.mark.parametrize("name", ["comma_60s_mit", "obd_gap_mit"])
+@pytest.mark.parametrize("name", first_of(["comma_60s_mit", "obd_gap_mit"]))
 def test_another_form_gives_the_same_answer_or_says_what_it_could_not_judge(name, form):
     source = variants.MEASURED / name
     if not variants.usable(source, form):
@@ -24,6 +25,7 @@ def test_another_form_gives_the_same_answer_or_says_what_it_could_not_judge(name
     assert not problems, f"{answer}: {problems}"
 
 
+@pytest.mark.nightly
 def test_a_false_report_and_a_missing_one_are_contradictions():
     first = original("obd_gap_mit")
     gap = next(finding for finding in first.findings if finding.name == "sensor_dropout")
