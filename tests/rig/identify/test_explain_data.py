@@ -114,7 +114,7 @@ def test_a_constant_channel_is_refused(copy: Path) -> None:
 def test_a_copy_cannot_validate(copy: Path) -> None:
     shutil.copy(copy / "runs" / "a1.csv", copy / "runs" / "b1.csv")
     edit(copy, "initial_speed_m_s = 41.1", "initial_speed_m_s = 42.3")
-    with pytest.raises(ConfigError, match="copy"):
+    with pytest.raises(ConfigError, match="have the same samples"):
         dataset.load(copy)
 
 
