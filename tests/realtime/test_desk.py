@@ -74,7 +74,7 @@ def test_no_spike_is_lost_in_the_points_that_a_page_receives(rings):
     (bench,) = reader.running(lambda pid: pid == os.getpid())
     spike_m_s = 3.3
     for number in range(1000):
-        sliding_m_s = spike_m_s if number == 637 else 0.0
+        sliding_m_s = {637: spike_m_s, 643: -spike_m_s}.get(number, 0.0)
         rows.push(row(0.01 * number, sliding=sliding_m_s))
         if number % 37 == 0:
             bench.poll()
@@ -82,8 +82,9 @@ def test_no_spike_is_lost_in_the_points_that_a_page_receives(rings):
 
     recent = np.array(bench.since(0))
     sliding = reader.COLUMNS.index("sliding_1_m_s")
-    assert recent[:, sliding].max() == spike_m_s
-    assert bench.whole[:, sliding].max() == spike_m_s
+    for points in (recent, bench.whole):
+        assert points[:, sliding].max() == spike_m_s
+        assert points[:, sliding].min() == -spike_m_s
 
     # a pair of points for each tenth of a second, except for the last one, which is not complete
     assert bench.points == 2 * 99

@@ -180,6 +180,12 @@ def test_every_cause_has_a_size_in_words(name: str) -> None:
     assert "-" not in text
 
 
+def test_a_size_is_in_the_unit_of_its_words() -> None:
+    assert sizes.in_words("track_gradient", -0.005) == "a gradient of 5 in 1000"
+    assert sizes.in_words("speed_sensor_delay", 0.0214) == "wheel speeds that are 21 ms late"
+    assert sizes.in_words("brake_gain", 0.05) == "a brake torque that is 5 % off"
+
+
 @pytest.mark.parametrize("name", [*columns.ALONG, "axle", "vehicle time", "wheel_angle"])
 def test_every_covariate_has_suspects_and_what_to_measure_next(name: str) -> None:
     one = suspects.suspect(name)

@@ -9,6 +9,7 @@ import pytest
 from rollerrig.realtime.campaign import campaign, outcome, stopping
 from rollerrig.realtime.record import figures
 from rollerrig.realtime.reports import campaign as report
+from rollerrig.realtime.reports.statistics import tail
 
 NOT_STOPPED = "the coach did not stop within 180 s (duration_max_s)"
 
@@ -100,3 +101,11 @@ def test_the_page_states_that_it_is_no_certificate_and_a_matrix_gives_no_statist
     assert text.count("<svg") == 1
     assert "for orientation" in "".join(report._stopping(plan("sobol"), found))
     assert report._stopping(plan("matrix"), found) == []
+
+
+def test_the_picture_of_a_large_campaign_shows_each_of_its_longest_stops():
+    assert tail.shown_ranks(4).tolist() == [1, 2, 3, 4]
+    shown = tail.shown_ranks(1_000_000)
+    assert shown[0] == 1
+    assert shown[-100:].tolist() == list(range(999_901, 1_000_001))
+    assert shown.size < 6000
