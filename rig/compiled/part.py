@@ -40,6 +40,10 @@ _FOR_OTHER_CODE = {
 }
 
 
+# numba's type of a value for its type of a constant
+general_type = types.unliteral
+
+
 class KernelPipeline(compiler.CompilerBase):  # type: ignore[misc]
     """Numba's steps from bytecode to LLVM code, without those that no kernel needs."""
 
@@ -111,7 +115,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
         part = self._parts.get(given)
         if part is None:
             # one part serves calls with different constants
-            general = tuple(types.unliteral(kind) for kind in given)
+            general = tuple(general_type(kind) for kind in given)
             part = self._parts.get(general)
             if part is None:
                 part = self._compiled_part(general)

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[2]
-# a cold start takes a minute, so it is repeated only once for so many warm ones
+# a cold start takes half a minute, so it is repeated only once for so many warm ones
 COLD_REPEATS = 4
 
 
@@ -76,15 +76,44 @@ RUN = Task("30 s of a run", STOP)
 EXPLAIN = Task("explain open_none", command("explain", "open_none", "--out", "OUT"))
 CAMPAIGN = Task("12 stops of a campaign", LANES)
 
-# numba's decorator without some of its options
+# kernels without some of their options
 WITHOUT_OPTIONS = """
-from rollerrig.rig.compiled import numba_import
-original = numba_import.numba.njit
-def njit(*arguments, **options):
-    for name in {names!r}:
-        options.pop(name, None)
-    return original(*arguments, **options)
-numba_import.numba.njit = njit
+from rollerrig.rig.compiled import part
+original = part.KernelDispatcher.__init__
+def begin(self, py_func, locals=None, targetoptions=None, **more):
+    options = targetoptions or dict()
+    kept = dict((name, value) for name, value in options.items() if name not in {names!r})
+    original(self, py_func, locals, kept, **more)
+part.KernelDispatcher.__init__ = begin
+"""
+# each kernel is compiled as numba compiles any function
+WITHOUT_PARTS = """
+from rollerrig.rig.compiled import part
+for name in ("get_call_template", "get_overload"):
+    delattr(part.KernelDispatcher, name)
+for name in ("add_linking_library", "finalize", "_get_module_for_linking"):
+    delattr(part._Library, name)
+"""
+PARAMETERS_AS_TUPLES = """
+from rollerrig.rig.compiled import record_type
+record_type.register = lambda named_tuple: None
+"""
+TYPES_OF_CONSTANTS = """
+from rollerrig.rig.compiled import part
+part.general_type = lambda kind: kind
+"""
+ALL_STEPS = """
+from rollerrig.rig.compiled import part
+part._FOR_OTHER_CODE.clear()
+"""
+WITH_COLLECTOR = """
+import gc
+gc.disable = lambda: None
+"""
+# an empty setting is none
+WITH_COLOURS = """
+import os
+os.environ["NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING"] = ""
 """
 # imports that fail with the trick succeed without it
 WITH_PACKAGES = """
@@ -154,6 +183,12 @@ TRICKS = (
         same_code=True,
     ),
     Trick("lazy cache", NUMBAS_CACHE, (WARM,), same_code=True),
+    Trick("parts", WITHOUT_PARTS, (COLD, RUN)),
+    Trick("parameters as one address", PARAMETERS_AS_TUPLES, (COLD, RUN)),
+    Trick("one part for all constants", TYPES_OF_CONSTANTS, (COLD,)),
+    Trick("no steps for other code", ALL_STEPS, (COLD,)),
+    Trick("no collector while numba compiles", WITH_COLLECTOR, (COLD,)),
+    Trick("no colours in numba's messages", WITH_COLOURS, (COLD,)),
     Trick("no reference counting", WITHOUT_OPTIONS.format(names=("_nrt",)), (COLD, RUN)),
     Trick("no wrapper for C", WITHOUT_OPTIONS.format(names=("no_cfunc_wrapper",)), (COLD,)),
     Trick("inlining", WITHOUT_OPTIONS.format(names=("forceinline",)), (COLD, RUN)),
