@@ -64,7 +64,7 @@ bench: $(VENV)/ready
 	$(BIN)/rollerrig bench $(NAME)
 
 performance: $(VENV)/ready
-	$(BIN)/rollerrig bench loop bus vehicle contact hunting harness campaign soak fuzz kill --markdown docs/performance.md
+	$(BIN)/rollerrig bench loop bus vehicle start contact hunting harness campaign soak fuzz kill --markdown docs/performance.md
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \

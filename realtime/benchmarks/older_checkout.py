@@ -1,4 +1,4 @@
-"""Runs the stops of a campaign with the code of an older checkout, to compare processor times."""
+"""Runs the code of an older checkout, to compare processor times: stops of a campaign, commands."""
 
 import contextlib
 import hashlib
@@ -29,6 +29,9 @@ for line in sys.stdin:
     campaign.run_chunk(plan, int(line))
     print(time.process_time() - begun_s, flush=True)
 """
+
+# the program that prints from where the command is imported
+_WHERE = "from rollerrig.realtime import cli; print(cli.__file__)"
 
 
 def check(folder: Path | None) -> None:
@@ -79,6 +82,33 @@ def chunks(
     finally:
         program.kill()
         program.communicate()
+
+
+def variables(folder: Path) -> dict[str, str]:
+    """Return the environment variables with which Python imports `rollerrig` from a checkout.
+
+    Raises ConfigError if it is imported from elsewhere, or not at all.
+    """
+    place = str(import_folder(folder))
+    already = os.environ.get("PYTHONPATH")
+    found = {"PYTHONPATH": os.pathsep.join([place, already] if already else [place])}
+    done = subprocess.run(
+        [children.interpreter(), "-P", "-c", _WHERE],
+        env=os.environ | found,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if done.returncode:
+        last_line = done.stderr.strip().rpartition("\n")[2]
+        raise ConfigError(f"--beside {folder}: its command cannot be imported: {last_line}")
+    imported = Path(done.stdout.strip()).resolve()
+    if not imported.is_relative_to(folder.resolve()):
+        raise ConfigError(
+            f"--beside {folder}: Python imports {imported} instead; run this command from a clone "
+            "with its .venv"
+        )
+    return found
 
 
 def import_folder(folder: Path) -> Path:

@@ -149,13 +149,20 @@ def _cache() -> Result:
     """Return the folder of compiled kernels, and what is in it."""
     folder = kernel_cache.folder()
     # without a writable home there is no such folder
-    files = [path for path in folder.rglob("*") if path.is_file()] if folder else []
+    kernels, size_MB = kernels_in(folder) if folder else (0, 0.0)
     return {
         "folder": str(folder or ""),
         "compiled": kernel_cache.is_compiled(),
-        "kernels": sum(path.suffix == ".nbi" for path in files),
-        "size_MB": sum(path.stat().st_size for path in files) / 1e6,
+        "kernels": kernels,
+        "size_MB": size_MB,
     }
+
+
+def kernels_in(folder: Path) -> tuple[int, float]:
+    """Return how many compiled kernels a folder has, and the size of all its files in MB."""
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    kernels = sum(path.suffix == ".nbi" for path in files)
+    return kernels, sum(path.stat().st_size for path in files) / 1e6
 
 
 def table(result: Result) -> Table:

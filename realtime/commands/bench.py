@@ -1,6 +1,6 @@
 """`rollerrig bench` runs the project's benchmarks by name; `rollerrig score` judges answers.
 
-Six benchmarks belong to the installed package, because users want their figures of a new machine.
+Seven benchmarks belong to the installed package, because users want their figures of a new machine.
 The others judge the project itself. They are in `tests/` and run from a clone only.
 """
 
@@ -37,6 +37,9 @@ BENCHMARKS = {
     "loop": _installed("loop", "lateness of the real-time loop, compared with cyclictest"),
     "bus": _installed("bus", "TPDO to valve, SYNC to last TPDO, round trips, on a running bench"),
     "vehicle": _installed("vehicle", "45 s of four axles without deadlines; the start of a run"),
+    "start": _installed(
+        "start", "first and next starts of run and explain: processor time, wall time, kernels"
+    ),
     "campaign": _installed("campaign", "stops per minute and core, two workers, memory, Dask"),
     "merge": _installed(
         "merge", "memory, disk and time of a campaign of a million stops, apart from the stops"
@@ -122,7 +125,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--beside",
         type=Path,
         metavar="DIR",
-        help="campaign: the checkout of an older commit, whose code runs the same stops alternately",
+        help="campaign, start: the checkout of an older commit, whose code does the same alternately",
+    )
+    parser.add_argument(
+        "--runs",
+        type=int,
+        default=None,
+        metavar="N",
+        help="start: number of cold and of warm starts of each command (default: 1 cold, 3 warm)",
     )
     parser.add_argument(
         "--sets",

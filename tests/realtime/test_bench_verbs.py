@@ -379,6 +379,7 @@ def test_the_help_of_bench_marks_which_benchmarks_need_a_clone(capsys):
         "loop",
         "bus",
         "vehicle",
+        "start",
         "campaign",
         "merge",
         "evidence",
