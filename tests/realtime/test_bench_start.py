@@ -94,13 +94,11 @@ def test_a_start_that_fails_is_reported_with_its_last_words(tmp_path):
         start._measure(TASK, [version], 1, 1, print)
 
 
-def test_a_cache_without_kernels_after_a_cold_start_is_refused():
-    # this command compiles nothing
-    task = start.Task("devices", ("devices",), accepted=(0,))
-    with pytest.raises(
-        RollerrigError, match=r"devices, this version: no compiled kernels are kept"
-    ):
-        start._measure(task, [start.Version(start.THIS, "this", {})], 1, 1, print)
+def test_a_cache_without_kernels_after_a_cold_start_is_refused(tmp_path):
+    folder = checkout(tmp_path / "older", "")
+    version = start.Version(start.OLDER, "older", older_checkout.variables(folder))
+    with pytest.raises(RollerrigError, match=r"a run, --beside: no compiled kernels are kept"):
+        start._measure(TASK, [version], 1, 1, print)
 
 
 @pytest.mark.parametrize(
