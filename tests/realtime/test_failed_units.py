@@ -81,7 +81,7 @@ def float_unit(address):
         unit.thread.join(5.0)
 
 
-@pytest.mark.parametrize("pacing", ["lockstep", "wall"])
+@pytest.mark.parametrize("pacing", ["lockstep", pytest.param("wall", marks=pytest.mark.nightly)])
 def test_a_gateway_reports_a_unit_whose_signals_are_no_numbers_and_its_run_is_not_valid(
     pacing, tmp_path
 ):
@@ -111,7 +111,7 @@ def test_a_gateway_reports_a_unit_whose_signals_are_no_numbers_and_its_run_is_no
     assert any(event.code == Code.UNIT_LOST for event in run.events)
 
 
-@pytest.mark.parametrize("pacing", ["lockstep", "wall"])
+@pytest.mark.parametrize("pacing", ["lockstep", pytest.param("wall", marks=pytest.mark.nightly)])
 def test_an_fmu_whose_output_is_no_number_has_failed_and_its_run_is_not_valid(pacing, tmp_path):
     fmus = pytest.importorskip("fmus")
     unit = fmus.build(tmp_path, defines=("NAN_AT_S=0.5",))

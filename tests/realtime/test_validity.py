@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import bench_process
 import numpy as np
+import program
 import pytest
 from bench_process import HEARTBEAT, MAGNETS, BenchProcess, SimpleUnit
 from process_tree import is_running
@@ -77,16 +78,11 @@ def test_a_run_that_stops_is_valid_and_one_that_does_not_is_not(tmp_path):
 
 
 def test_the_last_line_of_a_run_that_is_not_valid_names_the_reasons_in_red(tmp_path):
-    rollerrig = (sys.executable, "-m", "rollerrig.realtime.cli")
-    done = subprocess.run(
-        [*rollerrig, *SHORT, *NO_TIME_TO_STOP, "--out", tmp_path / "run"],
-        capture_output=True,
-        text=True,
-        env=os.environ | {"FORCE_COLOR": "1", "COLUMNS": "200"},
-    )
-    assert done.returncode == 4, done.stderr
+    words = (*SHORT, *NO_TIME_TO_STOP, "--out", tmp_path / "run")
+    done = program.rollerrig(*words, FORCE_COLOR="1", COLUMNS="200")
+    assert done.status == 4, done.messages
 
-    last_line = done.stdout.splitlines()[-1]
+    last_line = done.printed.splitlines()[-1]
     assert "not valid: the coach did not stop within 0.3 s" in last_line
     bold_red = "\x1b[1;31m"
     assert bold_red in last_line
@@ -326,6 +322,7 @@ def test_a_run_that_a_signal_stops_completes_its_record_and_leaves_no_process(
     assert not is_running(recorder)
 
 
+@pytest.mark.nightly
 def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
     bench = BenchProcess(tmp_path / "run", "--pacing", "wall")
     bench.runs_for(1.0)
@@ -419,7 +416,11 @@ SCENARIO = "initial_speed_m_s = 3.0\n[[demand]]\npressure_Pa = 3.8e5\n"
 
 @pytest.mark.parametrize(
     ("durations_s", "bad_runs"),
-    [([0.3, 60.0, 0.4, 50.0], [0, 2]), ([0.3, 0.4], [0, 1]), ([50.0, 60.0], [])],
+    [
+        ([0.3, 60.0, 0.4, 50.0], [0, 2]),
+        pytest.param([0.3, 0.4], [0, 1], marks=pytest.mark.nightly),
+        pytest.param([50.0, 60.0], [], marks=pytest.mark.nightly),
+    ],
 )
 def test_a_campaign_counts_runs_that_are_not_valid_separately(
     durations_s, bad_runs, tmp_path, capsys
@@ -502,6 +503,7 @@ def test_a_sequence_whose_run_is_not_valid_is_an_error_and_neither_passed_nor_fa
     assert "the run is not valid: the WSP unit was lost 1 time" in outcome.error
 
 
+@pytest.mark.nightly
 def test_a_run_that_a_harness_finishes_on_purpose_is_valid(walk, tmp_path):
     outcome = play.on_own_bench(walk, tmp_path / "run", wsp="none")
     assert outcome.result is Result.PASS, (outcome.error, outcome.verdicts)
@@ -620,6 +622,7 @@ WITHOUT_RIGHTS = (
 )
 
 
+@pytest.mark.nightly
 def test_a_unit_that_is_refused_its_priority_reports_it_and_runs(tmp_path):
     bench = BenchProcess(
         tmp_path / "run",
