@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import pytest
+from each import for_each
 
 ROOT = Path(__file__).parent.parent
 # The floors of each folder, the lowest first: the rooms on a floor. Rooms on the same floor do not
@@ -295,7 +296,7 @@ def test_a_room_imports_only_the_allowed_files_of_a_lower_room(room, below):
     assert imported_below <= NARROW[room, below]
 
 
-@pytest.mark.parametrize("name", FILES)
+@for_each(FILES)
 def test_a_file_imports_only_outside_packages_that_its_room_may(name):
     outside = packages_of(name) - {"rollerrig"} - set(sys.stdlib_module_names)
     assert outside <= set(entry_of(OUTSIDE, name).split())
@@ -306,7 +307,7 @@ def packages_of(name):
     return {dotted.partition(".")[0] for dotted in imports(name)}
 
 
-@pytest.mark.parametrize("name", [name for name in FILES if not name.startswith("rig/compiled")])
+@for_each([name for name in FILES if not name.startswith("rig/compiled")])
 def test_code_is_generated_and_kernels_are_changed_only_in_one_room(name):
     # the table OUTSIDE allows an import of numba only there, too
     names = {node.id for node in ast.walk(tree(name)) if isinstance(node, ast.Name)}
@@ -355,7 +356,7 @@ def opens_files(name):
     return False
 
 
-@pytest.mark.parametrize("name", FILES)
+@for_each(FILES)
 def test_no_file_reads_objects_of_python_or_starts_a_shell(name):
     """A pickle in a file of data, or a name in a line for a shell, would run code."""
     assert not packages_of(name) & {
@@ -422,7 +423,7 @@ def test_the_init_file_of_a_package_has_only_a_docstring(folder):
     assert isinstance(statement, ast.Expr)
 
 
-@pytest.mark.parametrize("name", FILES)
+@for_each(FILES)
 def test_every_function_except_kernels_has_types(name):
     # numba infers the types of kernels; in files without kernels mypy also requires types
     untyped = set()
@@ -456,6 +457,6 @@ def is_typed(function):
     return function.returns is not None
 
 
-@pytest.mark.parametrize("name", FILES)
+@for_each(FILES)
 def test_every_file_has_a_docstring(name):
     assert ast.get_docstring(tree(name))

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from each import for_each
 
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.events import TABLE, Code
@@ -51,12 +52,12 @@ def test_every_code_has_one_row_and_every_row_a_code():
     assert list(TABLE) == list(Code)
 
 
-@pytest.mark.parametrize("code", Code)
+@for_each(Code)
 def test_a_code_is_dotted_lower_case(code):
     assert re.fullmatch(r"[a-z]+(_[a-z]+)*\.[a-z]+(_[a-z]+)*", code)
 
 
-@pytest.mark.parametrize("code", Code)
+@for_each(Code)
 def test_a_row_makes_its_sentence_from_its_fields(code):
     row = TABLE[code]
     event = events.make(2.5, code, **sample(row))
@@ -66,21 +67,21 @@ def test_a_row_makes_its_sentence_from_its_fields(code):
     assert not set(event.text) & set("{}[]")
 
 
-@pytest.mark.parametrize("code", Code)
+@for_each(Code)
 def test_a_sentence_uses_only_fields_of_its_row(code):
     row = TABLE[code]
     for template in (row.sentence, row.advice):
         assert events.fields_in(template.replace("[", "").replace("]", "")) <= set(row.fields)
 
 
-@pytest.mark.parametrize("code", Code)
+@for_each(Code)
 def test_a_row_has_a_known_level_and_types_that_json_has(code):
     row = TABLE[code]
     assert row.level in events.LEVELS
     assert set(row.fields.values()) <= set(SAMPLES)
 
 
-@pytest.mark.parametrize("code", [code for code in Code if events.optional(TABLE[code])])
+@for_each([code for code in Code if events.optional(TABLE[code])])
 def test_a_part_in_brackets_is_left_out_without_its_value(code):
     row = TABLE[code]
     whole = events.text(code, sample(row))
@@ -163,9 +164,7 @@ def is_place_of_an_event(node):
     )
 
 
-@pytest.mark.parametrize(
-    "path", FILES, ids=lambda path: path.relative_to(ROOT).with_suffix("").as_posix()
-)
+@for_each(FILES)
 def test_no_program_reads_the_text_of_an_event(path):
     if path.relative_to(ROOT).as_posix() in OTHER_TEXTS:
         return
