@@ -6,6 +6,7 @@ that this checkout has been compiled.
 """
 
 import hashlib
+import os
 import subprocess
 import sys
 import tempfile
@@ -52,7 +53,7 @@ SERIES = (
         (*COACH, "rig=plain_track"),
         (*COACH, "rig=virtual_track"),
     ),
-    (("tune", "velim_synthetic"), ("campaign", "CAMPAIGN"), "generators"),
+    (("explain", "open_none"), ("tune", "velim_synthetic"), ("campaign", "CAMPAIGN"), "generators"),
 )
 
 
@@ -101,6 +102,9 @@ def start_series(number, folder):
 
 def run_series(number, folder):
     """Run the commands of a series in this process, each with a result folder inside `folder`."""
+    # an explanation on one core starts no processes, which would find the kernels of the others again
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[number % len(cores)]})
     folder.mkdir(parents=True, exist_ok=True)
     plan = folder / "campaign.toml"
     plan.write_text(CAMPAIGN)

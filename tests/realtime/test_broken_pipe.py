@@ -98,6 +98,7 @@ def test_a_run_is_complete_when_nobody_reads_its_progress(tmp_path):
     assert json.loads((out / "summary.json").read_text())["stopped"]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("friction", "status", "workers"),
     [

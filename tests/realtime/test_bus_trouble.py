@@ -244,6 +244,7 @@ def test_a_valve_command_acts_later_where_its_frame_has_to_wait_for_a_slower_wir
     assert 0.001 < slow - fast < 0.006
 
 
+@pytest.mark.nightly
 @pytest.mark.conformance("CAN", "arbitration in simulated time: free pacing equals lockstep")
 @pytest.mark.parametrize("bitrate", [500_000, pytest.param(250_000, marks=pytest.mark.nightly)])
 def test_free_pacing_lets_the_answers_act_as_late_as_the_wire_of_lockstep_does(bitrate, tmp_path):

@@ -274,6 +274,7 @@ def dying_unit():
     return unit
 
 
+@pytest.mark.nightly
 def test_a_worker_that_dies_costs_no_run(plan_file, tmp_path, monkeypatch):
     monkeypatch.setenv("ROLLERRIG_TEST_DEAD", str(tmp_path / "dead"))
     plan = campaign.load(plan_file(), True, unit=f"{__name__}:dying_unit", design="matrix")
@@ -328,6 +329,7 @@ def test_an_interrupted_campaign_stops_in_order_and_keeps_its_finished_runs(
     assert write_times_ns(out)
 
 
+@pytest.mark.nightly
 def test_a_campaign_shows_no_counter_of_runs_before_its_first_result(plan_file, tmp_path):
     done = subprocess.run(
         campaign_command(plan_file(), tmp_path / "out"), capture_output=True, text=True

@@ -216,6 +216,7 @@ OFTEN = (
 )
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "words",
     [

@@ -238,6 +238,7 @@ def test_a_live_view_that_stalls_is_replaced_and_the_rows_go_on(run):
     run.wait_for_heartbeat()
 
 
+@pytest.mark.nightly
 def test_a_live_view_that_is_terminated_leaves_no_process(run):
     worker = run.worker
     run.watcher.terminate()

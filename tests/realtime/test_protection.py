@@ -153,6 +153,7 @@ def test_the_line_tells_whether_the_vehicle_stopped_and_wheels_locked(stop, text
 # --- the library of sequences ---
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "name",
     [

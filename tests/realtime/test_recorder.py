@@ -213,6 +213,7 @@ def resident_MB(process):
     return int(re.search(r"VmRSS:\s+(\d+) kB", status)[1]) / 1024
 
 
+@pytest.mark.nightly
 def test_the_memory_of_a_recorder_does_not_grow_with_the_length_of_its_run(begun):
     folder, to, process = begun
     assert processes.wait_ready(process, to[0])
