@@ -102,7 +102,7 @@ def start_series(number, folder):
 
 def run_series(number, folder):
     """Run the commands of a series in this process, each with a result folder inside `folder`."""
-    # an explanation on one core starts no processes, which would find the kernels of the others again
+    # an explanation on one core starts no processes, which would compile for themselves
     cores = sorted(os.sched_getaffinity(0))
     os.sched_setaffinity(0, {cores[number % len(cores)]})
     folder.mkdir(parents=True, exist_ok=True)
