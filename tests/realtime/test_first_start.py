@@ -9,44 +9,46 @@ import time
 
 import pytest
 
+from rollerrig.realtime.bench.tick_data import KERNELS
+from rollerrig.realtime.commands import explain
 from rollerrig.rig.compiled import kernel_cache
 
-
-def started(*words, cache, out):
-    """Start a command that uses this folder as its cache of kernels; return the process."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "rollerrig.realtime.cli", *words, "--out", str(out)],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ | {"XDG_CACHE_HOME": str(cache)},
-    )
+SHORT = (
+    *("run", "velim_a1", "--set", "duration_max_s=0.3", "--set", "bus.interface=hub"),
+    *("--set", "bus.socketcand_port=0", "--set", "modbus.port=0"),
+)
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    "words",
-    [("run", "velim_a1", "--pacing", "free"), ("explain", "open_rail_cleaning")],
-    ids=lambda words: words[0],
+    ("words", "kernels"),
+    [
+        ((*SHORT, "--pacing", "free"), KERNELS["free"]),
+        ((*SHORT, "--pacing", "lockstep"), KERNELS["lockstep"]),
+        ((*SHORT, "--pacing", "wall", "--also-without-wsp"), KERNELS["wall"]),
+        (("explain", "open_none"), explain._KERNELS),
+    ],
+    ids=["free", "lockstep", "wall", "explain"],
 )
-def test_a_first_start_announces_that_it_compiles_and_then_reports_its_progress(words, tmp_path):
-    with started(*words, cache=tmp_path / "cache", out=tmp_path / "out") as process:
-        # the announcement and the first two reports; the command prints its progress in between
-        announcements = 0
-        kernels_done = []
-        for line in process.stderr:
-            announcements += line.startswith("compiling the kernels")
-            report = re.fullmatch(r"compiling: \d+ s so far, (\d+) kernels done\n", line)
-            if report:
-                kernels_done.append(int(report[1]))
-            if len(kernels_done) == 2:
-                break
-        process.kill()
-
-    # a command may compile in several stretches, each of which is announced and counted by itself
-    assert announcements >= 1
-    assert len(kernels_done) == 2
-    assert min(kernels_done) > 0
+def test_a_first_start_announces_that_it_compiles_and_reports_its_progress(
+    words, kernels, tmp_path
+):
+    program = (
+        "import sys; from rollerrig.realtime import cli;"
+        "from rollerrig.rig.compiled import compile_progress;"
+        "cli.main(sys.argv[1:]); print('counted', compile_progress._listener.compiled)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words, "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"XDG_CACHE_HOME": str(tmp_path / "cache")},
+    )
+    assert "compiling the kernels" in done.stderr
+    progress = r"compiling: kernel \d+ of about (\d+), about \d+ s left\n"
+    assert set(re.findall(progress, done.stderr)) == {str(kernels)}
+    (counted,) = re.findall(r"^counted (\d+)$", done.stdout, re.MULTILINE)
+    assert int(counted) == pytest.approx(kernels, rel=0.1)
 
 
 def test_a_kernel_that_is_compiled_within_a_moment_is_not_announced():
