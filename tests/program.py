@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from pathlib import Path
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ from rollerrig.realtime.bench import scenario
 
 # s. The program compiles the kernels of its vehicle where nothing has used them before.
 LONGEST_S = 900
+POLL_S = 0.01
 CLI = ("-m", "rollerrig.realtime.cli")
 SERVER = Path(__file__).with_name("fork_server.py")
 # a tram with motors and magnets: with it `make test` compiles for one vehicle besides the coach
@@ -59,29 +61,29 @@ class Program:
         assert number, "the fork server has exited"
         self.pid = int(number)
         self._status = None
-        # if two threads read it simultaneously, only one of them would receive it
+        # if two threads read the status simultaneously, only one of them would receive it
         self._lock = threading.Lock()
 
     def poll(self):
-        return self._exit_status(0.0)
-
-    returncode = property(poll)
-
-    def _exit_status(self, timeout_s):
         with self._lock, selectors.DefaultSelector() as selector:
             if self._status is None:
                 selector.register(self._replies, selectors.EVENT_READ)
-                if selector.select(timeout_s):
+                if selector.select(0.0):
                     # no status comes from a server that was killed, and its programs with it
                     self._status = int(self._replies.readline() or -signal.SIGKILL)
                     self._replies.close()
             return self._status
 
+    returncode = property(poll)
+
     def wait(self, timeout=None):
-        status = self._exit_status(timeout)
-        if status is None:
-            raise subprocess.TimeoutExpired("the program", timeout)
-        return status
+        """Wait for the end; meanwhile other threads may poll."""
+        begin_s = time.monotonic()
+        while self.poll() is None:
+            if timeout is not None and time.monotonic() - begin_s > timeout:
+                raise subprocess.TimeoutExpired("the program", timeout)
+            time.sleep(POLL_S)
+        return self._status
 
     def send_signal(self, number):
         if self.poll() is None:
