@@ -18,7 +18,7 @@ from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import 
 from rollerrig.rig.compiled.lazy_cache import LazyCache
 
 # isort: split
-from numba.core import codegen, compiler, dispatcher, event, types, typing
+from numba.core import codegen, compiler, dispatcher, errors, event, types, typing
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 from numba.core.target_extension import dispatcher_registry, target_registry
@@ -38,7 +38,6 @@ _FOR_OTHER_CODE = {
     "NopythonRewrites",
     "NoPythonSupportedFeatureValidation",
 }
-
 
 # numba's type of a value for its type of a constant
 general_type = types.unliteral
@@ -112,23 +111,35 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
 
     def _part(self, given: tuple[Any, ...]) -> Any:
         """Return the part for arguments of these types; compile it at its first use."""
-        part = self._parts.get(given)
-        if part is None:
+        if given not in self._parts:
             # one part serves calls with different constants
             general = tuple(general_type(kind) for kind in given)
-            part = self._parts.get(general)
-            if part is None:
-                part = self._compiled_part(general)
-                self._parts[general] = part
-            self._parts[given] = part
-        return part
+            try:
+                self._parts[given] = self._compiled_part(general)
+            except errors.NumbaError:
+                if given == general:
+                    raise
+                # the types of results, or of what it calls, depend on the constants
+                self._parts[given] = self._compiled_part(given)
+        return self._parts[given]
 
     def _compiled_part(self, given: tuple[Any, ...]) -> Any:
+        if given in self._parts:
+            return self._parts[given]
         details = {"dispatcher": self, "args": given, "return_type": None}
         with self._compiling_counter, event.trigger_event("numba:compile", data=details):
-            part = self._part_compiler.compile(given, None)
+            try:
+                part = self._part_compiler.compile(given, None)
+            except errors.ForceLiteralArg as error:
+                # numba asks the caller for the constants, whose types it then gives here
+                raise error.bind_fold_arguments(self._folded) from error
         self.targetctx.insert_user_function(part.fndesc, part.fndesc, [part.library])
+        self._parts[given] = part
         return part
+
+    def _folded(self, args: Any, kws: Any) -> Any:
+        """Return the types of all arguments, with those of defaults."""
+        return self._compiler.fold_argument_types(args, kws)[1]
 
 
 class _Library(codegen.JITCodeLibrary):  # type: ignore[misc]
