@@ -167,14 +167,15 @@ def known_keys(folder):
     return known
 
 
+@pytest.mark.parametrize("examples", [60, pytest.param(600, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_loader_returns_a_result_or_raises_config_error(kind, tmp_path):
+def test_a_loader_returns_a_result_or_raises_config_error(kind, examples, tmp_path):
     load, right, folder = KINDS[kind]
     path = tmp_path / "changed.toml"
     keys = st.one_of(st.none(), TEXTS, st.sampled_from(sorted(known_keys(folder))))
 
     @settings(
-        max_examples=300,
+        max_examples=examples,
         deadline=None,
         database=None,
         derandomize=True,

@@ -376,7 +376,9 @@ def command_line(kind, port, request):
     return [request.getfixturevalue("go_unit"), f"127.0.0.1:{port}"]
 
 
-@pytest.mark.parametrize("kind", ["reference", "python", "go"])
+@pytest.mark.parametrize(
+    "kind", ["reference", "python", pytest.param("go", marks=pytest.mark.nightly)]
+)
 def test_every_unit_answers_in_lockstep_and_exits_when_the_bus_closes(kind, lockstep, request):
     command = command_line(kind, lockstep.port, request)
     with subprocess.Popen(command, stderr=subprocess.PIPE) as unit:
