@@ -12,6 +12,7 @@ calls it. `docs/compiled_kernels.md` has the measured times.
 Source: numba/core/dispatcher.py and numba/core/codegen.py.
 """
 
+import functools
 from typing import Any
 
 from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import of numba
@@ -81,9 +82,7 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
         pipeline_class: Any = Compiler,
     ) -> None:
         super().__init__(py_func, locals, targetoptions, pipeline_class)
-        self._part_compiler = _PartCompiler(
-            py_func, self.targetdescr, self.targetoptions, self.locals, pipeline_class
-        )
+        self._pipeline_class = pipeline_class
         # numba's results of compiling, by the types of the arguments
         self._parts: dict[tuple[Any, ...], Any] = {}
 
@@ -136,6 +135,13 @@ class KernelDispatcher(CPUDispatcher):  # type: ignore[misc]
         self.targetctx.insert_user_function(part.fndesc, part.fndesc, [part.library])
         self._parts[given] = part
         return part
+
+    @functools.cached_property
+    def _part_compiler(self) -> _PartCompiler:
+        """The compiler of the parts; most programs load all entries, and need none."""
+        return _PartCompiler(
+            self.py_func, self.targetdescr, self.targetoptions, self.locals, self._pipeline_class
+        )
 
     def _folded(self, args: Any, kws: Any) -> Any:
         """Return the types of all arguments, with those of defaults."""
