@@ -4,6 +4,7 @@ Nearly all tests that need a process start it here, because a start by hand cost
 processor time. `test_program.py` shows that both are the same.
 """
 
+import contextlib
 import functools
 import json
 import os
@@ -15,6 +16,7 @@ import sys
 import tempfile
 import threading
 import time
+import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
@@ -159,8 +161,17 @@ def variables_of(words):
             content, _ = store.load("sequences", word)
             found |= _variables_of_scenario(content["scenario"])
         elif word in store.names("scenarios") or str(word).endswith(".toml"):
-            found |= _variables_of_scenario(str(word))
+            found |= _variables_of_scenario(_scenario_of(word))
     return found
+
+
+def _scenario_of(word):
+    """The scenario of a sequence that a test has written; otherwise the word itself."""
+    with contextlib.suppress(OSError, ValueError):
+        content = tomllib.loads(Path(word).read_text())
+        if "step" in content:
+            return content.get("scenario", str(word))
+    return str(word)
 
 
 @functools.cache

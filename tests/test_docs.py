@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import program
 import pytest
 import written_docs
 from generator import thresholds as generator_thresholds
@@ -178,8 +179,9 @@ def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
         words = ["run", "velim_a1", "--pacing", "free", "--out", f"runs/from_{speed}"]
         words += ["--set", "rig=plain_track", "--set", f"initial_speed_m_s={speed}"]
         assert cli.main(words) == 0
-    program = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
-    subprocess.run([sys.executable, "-c", program], check=True)
+    text_of_program = re.search(r"```python\n(.*?)```", text, re.DOTALL)[1]
+    done = program.python("-c", text_of_program)
+    assert done.status == 0, done.messages
     content = re.search(r"```toml\n(kind = .*?)```", text, re.DOTALL)[1]
     (tmp_path / "stops" / "dataset.toml").write_text(content)
 

@@ -1,6 +1,9 @@
 """A test as in the repository of a WSP team: a plain function and a fixture."""
 
+import pytest
 
+
+@pytest.mark.nightly
 def test_no_wheel_locks_when_the_driver_brakes_hard_on_soap(rollerrig_bench):
     rig = rollerrig_bench(initial_speed_km_h=36.0, adhesion="soap", wsp="reference")
     rig.wait(0.5)

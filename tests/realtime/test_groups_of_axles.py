@@ -84,14 +84,14 @@ def test_a_stored_identifier_of_another_group_is_refused_before_the_run(
 
 GENTLE_TRAM = """
 title = "A tram brakes gently on low adhesion"
-scenario = "tram_low"
+scenario = "{scenario}"
 
 [start]
 speed = "40 km/h"
 
 [[step]]
 title = "the driver brakes"
-set = { brake_demand = "2 bar" }
+set = {{ brake_demand = "2 bar" }}
 until = "vehicle_speed < 0.01 m/s"
 timeout = "60 s"
 """
@@ -114,7 +114,7 @@ vent = []
 
 
 def test_a_message_of_a_unit_with_an_identifier_of_a_further_group_is_refused(tmp_path):
-    (tmp_path / "gentle.toml").write_text(GENTLE_TRAM)
+    (tmp_path / "gentle.toml").write_text(GENTLE_TRAM.format(scenario=BOTH_BRAKES))
     (tmp_path / "unit.dbc").write_text(DBC)
     (tmp_path / "map.toml").write_text(MAP)
     status, _, messages = rollerrig(

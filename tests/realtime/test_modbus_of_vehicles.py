@@ -13,7 +13,7 @@ import numpy as np
 import program
 import pyarrow.parquet
 import pytest
-from program import LONGEST_S
+from program import BOTH_BRAKES, LONGEST_S
 from pymodbus.client import ModbusTcpClient
 
 from rollerrig.firmware_sim.modbus.map import WORDS, MotorState
@@ -55,7 +55,13 @@ def first_register(line):
     return int(line["register"].split("..")[0])
 
 
-@pytest.fixture(scope="module", params=["tram_low_dynamic", "tram_emergency_magnetic"])
+# the trams that are played
+PLAYED = pytest.mark.parametrize(
+    "tram", ["tram_low_dynamic", "tram_emergency_magnetic"], indirect=True
+)
+
+
+@pytest.fixture(scope="module", params=[BOTH_BRAKES])
 def tram(request, tmp_path_factory):
     return request.param, rows_of(request.param, tmp_path_factory.mktemp("devices") / "tram")
 
@@ -151,6 +157,7 @@ class Bench:
 
 
 @pytest.mark.nightly
+@PLAYED
 @pytest.mark.conformance("Modbus", "motors and magnets of every axle hold the recorded channels")
 def test_every_register_of_motors_and_magnets_holds_its_channel_while_a_tram_brakes(tram, tmp_path):
     scenario, rows = tram

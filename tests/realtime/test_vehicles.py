@@ -391,7 +391,7 @@ def test_a_running_rig_refuses_the_fault_of_a_motor_or_magnet_that_is_not_there(
 SEQUENCE_OF_A_TRAM = """
 title = "A tram loses the dynamic brake of one axle and stops"
 criteria = "none"
-scenario = "tram_low_dynamic"
+scenario = "{scenario}"
 
 [start]
 speed = "60 km/h"
@@ -416,7 +416,7 @@ def test_the_faults_of_a_sequence_are_checked_for_the_vehicle_of_the_sequence(
     axle, expected_status, message, tmp_path
 ):
     path = tmp_path / "tram.toml"
-    path.write_text(SEQUENCE_OF_A_TRAM.format(axle=axle))
+    path.write_text(SEQUENCE_OF_A_TRAM.format(scenario=BOTH_BRAKES, axle=axle))
     status, _, messages = rollerrig("sequence", path, "--check")
     assert status == expected_status, messages
     assert message in messages

@@ -48,14 +48,8 @@ OUTPUT = re.compile(r"\n```text\n(?P<lines>.*?)```\n", re.DOTALL)
 ALONE = "--set bus.interface=hub --set bus.socketcand_port=0 --set modbus."
 
 
-# one of them is followed in `make test`
-QUICK = "howto_compare.md"
-
-
-@pytest.mark.parametrize(
-    "page",
-    [QUICK, *(pytest.param(page, marks=pytest.mark.nightly) for page in PAGES if page != QUICK)],
-)
+@pytest.mark.nightly
+@pytest.mark.parametrize("page", PAGES)
 def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
     port = free_port()
     done = 0

@@ -77,20 +77,23 @@ def test_a_unit_that_cannot_be_is_refused_before_the_run(words, message, tmp_pat
     assert not out.exists()
 
 
-def test_the_context_manager_and_the_package_start_a_bench_with_a_unit(tmp_path):
+def test_the_context_manager_starts_a_bench_with_a_unit(tmp_path):
     options = {"initial_speed_km_h": 9.0, "adhesion": "dry", "unit": UNIT}
-    with bench(folder=tmp_path / "one", **options) as rig:
+    with bench(folder=tmp_path / "run", **options) as rig:
         rig.brake(bar=3.0)
         rig.stop()
         assert isinstance(rig, harness.Harness)
-    stop = rollerrig.load(tmp_path / "one")
+    stop = rollerrig.load(tmp_path / "run")
     assert stop.summary["wsp"]["unit"] == f"command:{UNIT}"
     assert stop.summary["valid"]
 
+
+@pytest.mark.nightly
+def test_the_package_starts_a_bench_and_reports_a_unit_that_exits(tmp_path):
     with (
         pytest.raises(BusError, match=r"exited with status 4.*calibration is missing"),
         rollerrig.bench(
-            folder=tmp_path / "two", unit="sh -c 'echo calibration is missing; exit 4'"
+            folder=tmp_path / "run", unit="sh -c 'echo calibration is missing; exit 4'"
         ),
     ):
         pass
@@ -115,7 +118,7 @@ PLAN = 'scenario = "dry_stop"\nchunk = 1\n[vary]\ninitial_speed_m_s = [2.0, 3.0]
 def test_each_run_of_a_campaign_starts_the_unit(tmp_path):
     plan = tmp_path / "two.toml"
     plan.write_text(PLAN)
-    done = rollerrig.campaign(plan, out=tmp_path / "out", unit=UNIT, workers=2)
+    done = rollerrig.campaign(plan, out=tmp_path / "out", unit=UNIT, workers=1)
     assert done.table["valid"].to_pylist() == [True, True]
     short_m, long_m = done.table["braking_distance_m"].to_pylist()
     assert 0.0 < short_m < long_m

@@ -55,44 +55,39 @@ def test_waits(rollerrig_bench, tmp_path):
 """
 
 
-@pytest.fixture
-def session(tmp_path):
-    """Return a function that starts another pytest on some files; its output goes to `output`."""
-
-    def start(files, *arguments):
-        folder = tmp_path / "theirs"
-        folder.mkdir()
-        for name, text in files.items():
-            (folder / name).write_text(text)
-        with (tmp_path / "output").open("w") as output:
-            return subprocess.Popen(
-                [
-                    sys.executable,
-                    "-m",
-                    "pytest",
-                    "-q",
-                    "-p",
-                    "no:cacheprovider",
-                    *arguments,
-                    "--basetemp",
-                    str(tmp_path / "base"),
-                ],
-                cwd=folder,
-                stdout=output,
-                stderr=subprocess.STDOUT,
-                stdin=subprocess.DEVNULL,
-                env=without_options(),
-            )
-
-    return start
+def start(folder, files, *arguments):
+    """Start another pytest on some files in a folder; its output goes to `output`."""
+    theirs = folder / "theirs"
+    theirs.mkdir()
+    for name, text in files.items():
+        (theirs / name).write_text(text)
+    with (folder / "output").open("w") as output:
+        return subprocess.Popen(
+            [
+                sys.executable,
+                "-m",
+                "pytest",
+                "-q",
+                "-p",
+                "no:cacheprovider",
+                *arguments,
+                "--basetemp",
+                str(folder / "base"),
+            ],
+            cwd=theirs,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            stdin=subprocess.DEVNULL,
+            env=without_options(),
+        )
 
 
 def without_options():
     return {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
 
 
-def output_of(tmp_path):
-    return (tmp_path / "output").read_text()
+def output_of(folder):
+    return (folder / "output").read_text()
 
 
 def processes_with(text):
@@ -109,11 +104,10 @@ def processes_with(text):
 
 
 @pytest.mark.nightly
-def test_the_plugin_needs_no_conftest_and_each_worker_has_separate_ports_and_folders(
-    session, tmp_path
-):
+def test_the_plugin_needs_no_conftest_and_each_worker_has_separate_ports_and_folders(tmp_path):
     files = {f"test_{name}.py": GOOD.format(name=name) for name in ("one", "two")}
-    assert session(files, "-n", "2", "--dist", "loadfile").wait(600) == 0, output_of(tmp_path)
+    other_pytest = start(tmp_path, files, "-n", "2", "--dist", "loadfile")
+    assert other_pytest.wait(600) == 0, output_of(tmp_path)
     addresses = set()
     folders = set()
     for path in (tmp_path / "base").glob("*.txt"):
@@ -124,37 +118,38 @@ def test_the_plugin_needs_no_conftest_and_each_worker_has_separate_ports_and_fol
     assert len(folders) == 2
 
 
-def test_a_failed_test_shows_the_figure_with_its_limit_and_where_run_and_plot_are(
-    session, tmp_path
-):
-    assert session({"test_bad.py": BAD}).wait(600) == 1
-    text = output_of(tmp_path)
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory):
+    """What another pytest prints in a session with a failed limit and a shared bench."""
+    folder = tmp_path_factory.mktemp("session")
+    unit = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
+    shared = SHARED.format(python=sys.executable, unit=unit)
+    assert start(folder, {"test_bad.py": BAD, "test_shared.py": shared}).wait(600) == 1
+    return output_of(folder)
+
+
+def test_a_failed_test_shows_the_figure_with_its_limit_and_where_run_and_plot_are(printed):
     assert re.search(
-        r"longest_lock \d+\.\d+ s, wanted at most 0.4 s; .*source: recollection", text
-    ), text
-    assert "0.0 km/h after" in text
-    run = Path(re.search(r"^run: (.+)$", text, re.MULTILINE)[1])
-    plot = Path(re.search(r"^plot: (.+)$", text, re.MULTILINE)[1])
+        r"longest_lock \d+\.\d+ s, wanted at most 0.4 s; .*source: recollection", printed
+    ), printed
+    assert "0.0 km/h after" in printed
+    run = Path(re.search(r"^run: (.+)$", printed, re.MULTILINE)[1])
+    plot = Path(re.search(r"^plot: (.+)$", printed, re.MULTILINE)[1])
     assert (run / "channels.parquet").is_file()
     assert plot.read_text().startswith("<svg")
-    assert "1 failed" in text  # and no error in its teardown
-    assert "error" not in text.splitlines()[-1]
 
 
-def test_the_tests_of_a_module_share_a_bench_with_a_unit_of_the_user(session, tmp_path):
-    unit = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
-    text = SHARED.format(python=sys.executable, unit=unit)
-    assert session({"test_shared.py": text}).wait(600) == 1
-    printed = output_of(tmp_path)
-    assert "1 failed, 2 passed" in printed
+def test_the_tests_of_a_module_share_a_bench_with_a_unit_of_the_user(printed):
+    # the test of the limit and the last test of the module, and no error in a teardown
+    assert printed.splitlines()[-1].startswith("2 failed, 2 passed in")
     assert "test_shared.py, line 18: rig.until(lambda: rig.vehicle_speed_m_s > 9.0" in printed
-    (run,) = set(re.findall(r"^run: (.+)$", printed, re.MULTILINE))
+    _, run = dict.fromkeys(re.findall(r"^run: (.+)$", printed, re.MULTILINE))
     assert Path(run, "stop.svg").is_file()
 
 
 @pytest.mark.parametrize("workers", [(), pytest.param(("-n", "1"), marks=pytest.mark.nightly)])
-def test_no_bench_outlives_a_session_that_is_killed(workers, session, tmp_path):
-    other_pytest = session({"test_waits.py": WAITS}, *workers)
+def test_no_bench_outlives_a_session_that_is_killed(workers, tmp_path):
+    other_pytest = start(tmp_path, {"test_waits.py": WAITS}, *workers)
     end_s = time.monotonic() + 300.0
     while not list((tmp_path / "base").rglob("there")):
         assert other_pytest.poll() is None, output_of(tmp_path)

@@ -108,6 +108,7 @@ def stop(tmp_path):
     return sequence.load(path, catalogue.parse)
 
 
+@pytest.mark.nightly
 def test_a_sequence_in_lockstep_repeats_bit_for_bit(stop, tmp_path):
     traces = []
     for name in ("first", "second"):

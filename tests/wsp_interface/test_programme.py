@@ -59,14 +59,19 @@ reason = "on another rig"
 """
 
 
-@pytest.fixture
-def files(tmp_path):
-    """The file of a programme; its additional sequence fails."""
+def write(folder):
+    """Write a programme whose additional sequence fails; return its file."""
     for number, (name, limit) in enumerate((("a", 50.0), ("b", 50.0), ("c", 0.01))):
-        (tmp_path / f"{name}.toml").write_text(SEQUENCE.format(number=number, limit=limit))
-    path = tmp_path / "short.toml"
+        (folder / f"{name}.toml").write_text(SEQUENCE.format(number=number, limit=limit))
+    path = folder / "short.toml"
     path.write_text(PROGRAMME)
     return path
+
+
+@pytest.fixture
+def files(tmp_path):
+    """The file of a programme."""
+    return write(tmp_path)
 
 
 @pytest.mark.parametrize("name", store.names("programmes"))
@@ -115,12 +120,22 @@ def play(files, out, *more):
     return cli.main(["programme", str(files), "--out", str(out), "--json", *more])
 
 
-def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_count(
-    files, tmp_path, capsys
-):
-    out = tmp_path / "out"
-    assert play(files, out, "--about", "tested by=A. Meier") == cli.PASS
-    printed = json.loads(capsys.readouterr().out)
+@pytest.fixture(scope="module")
+def played(tmp_path_factory):
+    """A part of a programme is played, then the whole: the folder, and what each has printed."""
+    folder = tmp_path_factory.mktemp("programme")
+    words = ("programme", write(folder), "--out", folder / "out", "--json")
+    printed = []
+    for more in (("--group", "sto"), ("--about", "tested by=A. Meier")):
+        done = program.rollerrig(*words, *more)
+        assert done.status == cli.PASS, done.messages
+        printed.append(json.loads(done.printed))
+    return folder, *printed
+
+
+def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_count(played):
+    folder, _, printed = played
+    out = folder / "out"
     assert printed["sequences"] == {"a": "pass", "b": "pass", "c": "fail"}
 
     found = json.loads((out / "evidence.json").read_text())
@@ -139,7 +154,7 @@ def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_coun
     assert "Run it again" not in scenario
     # what each sequence was played with, and which sequence it was
     assert stop["conditions"]["initial speed"] == "4 km/h"
-    digest = hashlib.sha256((files.parent / "a.toml").read_bytes()).hexdigest()
+    digest = hashlib.sha256((folder / "a.toml").read_bytes()).hexdigest()
     assert stop["sequence_sha256"] == digest
     assert "a/channels.parquet" in stop["files"]
     assert found["versions"]["rollerrig"]
@@ -157,13 +172,12 @@ def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_coun
     assert stop["files"]["a/channels.parquet"] in page
 
 
-def test_a_part_of_a_programme_is_played_by_its_groups_and_its_evidence_states_that(
-    files, tmp_path, capsys
-):
-    out = tmp_path / "out"
-    assert play(files, out, "--group", "sto") == cli.PASS
-    assert json.loads(capsys.readouterr().out)["sequences"] == {"a": "pass", "b": "pass"}
-    assert not (out / "evidence.json").exists()
+def test_a_part_of_a_programme_is_played_by_its_groups_and_its_evidence_states_that(played):
+    folder, printed, of_the_whole = played
+    out = folder / "out"
+    assert printed["sequences"] == {"a": "pass", "b": "pass"}
+    # the whole programme continues with what the part has left
+    assert of_the_whole["done_before"] == 2
     found = json.loads((out / "evidence_part.json").read_text())
     assert (found["is_part"], found["result"]) == (True, "pass")
     assert found["groups_left_out"] == ["More", "Elsewhere"]
@@ -171,11 +185,8 @@ def test_a_part_of_a_programme_is_played_by_its_groups_and_its_evidence_states_t
     assert "A part of the programme.</b> The result is that of the groups below." in page
     assert "Not chosen: More; Elsewhere." in page
 
-    # the whole programme continues with what the part has left
-    assert play(files, out) == cli.PASS
-    assert json.loads(capsys.readouterr().out)["done_before"] == 2
     # a part with additional groups only is judged by them
-    loaded = programme.load(str(files)).part(["More"])
+    loaded = programme.load(str(folder / "short.toml")).part(["More"])
     assert loaded.counted == programme.KINDS
 
 

@@ -157,6 +157,7 @@ def check(*names: str) -> tuple[int, str]:
     return done.returncode, done.stderr
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("vehicle", sorted(set(store.names("vehicles")) - {"uic_z1"}))
 def test_every_shipped_vehicle_has_sequences_that_are_in_order_and_have_limits(vehicle):
     names = of_vehicle(vehicle)
@@ -172,7 +173,9 @@ def test_no_two_packaged_sequences_have_the_same_name():
     assert not set(store.names("sequences")) & set(store.names_of_vehicles("sequences"))
 
 
-@pytest.mark.parametrize("other", ["dry_120", "multiple_unit_dynamic_low"])
+@pytest.mark.parametrize(
+    "other", ["dry_120", pytest.param("multiple_unit_dynamic_low", marks=pytest.mark.nightly)]
+)
 def test_sequences_of_two_vehicles_in_one_command_are_refused_with_a_name_of_each(other):
     status, messages = check("tram_dynamic_brake_lost", other)
     assert status == 2
