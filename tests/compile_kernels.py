@@ -7,10 +7,12 @@ that this checkout has been compiled.
 
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
 import time
+import tomllib
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
@@ -42,6 +44,9 @@ design = "matrix"
 [vary]
 initial_speed_m_s = [1.0, 2.0]
 """
+# s; an explanation of the first seconds of its runs uses all kernels that one of whole runs uses
+EXPLAINED = ROOT / "configs/datasets/open_none"
+EXPLAINED_S = 4.0
 # Series of commands; a process runs the commands of a series one after another, so that each kernel
 # which several of them need is compiled once.
 SERIES = (
@@ -53,7 +58,7 @@ SERIES = (
         (*COACH, "rig=plain_track"),
         (*COACH, "rig=virtual_track"),
     ),
-    (("explain", "open_none"), ("tune", "velim_synthetic"), ("campaign", "CAMPAIGN"), "generators"),
+    (("explain", "DATASET"), ("tune", "velim_synthetic"), ("campaign", "CAMPAIGN"), "generators"),
 )
 
 
@@ -108,15 +113,29 @@ def run_series(number, folder):
     folder.mkdir(parents=True, exist_ok=True)
     plan = folder / "campaign.toml"
     plan.write_text(CAMPAIGN)
+    dataset = folder / "dataset"
+    write_first_seconds(dataset)
+    paths = {"CAMPAIGN": str(plan), "DATASET": str(dataset)}
     for place, words in enumerate(SERIES[number]):
         out = folder / str(place)
         if words == "generators":
             make_generated_stops(out)
             continue
-        replaced = [str(plan) if word == "CAMPAIGN" else word for word in words]
+        replaced = [paths.get(word, word) for word in words]
         status = cli.main([*replaced, "--out", str(out)])
         if status not in ACCEPTED:
             raise SystemExit(f"{' '.join(words)}: status {status}")
+
+
+def write_first_seconds(folder):
+    """Write a dataset with the first seconds of each run of EXPLAINED."""
+    shutil.copytree(EXPLAINED, folder)
+    content = tomllib.loads((folder / "dataset.toml").read_text())
+    samples = round(EXPLAINED_S / content["sample_time_s"])
+    for run in content["run"]:
+        path = folder / run["file"]
+        head, *lines = path.read_text().splitlines(keepends=True)
+        path.write_text(head + "".join(lines[:samples]))
 
 
 def make_generated_stops(out):
