@@ -58,13 +58,6 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def call(options: argparse.Namespace) -> int:
     """Serve the desk until the user interrupts it. Returns PASS."""
-    try:
-        from rollerrig.realtime.desk import desk, server
-    except ImportError as error:
-        raise ConfigError(
-            f"the desk needs nicegui ({error}): pip install 'rollerrig[desk]'"
-        ) from None
-
     if options.scenario:
         from rollerrig.realtime.bench import scenario
 
@@ -82,6 +75,13 @@ def call(options: argparse.Namespace) -> int:
             raise ConfigError(f"--allow-folder {folder}: there is no such folder; give another one")
     fmus = [file for folder in options.allow_folder for file in sorted(folder.glob("*.fmu"))]
     allowed = AllowList.of([*options.allow_unit, *fmus])
+
+    try:
+        from rollerrig.realtime.desk import desk, server
+    except ImportError as error:
+        raise ConfigError(
+            f"the desk needs nicegui ({error}): pip install 'rollerrig[desk]'"
+        ) from None
 
     def print_address(address: str, warning: str) -> None:
         if warning:

@@ -6,11 +6,14 @@ import signal
 import socket
 
 import bench_process
+import program
 import pytest
 from bench_process import MAGNETS, BenchProcess, SimpleUnit
 from process_tree import is_running
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
+from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.events import Code
 
@@ -71,7 +74,6 @@ def refused(capsys, *arguments):
             ["[[demand]]", "rise"],
         ),
         ("demand=[{from_s=3.0}]", ["[[demand]] 1", "pressure_Pa is missing"]),
-        ("wsp_config=nobody", ["'nobody'", "reference"]),
         ("mass_kg", ["--set mass_kg", "section.key=value"]),
         (
             "speed=120",
@@ -87,11 +89,28 @@ def refused(capsys, *arguments):
         ("bus_set=slow", ["no bus is called 'slow'", "default"]),
     ],
 )
-def test_a_wrong_setting_is_refused_with_what_is_allowed(setting, parts, tmp_path, capsys):
-    text = refused(capsys, "velim_a1", "--set", setting, "--out", str(tmp_path / "run"))
+def test_a_wrong_setting_is_refused_with_what_is_allowed(setting, parts):
+    with pytest.raises(ConfigError) as refusal:
+        scenario.load("velim_a1", settings=(setting,))
+    for part in parts:
+        assert part in str(refusal.value)
+
+
+@pytest.mark.parametrize(
+    ("setting", "parts"),
+    [
+        ("vehicle.mas_kg=1", ["--set [vehicle]: unknown key 'mas_kg'; did you mean 'mass_kg'"]),
+        ("wsp_config=nobody", ["'nobody'", "reference"]),
+    ],
+)
+def test_a_run_with_a_wrong_setting_ends_with_its_message_and_makes_no_folder(
+    setting, parts, tmp_path, capsys
+):
+    out = tmp_path / "run"
+    text = refused(capsys, "velim_a1", "--set", setting, "--out", str(out))
     for part in parts:
         assert part in text
-    assert not (tmp_path / "run").exists()
+    assert not out.exists()
 
 
 @pytest.mark.parametrize(
@@ -109,11 +128,20 @@ def test_a_wrong_setting_is_refused_with_what_is_allowed(setting, parts, tmp_pat
         ('rig = "../nowhere.toml"\n' + HEAD, ["../nowhere.toml", "no such file", "full_scale"]),
     ],
 )
-def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path, capsys):
-    (tmp_path / "own.toml").write_text(content)
-    text = refused(capsys, str(tmp_path / "own.toml"), "--out", str(tmp_path / "run"))
+def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path):
+    file = tmp_path / "own.toml"
+    file.write_text(content)
+    with pytest.raises(ConfigError) as refusal:
+        scenario.load(str(file))
     for part in parts:
-        assert part in text
+        assert part in str(refusal.value)
+
+
+def test_a_run_of_a_wrong_file_ends_with_its_message_and_makes_no_folder(tmp_path, capsys):
+    (tmp_path / "own.toml").write_text("initial_speed = 3\n" + HEAD)
+    text = refused(capsys, str(tmp_path / "own.toml"), "--out", str(tmp_path / "run"))
+    assert "own.toml" in text
+    assert "initial_speed_m_s" in text
     assert not (tmp_path / "run").exists()
 
 
@@ -121,8 +149,6 @@ def test_a_wrong_file_is_refused_with_its_name(content, parts, tmp_path, capsys)
     ("arguments", "parts"),
     [
         (["velim_a9"], ["'velim_a9'", "velim_a1"]),
-        (["Velim_A1"], ["'Velim_A1'", "did you mean 'velim_a1'?"]),
-        (["VELIM_B1.toml"], ["VELIM_B1.toml: no such file", "did you mean 'velim_b1'?"]),
         (["velim_a1", "--fault", ""], ["--fault ''", "kind, the name of the fault, is missing"]),
         (["velim_a1", "--fault", "Node_Off"], ["--fault 'Node_Off'", "did you mean 'node_off'?"]),
         (["no/such/file.toml"], ["no/such/file.toml: no such file"]),
@@ -136,6 +162,18 @@ def test_a_file_that_is_missing_and_options_that_contradict_are_refused(
     text = refused(capsys, *arguments, "--out", str(tmp_path / "run"))
     for part in parts:
         assert part in text
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("Velim_A1", r"'Velim_A1'.*did you mean 'velim_a1'\?"),
+        ("VELIM_B1.toml", r"VELIM_B1\.toml: no such file.*did you mean 'velim_b1'\?"),
+    ],
+)
+def test_a_scenario_in_other_letters_is_refused_with_the_name_that_is_meant(name, message):
+    with pytest.raises(ConfigError, match=message):
+        scenario.load(name)
 
 
 def test_a_model_that_is_no_table_is_refused(tmp_path, capsys):
@@ -154,15 +192,15 @@ def test_a_folder_that_holds_something_else_is_left_alone(tmp_path, capsys):
 def test_a_run_does_not_replace_the_users_scenario_in_its_output_folder(tmp_path, capsys):
     folder = tmp_path / "mine"
     folder.mkdir()
-    scenario = folder / "scenario.toml"
-    scenario.write_text('vehicle = "uic_z1"\n')
+    own = folder / "scenario.toml"
+    own.write_text('vehicle = "uic_z1"\n')
     (folder / "notes.txt").write_text("what I saw")
 
-    text = refused(capsys, str(scenario), "--pacing", "free", "--out", str(folder))
+    text = refused(capsys, str(own), "--pacing", "free", "--out", str(folder))
 
     assert "nothing in it is replaced" in text
     assert sorted(path.name for path in folder.iterdir()) == ["notes.txt", "scenario.toml"]
-    assert scenario.read_text() == 'vehicle = "uic_z1"\n'
+    assert own.read_text() == 'vehicle = "uic_z1"\n'
 
 
 def test_a_folder_whose_summary_is_no_table_is_not_a_runs_folder(tmp_path, capsys):
@@ -175,14 +213,14 @@ def test_a_folder_whose_summary_is_no_table_is_not_a_runs_folder(tmp_path, capsy
 def test_a_second_run_replaces_the_files_of_the_first_and_keeps_all_others(tmp_path):
     out = tmp_path / "run"
     words = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--out", str(out), "--set")
-    assert cli.main([*words, "initial_speed_m_s=3"]) == 0
+    assert program.rollerrig(*words, "initial_speed_m_s=1").status == 0
 
     (out / "notes.txt").write_text("what I saw")
     (out / "exports").mkdir()
     (out / "exports" / "run.csv").write_text("1")
-    assert cli.main([*words, "initial_speed_m_s=4"]) == 0
+    assert program.rollerrig(*words, "initial_speed_m_s=2").status == 0
 
-    assert records.load(out).scenario["initial_speed_m_s"] == 4.0
+    assert records.load(out).scenario["initial_speed_m_s"] == 2.0
     assert (out / "notes.txt").read_text() == "what I saw"
     assert (out / "exports" / "run.csv").read_text() == "1"
 

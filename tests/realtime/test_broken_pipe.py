@@ -10,11 +10,12 @@ import subprocess
 import sys
 
 import pytest
+from program import CLI, Program
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.campaign import campaign
 
-ROLLERRIG = (sys.executable, "-m", "rollerrig.realtime.cli")
+ROLLERRIG = (sys.executable, *CLI)
 # a short run
 STOP = (
     "run",
@@ -57,14 +58,13 @@ def status_without_reader(*arguments, ignore_stderr=False):
     """
     read_end, write_end = os.pipe()
     os.close(read_end)
-    stderr = subprocess.DEVNULL if ignore_stderr else write_end
-    try:
-        done = subprocess.run(
-            (*ROLLERRIG, *arguments), stdout=write_end, stderr=stderr, timeout=300
-        )
-    finally:
-        os.close(write_end)
-    return done.returncode
+    with (
+        open(os.devnull) as nothing,
+        open(os.devnull, "wb") as discarded,
+        open(write_end, "wb") as unread,
+    ):
+        stderr = discarded if ignore_stderr else unread
+        return Program((*CLI, *arguments), (nothing, unread, stderr)).wait(300)
 
 
 def run_in_shell(*arguments, closed):

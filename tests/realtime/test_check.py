@@ -4,9 +4,8 @@ import argparse
 import json
 import os
 import socket
-import subprocess
-import sys
 
+import program
 import pytest
 
 from rollerrig.realtime import cli
@@ -73,10 +72,7 @@ def test_a_process_without_rights_learns_how_to_get_priority_and_locked_memory()
         "for finding in (check.priority(), check.memory_lock()):\n"
         "    print(finding.state, '|', finding.mend)\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, check=False
-    )
-    rights, memory = done.stdout.splitlines()
+    rights, memory = program.python("-c", script).printed.splitlines()
     for line, limit in ((rights, "rtprio"), (memory, "memlock")):
         assert line.startswith("weaker")
         assert limit in line

@@ -5,10 +5,9 @@ import itertools
 import multiprocessing
 import os
 import socket
-import subprocess
-import sys
 from pathlib import Path
 
+import program
 import pytest
 from bench_process import until
 from chromium import browsing
@@ -143,21 +142,27 @@ def test_the_browser_of_open_gets_the_token_by_a_private_file(tmp_path):
     assert not doorstep.exists()
 
 
-def test_beyond_loopback_the_desk_warns_loudly_and_requires_its_token_too(tmp_path):
-    with served(tmp_path, "--host", "0.0.0.0") as desk:
-        client = Client(desk.port, f"rig.example:{desk.port}")
-        assert client.get("/").status == 403
-        assert client.enter(desk.token).status == 200
-        assert client.get("/desk/rows").status == 200
+@pytest.fixture(scope="module")
+def desk_beyond_loopback(tmp_path_factory):
+    """A desk that listens on all addresses of the machine, and of which all pages may be opened."""
+    with served(tmp_path_factory.mktemp("beyond"), "--host", "0.0.0.0") as desk:
+        yield desk
+
+
+def test_beyond_loopback_the_desk_warns_loudly_and_requires_its_token_too(desk_beyond_loopback):
+    desk = desk_beyond_loopback
+    client = Client(desk.port, f"rig.example:{desk.port}")
+    assert client.get("/").status == 403
+    assert client.enter(desk.token).status == 200
+    assert client.get("/desk/rows").status == 200
     assert "THE DESK LISTENS BEYOND THIS MACHINE" in desk.stderr.read_text()
 
 
 def test_a_second_desk_on_a_port_is_refused_with_a_message(desk):
-    command = [sys.executable, "-m", "rollerrig.realtime.cli", "desk", "--port", str(desk.port)]
-    second = subprocess.run(command, capture_output=True, text=True, timeout=120)
-    assert second.returncode == 2
-    assert "if a desk runs there already, open the address that it has printed" in second.stderr
-    assert "Traceback" not in second.stderr
+    second = program.rollerrig("desk", "--port", desk.port, timeout_s=120)
+    assert second.status == 2
+    assert "if a desk runs there already, open the address that it has printed" in second.messages
+    assert "Traceback" not in second.messages
 
 
 # -- other sites, and malformed requests
@@ -256,11 +261,10 @@ def test_requests_of_other_sites_and_for_unknown_addresses_take_no_memory(desk):
     assert memory_MB(desk.process) - before_MB < PAGES_MB
 
 
-def test_the_number_of_open_pages_is_limited(tmp_path):
-    with served(tmp_path) as desk:
-        client = entered(desk)
-        statuses = [client.get("/").status for _ in range(guard.MOST_PAGES + 3)]
-        assert client.get("/desk/rows").status == 200  # a page that is open continues
+def test_the_number_of_open_pages_is_limited(desk_beyond_loopback):
+    client = entered(desk_beyond_loopback)
+    statuses = [client.get("/").status for _ in range(guard.MOST_PAGES + 3)]
+    assert client.get("/desk/rows").status == 200  # a page that is open continues
     allowed = list(itertools.takewhile(lambda status: status == 200, statuses))
     assert guard.MOST_PAGES - 3 <= len(allowed) <= guard.MOST_PAGES
     assert set(statuses[len(allowed) :]) == {503}

@@ -1,6 +1,7 @@
 """A sealed rig does not show what it hides, and `discover` finds it from stops."""
 
 import json
+import os
 import re
 import shutil
 
@@ -133,7 +134,7 @@ def test_the_record_of_a_stop_shows_faults_of_which_there_is_no_event(tmp_path, 
         ]
     }
     rig, _ = sealed(tmp_path, hidden)
-    folder = brake(rig, tmp_path / "run", 20.0)
+    folder = brake(rig, tmp_path / "run", 12.0)
     faults = discover.common_faults([folder])
     assert faults == ["speed_noise_burst axle=2", "vent_magnet_stuck axle=3"]
     assert "fault" not in (folder / "events.jsonl").read_text()
@@ -194,10 +195,20 @@ def stops_of(history):
 
 @pytest.fixture(scope="module")
 def searched(tmp_path_factory):
-    """A search of five stops in which two causes look alike: folder, history and datasets."""
+    """A search of five stops in which two causes look alike: folder, history and datasets.
+
+    Its first three stops are there, as after an interruption.
+    """
     out = tmp_path_factory.mktemp("search") / "found"
+    for name, speed_m_s in (("01", 38.0), ("02", 22.0), ("03", 30.0)):
+        brake("velim_a1", out / "stops" / name, speed_m_s)
     seen = []
-    _, history = find_out("velim_a1", out, 5, explain=explain_as([EITHER] * 2, seen))
+    cores = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cores)})  # on one core a single process runs the two other stops
+    try:
+        _, history = find_out("velim_a1", out, 5, explain=explain_as([EITHER] * 2, seen))
+    finally:
+        os.sched_setaffinity(0, cores)
     return out, history, seen
 
 
@@ -207,6 +218,14 @@ def with_stops(searched, out, number):
         folder = f"{name:02d}"
         shutil.copytree(searched[0] / "stops" / folder, out / "stops" / folder)
     return {path: path.stat().st_mtime_ns for path in out.glob("stops/*/channels.parquet")}
+
+
+def with_first_round(searched, out, **changed):
+    """Write the history of the search as it was after its first round, with the next stops."""
+    history = json.loads((searched[0] / discover.HISTORY).read_text())
+    first, *_ = history["rounds"]
+    history["rounds"] = [first | changed]
+    (out / discover.HISTORY).write_text(json.dumps(history))
 
 
 def written_again(files):
@@ -237,7 +256,8 @@ def test_the_search_runs_new_stops_until_the_budget_is_used_up(searched) -> None
 
 def test_the_last_round_runs_no_more_stops_than_the_budget_has(searched, tmp_path) -> None:
     with_stops(searched, tmp_path, 4)
-    _, history = find_out("velim_a1", tmp_path, 4, explain=explain_as([EITHER] * 2, []))
+    with_first_round(searched, tmp_path)
+    _, history = find_out("velim_a1", tmp_path, 4, explain=explain_as([EITHER], []))
     assert stops_of(history) == [3, 4]
 
 
@@ -252,7 +272,8 @@ def test_the_search_is_over_with_one_cause_that_nothing_looks_like(searched, tmp
 
 def test_the_search_is_over_after_two_rounds_without_a_cause(searched, tmp_path) -> None:
     files = with_stops(searched, tmp_path, 5)
-    diagnosis, history = find_out("velim_a1", tmp_path, 9, explain=explain_as([(), ()], []))
+    with_first_round(searched, tmp_path, verdict="consistent", causes=[])
+    diagnosis, history = find_out("velim_a1", tmp_path, 9, explain=explain_as([()], []))
     assert stops_of(history) == [3, 5]
     assert diagnosis.verdict == "consistent"
     assert written_again(files) == []
@@ -260,7 +281,17 @@ def test_the_search_is_over_after_two_rounds_without_a_cause(searched, tmp_path)
 
 def test_a_search_that_was_interrupted_continues_with_its_stops(searched, tmp_path) -> None:
     files = with_stops(searched, tmp_path, 5)
-    # the search had judged three stops, and had run two more
+    with_first_round(searched, tmp_path)
+    _, history = find_out("velim_a1", tmp_path, 5, explain=explain_as([EITHER], []))
+    assert stops_of(history) == [3, 5]
+    assert written_again(files) == []
+
+
+@pytest.mark.nightly
+def test_a_search_continues_with_a_larger_budget_and_proposes_the_same_stops(
+    searched, tmp_path
+) -> None:
+    files = with_stops(searched, tmp_path, 5)
     _, history = find_out("velim_a1", tmp_path, 3, explain=explain_as([EITHER], []))
     assert stops_of(history) == [3]
     _, history = find_out("velim_a1", tmp_path, 5, explain=explain_as([EITHER] * 2, []))

@@ -6,8 +6,10 @@ import resource
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import process_tree
+import program
 import pytest
 from bench_process import BenchProcess, until
 
@@ -19,12 +21,8 @@ RECORDER = "rollerrig.realtime.telemetry.recorder"
 
 
 def start(*arguments):
-    return subprocess.Popen(
-        [sys.executable, "-m", "rollerrig.realtime.cli", *map(str, arguments)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    nowhere = Path(os.devnull)
+    return program.start(list(map(str, arguments)), nowhere, nowhere)
 
 
 def killed(process, *words):

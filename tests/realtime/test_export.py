@@ -2,12 +2,11 @@
 
 import csv
 import json
-import resource
-import subprocess
 import sys
 from typing import NamedTuple
 
 import numpy as np
+import program
 import pytest
 
 from rollerrig.configs.errors import ConfigError
@@ -111,31 +110,26 @@ def test_without_asammdf_the_message_shows_how_to_install_it(run, tmp_path, monk
         export.write(run, "mdf4", tmp_path / "run.mf4")
 
 
-def export_to_csv(folder, *options, before=None):
-    """Run `rollerrig export` in a process, which calls `before` first; return its result."""
-    rollerrig = (sys.executable, "-m", "rollerrig.realtime.cli")
-    return subprocess.run(
-        [*rollerrig, "export", str(folder), "--format", "csv", *options],
-        capture_output=True,
-        text=True,
-        preexec_fn=before,
-    )
-
-
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
-    done = export_to_csv(tmp_path)
-    assert done.returncode == 2
-    assert "not a run's folder" in done.stderr
+    done = program.rollerrig("export", tmp_path, "--format", "csv")
+    assert done.status == 2
+    assert "not a run's folder" in done.messages
 
 
-def limit_file_size():
-    """Let this process write files of at most 4 KiB, as on a disk that is almost full."""
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+# the command line in a process that writes files of at most 4 KiB, as on a disk that is almost full
+ALMOST_FULL = """
+import resource
+import sys
+from rollerrig.realtime import cli
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+sys.exit(cli.main(sys.argv[1:]))
+"""
 
 
 def test_a_full_disk_leaves_no_incomplete_file(run, tmp_path):
     out = tmp_path / "full" / "run.csv"
-    done = export_to_csv(run.folder, "--out", str(out), before=limit_file_size)
-    assert done.returncode == 2
-    assert "make room" in done.stderr
+    words = ("export", run.folder, "--format", "csv", "--out", out)
+    done = program.python("-c", ALMOST_FULL, *words)
+    assert done.status == 2
+    assert "make room" in done.messages
     assert list(out.parent.iterdir()) == []
