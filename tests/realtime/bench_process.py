@@ -24,7 +24,7 @@ ADDRESS = re.compile(r"socketcand://[\d.]+:\d+/rig0")
 PATIENCE_S = 240.0  # a first run compiles, perhaps on a busy machine
 
 
-def until(condition, what, timeout_s=PATIENCE_S):
+def until(condition, what, timeout_s=PATIENCE_S, pause_s=0.02):
     """Wait until a condition is true and return its value; the test fails after the time-out."""
     end = time.monotonic() + timeout_s
     while True:
@@ -32,7 +32,7 @@ def until(condition, what, timeout_s=PATIENCE_S):
         if value:
             return value
         assert time.monotonic() < end, f"waited {timeout_s} s for {what}"
-        time.sleep(0.02)
+        time.sleep(pause_s)
 
 
 class BenchProcess:
@@ -62,6 +62,7 @@ class BenchProcess:
         self.process = program.start(words, self.stdout_path, self.stderr_path, **more)
         self.status = None
         self.result = None
+        self._record = None
 
     def finish(self, timeout_s=PATIENCE_S):
         """Wait for the end of the run; return self."""
@@ -80,8 +81,12 @@ class BenchProcess:
 
     @property
     def record(self):
-        """The record in the run's folder."""
-        return records.load(self.out)
+        """The record in the run's folder; that of a finished run is read once."""
+        if self.status is None:
+            return records.load(self.out)
+        if self._record is None:
+            self._record = records.load(self.out)
+        return self._record
 
     def reported(self, code, **fields):
         """The recorded events of a code with these fields."""
@@ -112,7 +117,8 @@ class BenchProcess:
                 return False
             return len(time_s) and time_s[-1] >= seconds
 
-        until(recorded, f"{seconds} s of simulated time")
+        # each look reads the whole record
+        until(recorded, f"{seconds} s of simulated time", pause_s=0.1)
 
     def child(self, word):
         """The process number of the child whose command line has a word."""
