@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import bench_process
+import short_campaign
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
@@ -98,8 +99,9 @@ def test_a_campaign_warns_once_of_a_fault_that_never_began_and_counts_its_runs(t
     (tmp_path / "late.toml").write_text(SCENARIO)
     plan = tmp_path / "plan.toml"
     plan.write_text(PLAN.format(scenario=tmp_path / "late.toml"))
-    words = ["campaign", str(plan), "--workers", "1", "--out", str(tmp_path / "out")]
-    assert cli.main([*words, "--json"]) == 0
+    out = tmp_path / "out"
+    short_campaign.run_here(plan, out)
+    assert cli.main(["campaign", str(plan), "--out", str(out), "--json"]) == 0
 
     printed = json.loads(capsys.readouterr().out)
     (warning,) = printed["warnings"]

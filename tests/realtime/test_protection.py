@@ -10,6 +10,7 @@ import shlex
 import sys
 from pathlib import Path
 
+import bench_process
 import numpy as np
 import pytest
 from benchmarks import protection
@@ -103,22 +104,20 @@ def test_the_reference_wsp_needs_at_most_a_tenth_more_than_the_best_slip_band(ca
 # --- the line of the demo ---
 
 
-def test_a_run_prints_the_same_stop_without_wsp(tmp_path, capsys):
-    words = ("run", "velim_a1", "--pacing", "free", "--also-without-wsp")
-    assert cli.main([*words, "--out", str(tmp_path / "run"), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    without = result["without_wsp"]
+def test_a_run_prints_the_same_stop_without_wsp(tmp_path, stop_without_wsp):
+    run = bench_process.run(
+        tmp_path / "run", "--pacing", "free", "--also-without-wsp", *bench_process.ON_LEAVES
+    )
+    assert run.status == 0, run.stderr
+    without = run.result["without_wsp"]
     assert without["stopped"] is True
     assert without["longest_lock_s"] > 5.0
-    assert without["braking_distance_m"] > 1.1 * result["braking_distance_m"]
+    assert without["braking_distance_m"] > 1.1 * run.result["braking_distance_m"]
 
     # the same stop is recorded, so that it can be compared and drawn
     assert without["folder"] == str(tmp_path / "run" / "without_wsp")
-    alone = ("run", "velim_a1", "--pacing", "free", "--wsp", "none")
-    assert cli.main([*alone, "--out", str(tmp_path / "alone"), "--json"]) == 0
-    capsys.readouterr()
     recorded = records.load(Path(without["folder"]))
-    expected = records.load(tmp_path / "alone")
+    expected = stop_without_wsp.record
     for channel in recorded.table.column_names:
         np.testing.assert_array_equal(recorded.column(channel), expected.column(channel), channel)
     position_m = recorded.column("position_m")
