@@ -7,7 +7,6 @@ import subprocess
 import sys
 import time
 
-import program
 import pytest
 
 from rollerrig.realtime.bench.tick_data import KERNELS
@@ -151,8 +150,8 @@ def test_a_run_is_recorded_and_summed_up_without_pandas(tmp_path):
         f"'--json', '--out', {str(tmp_path / 'run')!r}])\n"
         "print(status, 'pandas' in sys.modules, file=sys.stderr)"
     )
-    done = program.python("-c", code)
-    assert done.messages.splitlines()[-1] == "0 False"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.splitlines()[-1] == "0 False"
 
 
 def test_run_loads_no_package_that_only_other_commands_use():
