@@ -4,6 +4,7 @@ import json
 from pathlib import Path
 
 import bench_process
+import pytest
 import short_campaign
 
 from rollerrig.realtime import cli
@@ -67,6 +68,7 @@ def test_a_run_warns_of_a_fault_that_never_began_and_its_summary_has_the_warning
     assert bench.reported(Code.FAULT_BEGINS, kind="cylinder_leak")
 
 
+@pytest.mark.nightly
 def test_a_run_whose_faults_all_begin_has_no_warning(tmp_path):
     bench = bench_process.run(
         tmp_path / "run", *SHORT, "--fault", "cylinder_leak axle=1 at=0.5", scenario="dry_stop"

@@ -491,6 +491,7 @@ def stops_answering(n):
     return None
 
 
+@pytest.mark.nightly
 def test_a_sequence_whose_run_is_not_valid_is_an_error_and_neither_passed_nor_failed(
     walk, tmp_path
 ):
