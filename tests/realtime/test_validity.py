@@ -62,15 +62,27 @@ def not_valid(bench, *parts):
 # --- the reasons ---
 
 
-def test_a_run_that_stops_is_valid_and_one_that_does_not_is_not(tmp_path):
-    stops = bench_process.run(tmp_path / "stops", *SHORT_OPTIONS, scenario="dry_stop")
+@pytest.fixture(scope="module")
+def stops(tmp_path_factory):
+    """A run in which the coach stops."""
+    folder = tmp_path_factory.mktemp("stops") / "good"
+    return bench_process.run(folder, *SHORT_OPTIONS, scenario="dry_stop")
+
+
+@pytest.fixture(scope="module")
+def rolls(tmp_path_factory):
+    """A run in which the coach does not stop."""
+    folder = tmp_path_factory.mktemp("rolls") / "bad"
+    return bench_process.run(folder, *SHORT_OPTIONS, *NO_TIME_TO_STOP, scenario="dry_stop")
+
+
+def test_a_run_that_stops_is_valid(stops):
     assert stops.status == 0, stops.stderr
     assert stops.result["valid"] is True
     assert stops.result["invalid_because"] == []
 
-    rolls = bench_process.run(
-        tmp_path / "rolls", *SHORT_OPTIONS, *NO_TIME_TO_STOP, scenario="dry_stop"
-    )
+
+def test_a_run_that_does_not_stop_is_not_valid(rolls):
     not_valid(
         rolls,
         "did not stop within 0.3 s (duration_max_s)",
@@ -362,15 +374,10 @@ def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
 # --- commands that read runs ---
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory):
+@pytest.fixture
+def folders(stops, rolls):
     """The folders of a run in which the coach stops, and of a run in which it does not."""
-    parent = tmp_path_factory.mktemp("read")
-    good = str(parent / "good")
-    bad = str(parent / "bad")
-    assert program.rollerrig(*SHORT, "--out", good).status == 0
-    assert program.rollerrig(*SHORT, *NO_TIME_TO_STOP, "--out", bad).status == 4
-    return good, bad
+    return str(stops.out), str(rolls.out)
 
 
 def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, capsys):
