@@ -21,6 +21,8 @@ HEARTBEAT = 0x720
 SYNC = 0x080
 SPEEDS = 0x190
 ADDRESS = re.compile(r"socketcand://[\d.]+:\d+/rig0")
+# arguments of a stop on leaves
+ON_LEAVES = ("--set", "adhesion=leaf_film", "--set", "initial_speed_m_s=20")
 PATIENCE_S = 240.0  # a first run compiles, perhaps on a busy machine
 
 

@@ -7,8 +7,6 @@ import bench_process
 import program
 import pytest
 
-ON_LEAVES = ("--set", "adhesion=leaf_film", "--set", "initial_speed_m_s=20")
-
 
 @pytest.fixture(scope="session")
 def folders(tmp_path_factory):
@@ -24,13 +22,15 @@ def stop_with_wsp(folders):
 @pytest.fixture(scope="session")
 def stop_without_wsp(folders):
     """A stop from 20 m/s on leaves, where sliding never cleans enough for a full brake."""
-    return bench_process.run(folders / "without", "--pacing", "free", "--wsp", "none", *ON_LEAVES)
+    return bench_process.run(
+        folders / "without", "--pacing", "free", "--wsp", "none", *bench_process.ON_LEAVES
+    )
 
 
 @pytest.fixture(scope="session")
 def stop_on_leaves(folders):
     """The same stop on leaves, with the reference unit."""
-    return bench_process.run(folders / "leaves", "--pacing", "free", *ON_LEAVES)
+    return bench_process.run(folders / "leaves", "--pacing", "free", *bench_process.ON_LEAVES)
 
 
 @pytest.fixture(scope="session")

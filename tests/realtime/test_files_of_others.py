@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime import cli
 from rollerrig.realtime.commands import check
 from rollerrig.realtime.desk import library
 from rollerrig.realtime.record import channels, records, run_folder
@@ -30,7 +31,8 @@ from rollerrig.rig.identify.data import mdf
 ADDRESS_SPACE_BYTES = 6_000_000_000
 MOST_RESIDENT_BYTES = 900_000_000
 
-CREEP_CURVE = "eurosprinter_127001"
+# a short recording of a train
+RECORDING = Path(__file__).parents[1] / "data" / "field" / "min_unit_row"
 SCENARIO = 'title = "t"\n[[demand]]\nfrom_s = 0.0\npressure_Pa = 3.8e5\n'
 DATASET = (
     'kind = "braking_runs"\nvehicle = "uic_z1"\nsample_time_s = 0.01\n'
@@ -257,12 +259,22 @@ def run_limited(commands, folder):
     return json.loads(done.stdout)
 
 
+def commands_with_names_that_act(folder):
+    """Return commands about names with control characters and with markup."""
+    named = folder / "a\x1b]0;owned\x07\u202e.fmu"
+    return {
+        "table": fmu(named, DESCRIPTION.format(MODEL_EXCHANGE)),
+        "error": ["run", str(folder / "no\x1b[2J\r\x9b.toml")],
+        "usage": ["run", "velim_a1", "--pacing", "\x1b[31mred"],
+    }
+
+
 @pytest.fixture(scope="module")
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("others")
     # the NUL of a name is in a file, because no argument can contain it
     commands = {make.__name__: make(folder / make.__name__) for make in COMMANDS}
-    return run_limited(commands, folder)
+    return run_limited(commands | commands_with_names_that_act(folder), folder)
 
 
 @pytest.mark.parametrize("make", COMMANDS, ids=lambda make: make.__name__)
@@ -279,17 +291,10 @@ def test_a_harmful_file_is_refused_with_a_message_and_little_memory(make, result
 # --- names that act ---
 
 
-@pytest.fixture(scope="module")
-def printed(tmp_path_factory):
+@pytest.fixture
+def printed(results):
     """What commands print about names with control characters and with markup."""
-    folder = tmp_path_factory.mktemp("names")
-    named = folder / "a\x1b]0;owned\x07\u202e.fmu"
-    commands = {
-        "table": fmu(named, DESCRIPTION.format(MODEL_EXCHANGE)),
-        "error": ["run", str(folder / "no\x1b[2J\r\x9b.toml")],
-        "usage": ["run", "velim_a1", "--pacing", "\x1b[31mred"],
-    }
-    return run_limited(commands, folder)
+    return {name: results[name] for name in ("table", "error", "usage")}
 
 
 def test_no_control_character_of_a_name_reaches_the_terminal(printed):
@@ -389,9 +394,7 @@ def test_a_report_does_not_write_through_links_in_its_folder(tmp_path):
     names = ("report.json", "report.html", "report.rrd", ".report.html.new")
     for name in names:
         (out / name).symlink_to(target)
-    results = run_limited({"explain": ["explain", CREEP_CURVE, "--out", str(out)]}, tmp_path)
-    status, _, err, _ = results["explain"]
-    assert status == 0, err
+    assert cli.main(["explain", str(RECORDING), "--out", str(out)]) == 0
     assert target.read_text() == "precious"
     assert not any((out / name).is_symlink() for name in names)
     assert json.loads((out / "report.json").read_text())["verdict"]

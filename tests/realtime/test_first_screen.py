@@ -1,5 +1,7 @@
 """What a reader of `explain` learns first: cause, certainty, metres, limits, what to do next."""
 
+import functools
+
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -32,12 +34,18 @@ def score_test(name: str, size: float = 0.1, p_value: float = 0.5, statistic: fl
     )
 
 
-def diagnosis(*causes: Cause, verdict: Verdict = Verdict.EXPLAINED, tests=()) -> Diagnosis:
-    """The diagnosis of one run, as if these causes had been found."""
+@functools.cache
+def one_run():
+    """Return a dataset of one run, its design, and the base model."""
     packaged = dataset.load("open_none")
     data = packaged._replace(runs=packaged.runs[:1])
     design = preparation.prepare(data, data.runs)
-    base = candidates.untuned(design)
+    return data, design, candidates.untuned(design)
+
+
+def diagnosis(*causes: Cause, verdict: Verdict = Verdict.EXPLAINED, tests=()) -> Diagnosis:
+    """The diagnosis of one run, as if these causes had been found."""
+    data, design, base = one_run()
     identified = [
         IdentifiedCause(
             score_test=score_test(cause.name, cause.values[0], 1e-9, 99.0),

@@ -22,7 +22,7 @@ from rollerrig.realtime.bench.options import Options
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code
 
-SHORT = ("--pacing", "lockstep", "--set", "duration_max_s=3")
+SHORT = ("--pacing", "lockstep", "--set", "duration_max_s=2")
 MAP = """[[to_unit]]
 factor = 0.445                # m/s at a radius of 0.445 m
 signals = { V1 = "measured_speed_1", V2 = "measured_speed_2", V3 = "measured_speed_3", V4 = "measured_speed_4" }
@@ -55,11 +55,22 @@ def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(
         inputs={name: units.get(unit, unit) for name, unit in fmus.INPUTS.items()},
         defines=["SPEED_UNIT=0.10471975511965977"] if units else [],
     )
-    run = bench_process.run(tmp_path / "run", "--pacing", "lockstep", "--wsp", f"fmu:{unit}")
-    assert run.status == 0, run.stderr
+    run = bench_process.run(
+        tmp_path / "run",
+        "--pacing",
+        "lockstep",
+        "--set",
+        "duration_max_s=7",
+        "--wsp",
+        f"fmu:{unit}",
+    )
+    assert run.status == 4, run.stderr  # it has not stopped
     theirs, ours = stop_with_wsp.record, run.record
+    assert ours.column("vents_1")[-1] > 0
     for name in signals.COLUMNS:
-        np.testing.assert_array_equal(ours.column(name), theirs.column(name), err_msg=name)
+        np.testing.assert_array_equal(
+            ours.column(name), theirs.column(name)[: len(ours.column(name))], err_msg=name
+        )
     # what the FMU has said stands in the log of the unit
     assert "the WSP of the FMU is there" in (run.out / "wsp.log").read_text()
     assert json.loads((run.out / "summary.json").read_text())["wsp"]["unit"] == f"fmu:{unit}"
@@ -93,9 +104,11 @@ def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version
             "the FMU has failed at 1.000 s: fmi3DoStep failed with status 3 (error).; its log: "
             "wheel 3 of the WSP is lost",
         ),
-        (
+        # test_fmu_can.py has a crash
+        pytest.param(
             "CRASH_AT_S=1.0",
             "wsp.fmu crashed (signal 6, SIGABRT); its last words: the next step crashes",
+            marks=pytest.mark.nightly,
         ),
         pytest.param(
             "HANG_AT_S=1.0",
@@ -173,7 +186,7 @@ def test_a_frozen_fmu_goes_on_where_it_was(tmp_path, fmu):
         "2",
     )
     assert not run.reported(Code.UNIT_ENDED)
-    assert run.record.column("time_s")[-1] > 2.9
+    assert run.record.column("time_s")[-1] > 1.9
 
 
 @pytest.mark.nightly

@@ -13,9 +13,15 @@ from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface import signals
 
 
+@pytest.fixture
+def initial_m_s():
+    return 10.0
+
+
 @pytest.fixture(params=["full_scale", "plain_track", "virtual_track"])
-def machine(request):
-    plan = scenario.load("velim_a1", settings=(f"rig={request.param}", "initial_speed_m_s=10"))
+def machine(request, initial_m_s):
+    settings = (f"rig={request.param}", f"initial_speed_m_s={initial_m_s}")
+    plan = scenario.load("velim_a1", settings=settings)
     rows = ring.Ring(ring.place("held"), np.float64, 1 << 8, len(signals.COLUMNS))
     made = tick_data.build(plan, rows)
     made.control[HOLD] = HOLDING
@@ -48,15 +54,15 @@ def test_it_rolls_without_sliding_at_its_set_speed_and_time_stands_still(machine
     assert machine.ring_header[ring.WRITTEN] == 0
 
 
-@pytest.mark.parametrize("set_m_s", [12.0, 8.0, 0.0])
-def test_it_approaches_its_set_speed_at_its_rate_and_stays(set_m_s, machine):
+@pytest.mark.parametrize(("initial_m_s", "set_m_s"), [(10.0, 10.5), (10.0, 9.5), (0.5, 0.0)])
+def test_it_approaches_its_set_speed_at_its_rate_and_stays(initial_m_s, set_m_s, machine):
     machine.hold[held_rig.SET_M_S] = set_m_s
     held_rig.roll(machine)
     change = machine.params.tick_s * held_rig.RATE_M_S2
     speed_m_s = published(machine)[signals.column("vehicle_speed")]
-    assert abs(speed_m_s - 10.0) == pytest.approx(change)
+    assert abs(speed_m_s - initial_m_s) == pytest.approx(change)
 
-    rolls_needed = round(abs(set_m_s - 10.0) / change)
+    rolls_needed = round(abs(set_m_s - initial_m_s) / change)
     for _ in range(rolls_needed + 10):
         held_rig.roll(machine)
     assert published(machine)[signals.column("vehicle_speed")] == set_m_s

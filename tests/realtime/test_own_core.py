@@ -142,6 +142,7 @@ def test_only_the_loop_runs_on_its_core(tmp_path):
     assert run.result["loop"]["core"] == core
 
 
+@pytest.mark.nightly
 def test_without_own_core_the_loop_runs_on_any(tmp_path):
     run = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", f"loop.cpu={cores.ANY}")
     run.runs_for(0.3)

@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 
 import bench_process
+import pytest
+import short_campaign
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
@@ -66,6 +68,7 @@ def test_a_run_warns_of_a_fault_that_never_began_and_its_summary_has_the_warning
     assert bench.reported(Code.FAULT_BEGINS, kind="cylinder_leak")
 
 
+@pytest.mark.nightly
 def test_a_run_whose_faults_all_begin_has_no_warning(tmp_path):
     bench = bench_process.run(
         tmp_path / "run", *SHORT, "--fault", "cylinder_leak axle=1 at=0.5", scenario="dry_stop"
@@ -98,8 +101,9 @@ def test_a_campaign_warns_once_of_a_fault_that_never_began_and_counts_its_runs(t
     (tmp_path / "late.toml").write_text(SCENARIO)
     plan = tmp_path / "plan.toml"
     plan.write_text(PLAN.format(scenario=tmp_path / "late.toml"))
-    words = ["campaign", str(plan), "--workers", "1", "--out", str(tmp_path / "out")]
-    assert cli.main([*words, "--json"]) == 0
+    out = tmp_path / "out"
+    short_campaign.run_here(plan, out)
+    assert cli.main(["campaign", str(plan), "--out", str(out), "--json"]) == 0
 
     printed = json.loads(capsys.readouterr().out)
     (warning,) = printed["warnings"]

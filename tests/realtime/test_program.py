@@ -49,7 +49,7 @@ def test_a_program_has_the_surroundings_of_a_program_that_is_started_by_hand(tmp
 def test_a_command_gives_the_status_output_and_messages_of_a_command_that_is_started_by_hand(
     tmp_path,
 ):
-    for words in (("list", "scenarios"), ("run", "velim_b9"), ("export", "nowhere")):
+    for words in (("list", "scenarios"), ("run", "velim_b9")):
         found = program.rollerrig(*words, folder=tmp_path)
         assert found == by_hand(*program.CLI, *words, folder=tmp_path)
 

@@ -10,9 +10,11 @@ import shlex
 import sys
 from pathlib import Path
 
+import bench_process
 import numpy as np
 import pytest
 from benchmarks import protection
+from tiers import first_of
 
 from rollerrig.configs import store
 from rollerrig.realtime import cli
@@ -23,22 +25,23 @@ NEVER_VENTS = Path(__file__).parents[1] / "wsp_interface" / "never_vents.py"
 # slip bands that show the optimum
 BANDS = (0.02, 0.03, 0.16, 0.25, 0.40)
 
-# the stops on one set are computed in a moment; those on the others run every night
+# one stop is computed in a moment; those on other sets and from other speeds run every night
 SETS = [
     name if name == "low" else pytest.param(name, marks=pytest.mark.nightly)
     for name in protection.LOW_SETS
 ]
+SPEEDS_KM_H = first_of(protection.SPEEDS_KM_H)
 
 
 @functools.cache
-def stops_on(name):
-    """The stops on a set of low adhesion from all speeds."""
-    return protection.cases((name,), bands=BANDS)
+def stops(name, speed_km_h):
+    """The stops on a set of low adhesion from a speed."""
+    return protection.cases((name,), (speed_km_h,), BANDS)[name, speed_km_h]
 
 
 @pytest.fixture
 def case(name, speed_km_h):
-    return stops_on(name)[name, speed_km_h]
+    return stops(name, speed_km_h)
 
 
 def test_every_packaged_set_of_adhesion_is_low_or_is_known_not_to_be():
@@ -67,7 +70,7 @@ def test_a_locked_wheel_has_no_more_than_the_initial_adhesion(name, speed_m_s):
 # --- stops with an emergency demand ---
 
 
-@pytest.mark.parametrize("speed_km_h", protection.SPEEDS_KM_H)
+@pytest.mark.parametrize("speed_km_h", SPEEDS_KM_H)
 @pytest.mark.parametrize("name", SETS)
 def test_without_wsp_wheels_lock_and_the_stop_is_longer(case, name, speed_km_h):
     assert case.without.longest_lock_s > 5.0
@@ -80,7 +83,7 @@ def test_without_wsp_wheels_lock_and_the_stop_is_longer(case, name, speed_km_h):
         assert ratio >= protection.WITHOUT_OVER_REFERENCE
 
 
-@pytest.mark.parametrize("speed_km_h", protection.SPEEDS_KM_H)
+@pytest.mark.parametrize("speed_km_h", SPEEDS_KM_H)
 @pytest.mark.parametrize("name", SETS)
 def test_the_best_slip_band_is_neither_the_narrowest_nor_the_widest(case, name, speed_km_h):
     narrowest_m = case.by_band[BANDS[0]].distance_m
@@ -94,7 +97,7 @@ def test_the_best_slip_band_is_neither_the_narrowest_nor_the_widest(case, name, 
         assert case.best_m < widest_m
 
 
-@pytest.mark.parametrize("speed_km_h", protection.SPEEDS_KM_H)
+@pytest.mark.parametrize("speed_km_h", SPEEDS_KM_H)
 @pytest.mark.parametrize("name", SETS)
 def test_the_reference_wsp_needs_at_most_a_tenth_more_than_the_best_slip_band(case):
     assert case.reference.distance_m <= protection.REFERENCE_OVER_BEST * case.best_m
@@ -103,22 +106,20 @@ def test_the_reference_wsp_needs_at_most_a_tenth_more_than_the_best_slip_band(ca
 # --- the line of the demo ---
 
 
-def test_a_run_prints_the_same_stop_without_wsp(tmp_path, capsys):
-    words = ("run", "velim_a1", "--pacing", "free", "--also-without-wsp")
-    assert cli.main([*words, "--out", str(tmp_path / "run"), "--json"]) == 0
-    result = json.loads(capsys.readouterr().out)
-    without = result["without_wsp"]
+def test_a_run_prints_the_same_stop_without_wsp(tmp_path, stop_without_wsp):
+    run = bench_process.run(
+        tmp_path / "run", "--pacing", "free", "--also-without-wsp", *bench_process.ON_LEAVES
+    )
+    assert run.status == 0, run.stderr
+    without = run.result["without_wsp"]
     assert without["stopped"] is True
     assert without["longest_lock_s"] > 5.0
-    assert without["braking_distance_m"] > 1.1 * result["braking_distance_m"]
+    assert without["braking_distance_m"] > 1.1 * run.result["braking_distance_m"]
 
     # the same stop is recorded, so that it can be compared and drawn
     assert without["folder"] == str(tmp_path / "run" / "without_wsp")
-    alone = ("run", "velim_a1", "--pacing", "free", "--wsp", "none")
-    assert cli.main([*alone, "--out", str(tmp_path / "alone"), "--json"]) == 0
-    capsys.readouterr()
     recorded = records.load(Path(without["folder"]))
-    expected = records.load(tmp_path / "alone")
+    expected = stop_without_wsp.record
     for channel in recorded.table.column_names:
         np.testing.assert_array_equal(recorded.column(channel), expected.column(channel), channel)
     position_m = recorded.column("position_m")

@@ -1,5 +1,6 @@
 """The recorder keeps a run, whichever process is killed: at most its last second is lost."""
 
+import contextlib
 import json
 import os
 import re
@@ -164,17 +165,26 @@ def test_a_recorder_outlives_the_process_group_of_its_bench(killed):
 # --- runs that end as they should ---
 
 
+@contextlib.contextmanager
+def recording(folder):
+    """Yield rings that this process writes, and the recorder that drains them into a folder."""
+    (folder / "scenario.toml").write_text(paced_writer.SCENARIO)
+    to = paced_writer.rings()
+    process = processes.record(folder, *to)
+    try:
+        yield to, process
+    finally:
+        process.kill()
+        process.wait()
+        for one in to:
+            one.unlink()
+
+
 @pytest.fixture
 def begun(tmp_path):
-    """Rings that this process writes, and the recorder that drains them."""
-    (tmp_path / "scenario.toml").write_text(paced_writer.SCENARIO)
-    to = paced_writer.rings()
-    process = processes.record(tmp_path, *to)
-    yield tmp_path, to, process
-    process.kill()
-    process.wait()
-    for one in to:
-        one.unlink()
+    """A folder, rings that this process writes, and the recorder that drains them."""
+    with recording(tmp_path) as (to, process):
+        yield tmp_path, to, process
 
 
 def finish(to, process):
@@ -183,12 +193,20 @@ def finish(to, process):
     assert process.wait(120) == 0
 
 
-def test_a_finished_run_is_recorded_whole(begun):
-    folder, to, process = begun
-    assert processes.wait_ready(process, to[0])
-    for number in range(1000):
-        paced_writer.write(to, number)
-    finish(to, process)
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """The folder of a run of ten seconds that has finished."""
+    folder = tmp_path_factory.mktemp("finished")
+    with recording(folder) as (to, process):
+        assert processes.wait_ready(process, to[0])
+        for number in range(1000):
+            paced_writer.write(to, number)
+        finish(to, process)
+    return folder
+
+
+def test_a_finished_run_is_recorded_whole(finished):
+    folder = finished
     run = records.load(folder)
     expected = np.array([paced_writer.row(number) for number in range(1000)])
     assert run.table.column_names == list(signals.COLUMNS)
@@ -232,18 +250,16 @@ def test_the_memory_of_a_recorder_does_not_grow_with_the_length_of_its_run(begun
     assert len(channels.load(folder)) == minutes * 6000
 
 
-def test_the_recording_holds_the_values_of_the_channels(begun):
-    folder, to, process = begun
-    assert processes.wait_ready(process, to[0])
-    for number in range(300):
-        paced_writer.write(to, number)
-    finish(to, process)
+def test_the_recording_holds_the_values_of_the_channels(finished):
+    folder = finished
     table = channels.load(folder)
     found = {}
     for chunk in RrdReader(folder / "run.rrd").stream():
         batch = chunk.to_record_batch()
         if "Scalars:scalars" in batch.schema.names:
-            found[str(chunk.entity_path)] = np.array(batch["Scalars:scalars"].to_pylist())
+            values = found.setdefault(str(chunk.entity_path), [])
+            values += batch["Scalars:scalars"].to_pylist()
+    found = {path: np.array(values) for path, values in found.items()}
     assert np.array_equal(
         found["/speeds/vehicle_speed"][:, 0], 3.6 * np.array(table["vehicle_speed_m_s"])
     )  # km/h

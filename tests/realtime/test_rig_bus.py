@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from bench_process import BenchProcess
 
+from rollerrig.configs.errors import BusError
 from rollerrig.realtime.bench import rig_bus, scenario
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.codecs import CODECS
@@ -313,10 +314,32 @@ def test_a_run_that_waits_for_an_outside_program_refuses_a_usual_port_in_use(
 
 
 @pytest.mark.parametrize("protocol", CODECS)
-def test_a_port_that_was_chosen_is_kept_and_the_error_names_its_key(protocol, host, tmp_path):
+def test_a_port_that_was_chosen_is_kept_and_the_error_names_its_key(protocol, host):
     with contextlib.closing(socket.create_server((host, 0))) as other:
         port = other.getsockname()[1]
-        bench = bench_on(host, tmp_path / "run", "--set", f"bus.{protocol}_port={port}")
+        settings = (f"bus.host={host}", "bus.interface=hub", f"bus.{protocol}_port={port}")
+        plan = scenario.load("dry_stop", settings=settings)
+        with pytest.raises(BusError) as refusal:
+            asyncio.run(listen(plan))
+    assert f"{host}:{port}" in str(refusal.value)
+    assert f"--set bus.{protocol}_port=N" in str(refusal.value)
+
+
+async def listen(plan):
+    """Open the bus of a scenario and its other protocols, as a run does."""
+    hub, place = await rig_bus.open_bus(
+        plan, time.monotonic_ns, print, events.ignore, wall=True, awaits_others=False
+    )
+    try:
+        await rig_bus.open_others(hub, place, plan, events.ignore, awaits_others=False)
+    finally:
+        await hub.close()
+
+
+def test_a_run_whose_chosen_port_is_in_use_ends_with_an_error(host, tmp_path):
+    with contextlib.closing(socket.create_server((host, 0))) as other:
+        port = other.getsockname()[1]
+        bench = bench_on(host, tmp_path / "run", "--set", f"bus.socketcand_port={port}")
     assert bench.status == 2, bench.stderr
     assert f"{host}:{port}" in bench.result["error"]
-    assert f"--set bus.{protocol}_port=N" in bench.result["error"]
+    assert "--set bus.socketcand_port=N" in bench.result["error"]

@@ -38,7 +38,7 @@ HOLD = 1.0
 @pytest.fixture(scope="module")
 def stop():
     """The channels of a stop in which axle 1 locks."""
-    rows = synthetic_stop.stop(speed_m_s=30.0, lock_axle=1)
+    rows = synthetic_stop.stop(speed_m_s=20.0, lock_axle=1)
     return dict(zip(COLUMNS, rows.T, strict=True))
 
 
@@ -281,7 +281,7 @@ def printed(result):
 def test_the_table_shows_stop_axles_and_bus(stop):
     result = summary.of(stop, COUNTERS, SCENARIO)
     text = printed(result)
-    assert f"velim_a1: stopped from 30.0 m/s in {result['braking_time_s']:.2f} s" in text
+    assert f"velim_a1: stopped from 20.0 m/s in {result['braking_time_s']:.2f} s" in text
     assert f"{result['axles'][0]['sliding_mean_m_s']:.2f}" in text
     assert "66000 frames" in text
 

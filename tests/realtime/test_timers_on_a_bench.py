@@ -198,7 +198,7 @@ def test_a_partner_is_lost_only_when_it_is_silent_for_longer_than_its_time(bench
 @pytest.mark.parametrize(
     "sync_s",
     [
-        0.02,
+        pytest.param(0.02, marks=pytest.mark.nightly),
         pytest.param(0.05, marks=pytest.mark.nightly),
         pytest.param(0.1, marks=pytest.mark.nightly),
         0.5,

@@ -15,6 +15,7 @@ import bench_process
 import numpy as np
 import program
 import pytest
+import short_campaign
 from bench_process import HEARTBEAT, MAGNETS, BenchProcess, SimpleUnit
 from process_tree import is_running
 from short_sequences import WALKING_PACE
@@ -61,15 +62,27 @@ def not_valid(bench, *parts):
 # --- the reasons ---
 
 
-def test_a_run_that_stops_is_valid_and_one_that_does_not_is_not(tmp_path):
-    stops = bench_process.run(tmp_path / "stops", *SHORT_OPTIONS, scenario="dry_stop")
+@pytest.fixture(scope="module")
+def stops(tmp_path_factory):
+    """A run in which the coach stops."""
+    folder = tmp_path_factory.mktemp("stops") / "good"
+    return bench_process.run(folder, *SHORT_OPTIONS, scenario="dry_stop")
+
+
+@pytest.fixture(scope="module")
+def rolls(tmp_path_factory):
+    """A run in which the coach does not stop."""
+    folder = tmp_path_factory.mktemp("rolls") / "bad"
+    return bench_process.run(folder, *SHORT_OPTIONS, *NO_TIME_TO_STOP, scenario="dry_stop")
+
+
+def test_a_run_that_stops_is_valid(stops):
     assert stops.status == 0, stops.stderr
     assert stops.result["valid"] is True
     assert stops.result["invalid_because"] == []
 
-    rolls = bench_process.run(
-        tmp_path / "rolls", *SHORT_OPTIONS, *NO_TIME_TO_STOP, scenario="dry_stop"
-    )
+
+def test_a_run_that_does_not_stop_is_not_valid(rolls):
     not_valid(
         rolls,
         "did not stop within 0.3 s (duration_max_s)",
@@ -89,7 +102,7 @@ def test_the_last_line_of_a_run_that_is_not_valid_names_the_reasons_in_red(tmp_p
 
 
 def test_a_units_process_that_exits_in_real_time_makes_the_run_not_valid(tmp_path):
-    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", "initial_speed_m_s=4")
+    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--set", "initial_speed_m_s=3")
     bench.runs_for(0.3)
     os.kill(bench.child("wsp"), signal.SIGKILL)
     bench.finish()
@@ -101,8 +114,8 @@ def test_a_units_process_that_exits_in_real_time_makes_the_run_not_valid(tmp_pat
 
 
 def flickering(n):
-    """Return the answers of a unit that is silent for half a second at every hundredth SYNC."""
-    if n % 100 == 50:
+    """Return the answers of a unit that is silent for half a second at every fiftieth SYNC."""
+    if n % 50 == 25:
         time.sleep(0.5)
     return [(MAGNETS, b"\0"), (HEARTBEAT, b"\5")]
 
@@ -111,7 +124,7 @@ def test_a_unit_that_is_lost_repeatedly_makes_the_run_not_valid_and_the_losses_a
     tmp_path,
 ):
     bench = BenchProcess(
-        tmp_path / "run", "--pacing", "wall", "--wsp", "external", "--set", "initial_speed_m_s=4"
+        tmp_path / "run", "--pacing", "wall", "--wsp", "external", "--set", "initial_speed_m_s=3"
     )
     unit = SimpleUnit(bench.address(), flickering)
     bench.finish()
@@ -348,7 +361,7 @@ def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
         "--wsp",
         "none",
         "--set",
-        "initial_speed_m_s=3",
+        "initial_speed_m_s=2",
         ignored=(signal.SIGHUP,),
     )
     bench.runs_for(0.3)
@@ -361,15 +374,10 @@ def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
 # --- commands that read runs ---
 
 
-@pytest.fixture(scope="module")
-def folders(tmp_path_factory):
+@pytest.fixture
+def folders(stops, rolls):
     """The folders of a run in which the coach stops, and of a run in which it does not."""
-    parent = tmp_path_factory.mktemp("read")
-    good = str(parent / "good")
-    bad = str(parent / "bad")
-    assert cli.main([*SHORT, "--out", good]) == 0
-    assert cli.main([*SHORT, *NO_TIME_TO_STOP, "--out", bad]) == 4
-    return good, bad
+    return str(stops.out), str(rolls.out)
 
 
 def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, capsys):
@@ -430,7 +438,8 @@ def test_a_campaign_counts_runs_that_are_not_valid_separately(
     plan = tmp_path / "plan.toml"
     durations = ", ".join(map(str, durations_s))
     plan.write_text(PLAN.format(scenario=scenario, durations=durations))
-    words = ["campaign", str(plan), "--workers", "1", "--out", str(tmp_path / "out")]
+    short_campaign.run_here(plan, tmp_path / "out")
+    words = ["campaign", str(plan), "--out", str(tmp_path / "out")]
     runs = len(durations_s)
     bad = len(bad_runs)
 
@@ -489,6 +498,7 @@ def stops_answering(n):
     return None
 
 
+@pytest.mark.nightly
 def test_a_sequence_whose_run_is_not_valid_is_an_error_and_neither_passed_nor_failed(
     walk, tmp_path
 ):

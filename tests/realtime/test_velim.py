@@ -15,6 +15,8 @@ from rollerrig.rig.identify.paper import tuning
 from rollerrig.wsp_interface import signals
 
 TABLE_5_M_S = {"a1": 42.3, "a2": 40.4, "a3": 40.8, "b1": 40.8, "b2": 41.1, "b3": 41.8}
+# contaminant with which A1 has its measured mean by the classic model: the nightly test finds it
+CLASSIC_MU_CD = 0.05
 
 
 @pytest.fixture(scope="module")
@@ -116,6 +118,14 @@ def test_the_six_stops_run_by_the_papers_law_and_adhesion_recovers_in_their_seco
     assert soap.sliding_std_m_s[0] == pytest.approx(1.72, abs=0.35)
 
 
+def test_by_the_classic_model_a_stop_does_not_recover():
+    plan = velim.plan_of("a1", velim.settings(), velim.CLASSIC, f"adhesion.mu_cd={CLASSIC_MU_CD}")
+    rows = free.simulate(plan, velim.unit_of(plan, velim.settings()))
+    first, second = velim.reduced(free.moving(rows)).decelerations_m_s2
+    assert second == pytest.approx(first, rel=0.1)
+
+
+@pytest.mark.nightly
 def test_by_the_classic_model_both_halves_decelerate_equally():
     classic = velim.from_measured_mean("a1", velim.settings(), velim.CLASSIC)
     first, second = classic.decelerations_m_s2
@@ -123,13 +133,24 @@ def test_by_the_classic_model_both_halves_decelerate_equally():
     assert classic.mean_m_s == pytest.approx(5.00, abs=0.1)
 
 
+# settings of a scan by others, under the paper's law and the WSP's band of the first fit
+FIRST_FIT = velim.settings() | {"band_low_m_s": 5.1, "band_high_m_s": 6.0}
+
+
+def test_with_its_own_contaminant_a_test_of_group_b_slides_as_measured():
+    # the contaminant of B1 in the nightly test
+    plan = velim.plan_of("b1", FIRST_FIT, "adhesion.mu_cd=0.012")
+    stop = velim.reduced(free.moving(free.simulate(plan, velim.unit_of(plan, FIRST_FIT))))
+    assert stop.sliding_mean_m_s[0] == pytest.approx(velim.MEASURED_MEAN["b1"], abs=0.03)
+    assert stop.sliding_std_m_s[0] == pytest.approx(1.70, abs=0.15)
+
+
+@pytest.mark.nightly
 @pytest.mark.parametrize(("test", "found_outside"), [("b1", 1.70), ("b2", 1.72), ("b3", 1.59)])
 def test_with_mu_cd_from_its_own_mean_a_test_of_group_b_has_the_deviation_that_others_found(
     test, found_outside
 ):
-    # a scan by others, under the paper's law and the WSP's band of the first fit
-    first_fit = velim.settings() | {"band_low_m_s": 5.1, "band_high_m_s": 6.0}
-    result = velim.from_measured_mean(test, first_fit)
+    result = velim.from_measured_mean(test, FIRST_FIT)
     assert result.mean_m_s == pytest.approx(velim.MEASURED_MEAN[test], abs=0.03)
     assert result.std_m_s == pytest.approx(found_outside, abs=0.15)
     assert result.mu_cd < velim.TABLE_4_MU_CD
@@ -209,11 +230,15 @@ def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, t
     assert torque_error.std() == pytest.approx(0.015 * torque.max(), rel=0.15)
 
 
-def test_the_packaged_synthetic_set_is_marked_and_its_recovery_is_found_again():
+def test_the_packaged_synthetic_set_is_marked():
     data = dataset.load("velim_synthetic")
     assert "SYNTHETIC" in (data.folder / "dataset.toml").read_text()
     assert [run.name for run in data.runs] == list(velim.TESTS)
-    tau = tuning.tune(data).tau_m_J
+
+
+@pytest.mark.nightly
+def test_the_recovery_of_the_packaged_synthetic_set_is_found_again():
+    tau = tuning.tune(dataset.load("velim_synthetic")).tau_m_J
     assert tau.value == pytest.approx(1.9e-4, rel=0.02)
 
 

@@ -17,6 +17,7 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import channels, records
@@ -60,16 +61,20 @@ def stop():
     return synthetic_stop.stop(speed_m_s=20.0, lock_axle=1)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory, stop):
-    """The folder of a recorded run."""
-    path = tmp_path_factory.mktemp("runs") / "first"
+def recorded(path, rows):
+    """Make the folder of a recorded run; return it."""
     path.mkdir()
     writer = channels.Channels(path)
-    writer.add(stop)
+    writer.add(rows)
     writer.finish()
     (path / "scenario.toml").write_text('title = "a run"\n[contact]\nroller_radius_m = 0.75\n')
     return path
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory, stop):
+    """The folder of a recorded run."""
+    return recorded(tmp_path_factory.mktemp("runs") / "first", stop)
 
 
 @pytest.fixture(scope="module")
@@ -339,10 +344,10 @@ def test_the_rig_of_any_scenario_can_be_drawn(scenario):
 # --- the viewer ---
 
 
-def test_several_runs_are_drawn_in_one_recording_under_their_names(folder, tmp_path):
-    second = tmp_path / "second run"
-    shutil.copytree(folder, second)
-    overlay = entities(viewer.overlay([folder, second, second], tmp_path / "both.rrd"))
+def test_several_runs_are_drawn_in_one_recording_under_their_names(stop, tmp_path):
+    first = recorded(tmp_path / "first", stop[:200])
+    second = recorded(tmp_path / "second run", stop[:200])
+    overlay = entities(viewer.overlay([first, second, second], tmp_path / "both.rrd"))
 
     of_first = "/sliding/sliding"
     of_second = "/ref/second_run/sliding/sliding"
@@ -479,20 +484,14 @@ def test_a_picture_of_an_unknown_kind_is_refused_with_the_kinds_that_there_are(r
         run_stop.write_runs([records.load(reported)], tmp_path / "run.gif", (800, 600))
 
 
-def test_view_png_writes_the_picture_for_a_report_without_a_viewer(reported, tmp_path):
+def test_view_png_writes_the_picture_for_a_report_without_a_viewer(reported, tmp_path, monkeypatch):
     # no graphics driver is found, and none is needed
-    no_driver = {"VK_DRIVER_FILES": os.devnull, "VK_ICD_FILENAMES": os.devnull}
+    for name in ("VK_DRIVER_FILES", "VK_ICD_FILENAMES"):
+        monkeypatch.setenv(name, os.devnull)
+    runs = (str(reported), str(other_run(reported, tmp_path)))
     for name in ("two.png", "two.svg"):
-        command = [sys.executable, "-m", "rollerrig.realtime.cli", "view", str(reported)]
-        command += [str(other_run(reported, tmp_path / name.replace(".", "_")))]
-        done = subprocess.run(
-            [*command, "--png", str(tmp_path / name), "--size", "1000x800"],
-            capture_output=True,
-            text=True,
-            env=os.environ | no_driver,
-            timeout=300,
-        )
-        assert done.returncode == 0, done.stderr
+        words = ("view", *runs, "--png", str(tmp_path / name), "--size", "1000x800")
+        assert cli.main(words) == 0
     assert Image.open(tmp_path / "two.png").size == (1000, 800)
     svg = (tmp_path / "two.svg").read_text()
     assert "first (" in svg

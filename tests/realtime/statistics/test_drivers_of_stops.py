@@ -53,7 +53,15 @@ def test_a_block_with_a_run_without_a_value_is_left_out_and_few_blocks_give_no_i
 @pytest.mark.parametrize(
     ("tries", "share"), [(400, 0.025), pytest.param(2000, 0.02, marks=pytest.mark.nightly)]
 )
-@pytest.mark.parametrize(("count", "rho"), [(40, 0.0), (100, 0.5), (100, 0.9), (1000, -0.3)])
+@pytest.mark.parametrize(
+    ("count", "rho"),
+    [
+        (40, 0.0),
+        pytest.param(100, 0.5, marks=pytest.mark.nightly),
+        pytest.param(100, 0.9, marks=pytest.mark.nightly),
+        (1000, -0.3),
+    ],
+)
 def test_intervals_of_rank_correlations_hold_the_known_one_in_95_of_100(count, rho, tries, share):
     rng = np.random.default_rng(3)
     # of a pair of normal numbers with the correlation rho (Pearson 1907)
