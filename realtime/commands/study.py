@@ -38,7 +38,6 @@ def open_dataset(
     become a dataset in the subfolder `dataset` of the report; `dataset_of_runs(runs, folder)` makes
     it, by default with all runs in it. Raises ConfigError where several names are not all runs.
     """
-    from rollerrig.realtime.datasets import run_dataset
     from rollerrig.rig.identify.data import dataset
 
     folder = report_folder(names, out, verb)
@@ -50,6 +49,8 @@ def open_dataset(
             dataset_folder = make_folder(folder, DATASET_OF_RUNS)
         if dataset_of_runs is not None:
             return dataset_of_runs(runs, dataset_folder), folder
+        from rollerrig.realtime.datasets import run_dataset
+
         return dataset.load(run_dataset.from_folders(runs, dataset_folder)), folder
 
     if len(names) > 1:

@@ -24,7 +24,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 from scipy.interpolate import CubicSpline
-from scipy.signal import resample_poly
 
 from rollerrig.configs import unpacking
 from rollerrig.configs.errors import ConfigError
@@ -328,6 +327,9 @@ def _on_clock(
     """Return (values on the grid, how far samples had to be moved in samples of the grid)."""
     own_step_s = float(time_s[-1] - time_s[0]) / (time_s.size - 1)
     if own_step_s < 0.95 * step_s:
+        # the package takes a second of processor time to import, and few files need it
+        from scipy.signal import resample_poly
+
         # a higher sample rate: low-pass and thin it
         ratio = Fraction(step_s / own_step_s).limit_denominator(100)
         values = resample_poly(values, ratio.denominator, ratio.numerator, padtype="line")
