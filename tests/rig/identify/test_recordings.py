@@ -125,12 +125,12 @@ def test_a_radius_is_found_without_a_recorded_brake_demand(tmp_path, defect):
 def test_slides_give_a_lower_bound_of_the_adhesion_and_show_the_place_that_runs_share(
     tmp_path, channels
 ):
-    _, account = explained(tmp_path, "patch", 51, speeds=SOME, **channels)
+    _, account = explained(tmp_path, "patch", 51, speeds=twin.SPEEDS, **channels)
     assert {f.name for f in account.findings} == {"slide", "slippery_place"}, report.story(account)
-    assert {slide.run for slide in account.slides} == set(range(len(SOME)))
+    assert {slide.run for slide in account.slides} == set(range(len(twin.SPEEDS)))
     for slide in account.slides:
         aligned = account.aligned[slide.run]
-        true = twin.stops("patch", SOME)[aligned.run.name]
+        true = twin.stops("patch", twin.SPEEDS)[aligned.run.name]
         used = adhesion_used(true, aligned.position[slide.first], aligned.position[slide.last])
         assert 0.3 * used.mean() < slide.adhesion.low < 1.05 * used.mean()
     start_m, end_m = next(f for f in account.findings if f.name == "slippery_place").place_m
