@@ -414,7 +414,7 @@ def test_more_yaw_damping_raises_the_critical_speed():
         damped = coach.build(
             _sections(laying=1 / 40, yaw_damper_N_s_m=damping_N_s_m, yaw_damper_max_N=2e4)
         )
-        critical_m_s.append(stability.critical_speed(damped, SOAP, speeds_m_s, tolerance_m_s=2.0))
+        critical_m_s.append(stability.critical_speed(damped, SOAP, speeds_m_s, tolerance_m_s=8.0))
     without, with_damping = critical_m_s
     assert with_damping > without
 
