@@ -1,8 +1,8 @@
 """The whole explanation, on stops of generators that share no code with it.
 
-`make test` has one explanation that finds nothing and one that finds a cause, of the runs that show
-it in the shortest time. A tutorial explains stops by a cause of the library. `test_verdicts.py` has
-the law of the verdicts.
+`make test` has one that finds nothing, of the runs that show it in the shortest time. A tutorial
+and `tests/realtime/test_explain_runs.py` explain stops by a cause. `test_verdicts.py` has the law
+of the verdicts, and `test_empirical.py` the formula for what no cause explains.
 """
 
 import shutil
@@ -133,9 +133,10 @@ def test_a_wheel_clock_that_runs_behind_is_not_reported_as_a_late_sensor(tmp_pat
     assert worst.name == "along time in the size of speed_sensor_delay"
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("depth", "runs"),
-    [(0.2, ("a2", "b2", "b3")), pytest.param(0.12, (), marks=pytest.mark.nightly)],
+    [(0.2, ("a2", "b2", "b3")), (0.12, ())],
     ids=["three", "all"],
 )
 def test_a_cause_outside_the_library_is_unexplained_and_gets_a_formula(
