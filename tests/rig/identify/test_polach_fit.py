@@ -105,10 +105,18 @@ def test_a_curve_without_speed_or_load_warns_which_value_is_assumed(
     assert locomotive.warnings == []
 
 
-def test_intervals_hold_their_values(fitted):
+def test_intervals_hold_their_values(locomotive, fitted, monkeypatch):
     for interval in fitted.values.values():
         assert interval.low <= interval.value <= interval.high
         assert interval.low < interval.high
+
+    # 95 % of other replicates are within the intervals
+    monkeypatch.setattr(polach_fit, "REPLICATES", 30)
+    values, low, high = np.transpose(list(fitted.values.values()))
+    patch = parameters.patch_of(locomotive)
+    replicates = polach_fit._bootstrap(locomotive.curve, patch, values, seed=1)
+    is_within = (replicates >= low) & (replicates <= high)
+    assert is_within.mean() > 0.85
 
 
 @pytest.mark.usefixtures("few_replicates")
