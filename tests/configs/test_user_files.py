@@ -218,7 +218,7 @@ def test_compressed_text_is_unpacked_up_to_a_limit():
     for content in (zlib.compress(b"a" * 1001), zlib.compress(b"a" * 100)[:-5], b"no zlib"):
         with pytest.raises(ValueError, match=r"."):
             unpacking.inflate(content, 1000)
-    assert unpacking.inflated_bytes(zlib.compress(bytes(300_000_000)), 1_000_000) < 3_000_000
+    assert unpacking.inflated_bytes(zlib.compress(bytes(30_000_000)), 1_000_000) < 3_000_000
 
 
 @pytest.mark.parametrize("name", ["../a", "/etc/a", "a/../../b", "a\\b"])

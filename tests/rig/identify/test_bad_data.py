@@ -212,6 +212,7 @@ REFUSED = {
 @pytest.mark.parametrize("name", REFUSED)
 def test_data_with_a_known_defect_is_refused_with_the_reason(copy: Path, name: str) -> None:
     case = REFUSED[name]
+    keep_runs(copy, ("a2", "b3"))
     replace_in_toml(copy, "initial_speed_m_s = 33.0\n", "")
     write(copy, "a2", case.defect(read(copy, "a2")))
     with pytest.raises(ConfigError, match=f"a2.*{case.message}"):
@@ -260,6 +261,7 @@ DOUBTFUL = {
 @pytest.mark.parametrize("name", DOUBTFUL)
 def test_data_that_limits_the_conclusions_leads_to_a_warning(copy: Path, name: str) -> None:
     case = DOUBTFUL[name]
+    keep_runs(copy, ("a2", "b3"))
     write(copy, "a2", case.defect(read(copy, "a2")))
     assert any(case.message in warning for warning in dataset.load(copy).warnings)
 
@@ -267,6 +269,7 @@ def test_data_that_limits_the_conclusions_leads_to_a_warning(copy: Path, name: s
 def test_counted_pulses_that_stay_the_same_within_their_quantum_are_no_stuck_sensor(
     copy: Path,
 ) -> None:
+    keep_runs(copy, ("a2", "b3"))
     columns = read(copy, "a2")
     # the wheel rolls, and its counter counts whole pulses
     rolling_rad_s = columns["vehicle_speed_m_s"] / RADIUS_M
@@ -294,6 +297,7 @@ def test_shipped_data_is_accepted_without_a_warning() -> None:
 
 
 def test_a_copy_of_a_fitted_run_cut_at_its_beginning_cannot_validate(copy: Path) -> None:
+    keep_runs(copy, ("a1", "b1"))
     without_both_ends = with_rows(lambda rows: rows[100:-200])
     write(copy, "b1", without_both_ends(read(copy, "a1")))
     replace_in_toml(copy, "initial_speed_m_s = 41.1\n", "")
@@ -302,6 +306,7 @@ def test_a_copy_of_a_fitted_run_cut_at_its_beginning_cannot_validate(copy: Path)
 
 
 def test_a_copy_of_a_fitted_run_with_new_loads_cannot_validate(copy: Path) -> None:
+    keep_runs(copy, ("a1", "b1"))
     with_other_loads = scaled(1.01, LOADS)
     write(copy, "b1", with_other_loads(read(copy, "a1")))
     replace_in_toml(copy, "initial_speed_m_s = 41.1\n", "")

@@ -1,5 +1,6 @@
 """Measured creep curves, and curves with known truth, get the right answer and no false report."""
 
+import functools
 import json
 from pathlib import Path
 
@@ -22,6 +23,7 @@ MEASURED = Path(__file__).parents[2] / "data" / "measured"
 SEED = 5
 
 
+@functools.cache
 def judged(name):
     """Return the dataset of a measured case, and its judgement."""
     data = dataset.load(MEASURED / name)
@@ -78,7 +80,9 @@ def test_adhesion_that_rises_to_a_limit_does_not_fall():
     assert "would have been shown" in text(data, answer)
 
 
-def test_rounded_creepages_with_many_points_each_get_a_result(tmp_path, capsys):
+def test_rounded_creepages_with_many_points_each_get_a_result(tmp_path, capsys, monkeypatch):
+    # the fit is what matters here, not its intervals
+    monkeypatch.setattr(polach_fit, "REPLICATES", 10)
     folder = str(MEASURED / "creep_rounded_crash")
     assert cli.main(["explain", folder, "--out", str(tmp_path / "explain")]) == 0
     assert cli.main(["tune", folder, "--out", str(tmp_path / "tune")]) == 0
@@ -89,7 +93,9 @@ def test_rounded_creepages_with_many_points_each_get_a_result(tmp_path, capsys):
     assert result["law"]["parameters"]["k_s"]["ci95"] is None
 
 
-@pytest.mark.parametrize("name", ["creep_sand", "terramech_grouser_mit", "terramech_smooth_mit"])
+@pytest.mark.parametrize(
+    "name", first_of(["creep_sand", "terramech_grouser_mit", "terramech_smooth_mit"])
+)
 def test_on_sand_adhesion_rises_throughout_and_the_law_does_not_fit(name):
     data, answer = judged(name)
     assert not answer.shown.falls
@@ -193,7 +199,7 @@ def test_conditions_that_change_together_are_reported_as_not_distinguished():
     assert "together with series" in load.why_not
 
 
-@pytest.mark.parametrize("points", [30, 200])
+@pytest.mark.parametrize("points", first_of([30, 200]))
 def test_a_load_that_grows_with_creepage_is_not_judged_and_makes_no_fall(points):
     rng = np.random.default_rng(SEED)
     creepage = rng.uniform(0.001, 0.4, points)
@@ -260,7 +266,7 @@ def test_adhesion_that_falls_from_the_first_point_on_has_its_maximum_at_or_below
     assert "at or below the smallest creepages" in text(data, answer)
 
 
-@pytest.mark.parametrize("scatter", [0.0, 1e-9])
+@pytest.mark.parametrize("scatter", first_of([0.0, 1e-9]))
 def test_computed_curves_without_scatter_get_a_result_and_no_false_report(scatter):
     creepage = np.geomspace(1e-3, 0.3, 80)
     adhesion = 0.4 * np.tanh(40.0 * creepage)
@@ -301,10 +307,10 @@ def test_measured_in_traction_the_curve_is_the_same():
 @pytest.mark.parametrize(
     ("column", "low", "high", "unit"),
     [
-        ("temperature_K", 283.0, 323.0, "K"),
         ("temperature_degC", 10.0, 50.0, "K"),
         ("pressure_bar", 1.8, 3.2, "Pa"),
-        ("pressure_kPa", 180.0, 320.0, "Pa"),
+        pytest.param("temperature_K", 283.0, 323.0, "K", marks=pytest.mark.nightly),
+        pytest.param("pressure_kPa", 180.0, 320.0, "Pa", marks=pytest.mark.nightly),
     ],
 )
 def test_temperature_and_pressure_are_judged_in_any_of_their_units(

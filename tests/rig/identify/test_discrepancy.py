@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from generator import conditions, other_stops
 from generator.conditions import Conditions
+from tiers import first_of
 
 from rollerrig.realtime.reports import cause_sentences
 from rollerrig.rig.identify.causes import candidates, discrepancy
@@ -54,7 +55,7 @@ def test_wheel_speeds_from_pulses_are_recognised(sensor: str, kind: Sensor) -> N
     assert pulses.recognise([run_of(shown(sensor))]).kind is kind
 
 
-@pytest.mark.parametrize("step_rad_s", [0.0, 0.01, 0.1])
+@pytest.mark.parametrize("step_rad_s", first_of([0.1, 0.0, 0.01]))
 def test_white_noise_is_no_sensor_of_pulses_also_where_it_is_rounded(step_rad_s: float) -> None:
     _, spins_rad_s = slowing_wheels()
     noise_rad_s = np.random.default_rng(SEED).normal(0.0, 0.07, spins_rad_s[::10].shape)
@@ -100,7 +101,8 @@ def test_simulated_sensors_of_pulses_keep_the_angle_and_are_late() -> None:
 @pytest.fixture(scope="module")
 def stops() -> tuple[dataset.Dataset, preparation.Design, candidates.Explanation]:
     data = dataset.load("open_none")
-    design = preparation.prepare(data, data.group("tune"))
+    data = data._replace(runs=data.group("tune")[1:])
+    design = preparation.prepare(data, data.runs)
     return data, design, fitting.fit(design, candidates.untuned(design), 4).explanation
 
 
@@ -221,7 +223,7 @@ def test_brakes_that_vary_in_common_are_a_note_only_inside_their_calibration(
         assert "your 0.3 %" in sentence
 
 
-@pytest.mark.parametrize("change", [1.04, 0.96])
+@pytest.mark.parametrize("change", first_of([1.04, 0.96]))
 def test_a_wrong_gain_of_all_brakes_is_no_variation_inside_their_calibration(
     stops, change: float
 ) -> None:

@@ -29,8 +29,6 @@ SOME = (
     "driven_wheel_slips",
     "hard_driving_clean",
     "radius_one_wheel_plateaus",
-    "rec_1hz_sound",
-    "rec_on_change",
     "slow_robot",
     "speed_offset",
     "speedometer_high",
@@ -90,6 +88,7 @@ def test_hard_braking_is_taken_from_the_data_and_no_unit_is_blamed():
     assert "wrong_unit" not in names_of(account)
 
 
+@pytest.mark.nightly
 def test_a_recorder_that_logs_on_change_is_recognised_and_its_gaps_are_not_judged():
     account = account_of("rec_on_change")
     assert all(a.run.logs_on_change for a in account.aligned)

@@ -58,8 +58,19 @@ def offsets(account):
     return [finding for finding in account.findings if finding.name == "speed_offset"]
 
 
-@pytest.mark.parametrize("order", [BY_AXLE, BY_SIDE])
-@pytest.mark.parametrize(("wheel", "offset_m_s"), [(0, 0.3), (1, -0.35), (2, 0.4), (3, -0.3)])
+@pytest.mark.parametrize(
+    ("order", "wheel", "offset_m_s"),
+    [
+        (BY_AXLE, 0, 0.3),
+        (BY_SIDE, 3, -0.3),
+        pytest.param(BY_SIDE, 0, 0.3, marks=pytest.mark.nightly),
+        pytest.param(BY_AXLE, 1, -0.35, marks=pytest.mark.nightly),
+        pytest.param(BY_SIDE, 1, -0.35, marks=pytest.mark.nightly),
+        pytest.param(BY_AXLE, 2, 0.4, marks=pytest.mark.nightly),
+        pytest.param(BY_SIDE, 2, 0.4, marks=pytest.mark.nightly),
+        pytest.param(BY_AXLE, 3, -0.3, marks=pytest.mark.nightly),
+    ],
+)
 def test_the_other_wheels_show_the_offset_of_one_although_low_speed_occurs_once(
     tmp_path, order, wheel, offset_m_s
 ):
@@ -72,7 +83,7 @@ def test_the_other_wheels_show_the_offset_of_one_although_low_speed_occurs_once(
     assert not account.unknown, report.story(account)
 
 
-@pytest.mark.parametrize("order", [BY_AXLE, BY_SIDE])
+@pytest.mark.parametrize("order", first_of([BY_AXLE, BY_SIDE]))
 @pytest.mark.parametrize("seed", first_of(range(30, 36)))
 def test_a_roundabout_at_the_only_low_speed_is_no_offset(tmp_path, order, seed):
     account = explained(tmp_path, *car(seed), order)

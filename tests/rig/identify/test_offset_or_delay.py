@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from tiers import first_of
 
 from rollerrig.realtime.reports import recorder as report
 from rollerrig.rig.identify.train_recorder import recording, verdict
@@ -55,7 +56,7 @@ def test_a_usual_delay_of_the_reference_in_gentle_braking_is_no_finding(tmp_path
     assert "record steady driving" in " ".join(report.story(account))
 
 
-@pytest.mark.parametrize("fault", [{"late_s": 1.5}, {"offset_m_s": 0.6}])
+@pytest.mark.parametrize("fault", first_of([{"late_s": 1.5}, {"offset_m_s": 0.6}]))
 def test_a_larger_one_in_braking_at_one_rate_is_unknown_with_both_causes(tmp_path, fault):
     account = explained(tmp_path, BRAKING, **fault)
     assert not account.findings
@@ -74,6 +75,7 @@ def test_a_radius_is_right_beside_a_usual_delay_in_gentle_braking(tmp_path):
     assert radius.low <= -1.0 <= radius.high
 
 
+@pytest.mark.nightly
 def test_steady_driving_distinguishes_them(tmp_path):
     (offset,) = explained(tmp_path, DRIVING, offset_m_s=0.4).findings
     assert (offset.name, offset.channels) == ("speed_offset", ("reference",))
@@ -86,7 +88,7 @@ def test_an_offset_is_found_beside_a_usual_delay(tmp_path):
     assert offset.low <= 0.4 <= offset.high
 
 
-@pytest.mark.parametrize("fault", [{"share": 0.04}, {"offset_m_s": 1.0}])
+@pytest.mark.parametrize("fault", first_of([{"share": 0.04}, {"offset_m_s": 1.0}]))
 def test_at_one_speed_a_factor_and_an_offset_of_the_reference_are_unknown(tmp_path, fault):
     account = explained(tmp_path, CRUISING, **fault)
     assert not account.findings

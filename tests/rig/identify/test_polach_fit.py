@@ -31,6 +31,12 @@ def fitted(locomotive):
     return polach_fit.fit(locomotive)
 
 
+@pytest.fixture
+def few_replicates(monkeypatch):
+    """Fits are fast where their intervals do not matter."""
+    monkeypatch.setattr(polach_fit, "REPLICATES", 10)
+
+
 def empty_curve(points: int = 150) -> Curve:
     """Return a curve at one speed and load, without adhesion."""
     return Curve(
@@ -67,6 +73,7 @@ def test_five_parameters_and_four_reach_the_published_errors(fitted):
     assert fitted.mean_error_of_recommended["wet"] == pytest.approx(-0.063, abs=0.003)
 
 
+@pytest.mark.usefixtures("few_replicates")
 @pytest.mark.parametrize(("left_out", "assumed"), [("speed_m_s", "10"), ("wheel_load_N", "52700")])
 def test_a_curve_without_speed_or_load_warns_which_value_is_assumed(
     left_out, assumed, locomotive, tmp_path, capsys
@@ -98,12 +105,21 @@ def test_a_curve_without_speed_or_load_warns_which_value_is_assumed(
     assert locomotive.warnings == []
 
 
-def test_intervals_hold_their_values(fitted):
+def test_intervals_hold_their_values(locomotive, fitted, monkeypatch):
     for interval in fitted.values.values():
         assert interval.low <= interval.value <= interval.high
         assert interval.low < interval.high
 
+    # 95 % of other replicates are within the intervals
+    monkeypatch.setattr(polach_fit, "REPLICATES", 30)
+    values, low, high = np.transpose(list(fitted.values.values()))
+    patch = parameters.patch_of(locomotive)
+    replicates = polach_fit._bootstrap(locomotive.curve, patch, values, seed=1)
+    is_within = (replicates >= low) & (replicates <= high)
+    assert is_within.mean() > 0.85
 
+
+@pytest.mark.usefixtures("few_replicates")
 def test_known_parameters_are_found(locomotive):
     true = Parameters(mu_0=0.4, A=0.45, gamma_s_m=0.5, k_a=0.7, k_s=0.3)
     fit = polach_fit.fit(with_curve(locomotive, true, noise=0.002))

@@ -402,7 +402,7 @@ def test_lateral_motion_dies_away_at_42_m_s_on_straight_track(law):
 def test_a_speed_sweep_finds_where_hunting_begins():
     conical = coach.build(_sections(laying=1 / 40))
     speeds_m_s = np.array([30.0, 45.0, 60.0, 75.0])
-    critical_m_s = stability.critical_speed(conical, SOAP, speeds_m_s, tolerance_m_s=2.0)
+    critical_m_s = stability.critical_speed(conical, SOAP, speeds_m_s, tolerance_m_s=5.0)
     assert 35.0 < critical_m_s < 75.0
     assert stability.growth(conical, SOAP, 0.7 * critical_m_s) < 0.0
 
@@ -414,7 +414,7 @@ def test_more_yaw_damping_raises_the_critical_speed():
         damped = coach.build(
             _sections(laying=1 / 40, yaw_damper_N_s_m=damping_N_s_m, yaw_damper_max_N=2e4)
         )
-        critical_m_s.append(stability.critical_speed(damped, SOAP, speeds_m_s, tolerance_m_s=2.0))
+        critical_m_s.append(stability.critical_speed(damped, SOAP, speeds_m_s, tolerance_m_s=8.0))
     without, with_damping = critical_m_s
     assert with_damping > without
 
