@@ -139,6 +139,7 @@ def test_the_fall_of_a_measured_creep_curve_on_the_page_of_explain_is_that_of_me
     assert f"The scatter of the 148 points is {law[2]}." in sentence
 
 
+@pytest.mark.nightly
 def test_no_limits_of_remainders_name_more_causes_of_first_and_second_generator_than_a_hundredth():
     kept = generator_thresholds.kept_answers()
     answers = kept["first"] + kept["second"]
@@ -159,7 +160,14 @@ def test_form_fraction_is_what_first_and_second_generator_set():
     assert form == generator_thresholds.FORM
 
 
-@pytest.mark.parametrize("name", written_docs.TABLES)
+# the rates of explanations are computed again from all kept answers
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.nightly) if name == "explain_rates.md" else name
+        for name in written_docs.TABLES
+    ],
+)
 def test_the_written_tables_of_a_page_are_up_to_date(name):
     text = text_of(f"docs/{name}")
     assert text == written_docs.with_tables(name, text), "run: make docs"
@@ -172,6 +180,7 @@ def test_every_column_that_the_loader_reads_is_on_its_page():
     assert [name for name in shown if f"`{name}`" not in text] == []
 
 
+@pytest.mark.nightly
 def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     text = text_of("docs/datasets.md")
@@ -214,7 +223,9 @@ def files_of(page):
     return {name: re.sub(r"^ {4}", "", block, flags=re.MULTILINE) for name, block in blocks}
 
 
-@pytest.mark.parametrize("page", ["howto_run.md", "howto_vehicle.md"])
+@pytest.mark.parametrize(
+    "page", ["howto_run.md", pytest.param("howto_vehicle.md", marks=pytest.mark.nightly)]
+)
 def test_the_scenario_of_a_page_and_its_vehicle_load(page, tmp_path):
     files = files_of(page)
     for name, content in files.items():

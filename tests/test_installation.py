@@ -264,7 +264,10 @@ def test_a_run_reports_which_run_it_replaces(tmp_path, capfd):
     assert (out / "note.txt").read_text() == "mine"
 
 
-@pytest.mark.parametrize(("answer", "status"), [("n\n", 2), ("\n", 2), ("y\n", 0)])
+@pytest.mark.parametrize(
+    ("answer", "status"),
+    [("n\n", 2), pytest.param("\n", 2, marks=pytest.mark.nightly), ("y\n", 0)],
+)
 def test_a_run_on_a_terminal_asks_before_it_replaces_another(answer, status, tmp_path):
     out = tmp_path / "stop"
     assert cli.main([*RUN, "--out", str(out)]) == 0

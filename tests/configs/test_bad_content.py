@@ -167,7 +167,7 @@ def known_keys(folder):
     return known
 
 
-@pytest.mark.parametrize("examples", [60, pytest.param(600, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("examples", [25, pytest.param(600, marks=pytest.mark.nightly)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_loader_returns_a_result_or_raises_config_error(kind, examples, tmp_path):
     load, right, folder = KINDS[kind]

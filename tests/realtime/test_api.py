@@ -164,6 +164,7 @@ def test_a_campaign_returns_a_row_for_each_run(tmp_path):
     assert len(done.frame()) == 2
 
 
+@pytest.mark.nightly
 def test_a_sequence_returns_its_verdict(tmp_path):
     path = tmp_path / "short.toml"
     path.write_text(

@@ -220,6 +220,7 @@ def test_the_gain_is_a_median_share_of_what_was_possible_and_small_possible_gain
     assert row["share"] == pytest.approx(0.9)
 
 
+@pytest.mark.nightly
 def test_exported_sets_contain_no_truth_and_are_answered_by_every_tool_and_scored(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -301,6 +301,7 @@ def test_a_worker_that_dies_costs_no_run(plan_file, tmp_path, monkeypatch):
     assert all(content(out)["stopped"])
 
 
+@pytest.mark.nightly
 def test_a_campaign_that_was_killed_continues_where_it_stopped(plan_file, tmp_path):
     out = tmp_path / "out"
     words = campaign_words(plan_file(vary=SPEEDS), out)

@@ -158,6 +158,7 @@ def test_beyond_loopback_the_desk_warns_loudly_and_requires_its_token_too(desk_b
     assert "THE DESK LISTENS BEYOND THIS MACHINE" in desk.stderr.read_text()
 
 
+@pytest.mark.nightly
 def test_a_second_desk_on_a_port_is_refused_with_a_message(desk):
     second = program.rollerrig("desk", "--port", desk.port, timeout_s=120)
     assert second.status == 2

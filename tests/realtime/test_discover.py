@@ -194,14 +194,19 @@ def stops_of(history):
 
 
 @pytest.fixture(scope="module")
-def searched(tmp_path_factory):
-    """A search of five stops in which two causes look alike: folder, history and datasets.
-
-    Its first three stops are there, as after an interruption.
-    """
-    out = tmp_path_factory.mktemp("search") / "found"
+def first_stops(tmp_path_factory):
+    """The folder of a search with its first three stops, as after an interruption."""
+    out = tmp_path_factory.mktemp("stops")
     for name, speed_m_s in (("01", 38.0), ("02", 22.0), ("03", 30.0)):
         brake("velim_a1", out / "stops" / name, speed_m_s)
+    return out
+
+
+@pytest.fixture(scope="module")
+def searched(first_stops, tmp_path_factory):
+    """A search of five stops in which two causes look alike: folder, history and datasets."""
+    out = tmp_path_factory.mktemp("search") / "found"
+    with_stops(first_stops, out, 3)
     seen = []
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})  # on one core a single process runs the two other stops
@@ -212,11 +217,11 @@ def searched(tmp_path_factory):
     return out, history, seen
 
 
-def with_stops(searched, out, number):
+def with_stops(source, out, number):
     """Copy the first stops of the search, and return where the file of each one was written."""
     for name in range(1, number + 1):
         folder = f"{name:02d}"
-        shutil.copytree(searched[0] / "stops" / folder, out / "stops" / folder)
+        shutil.copytree(source / "stops" / folder, out / "stops" / folder)
     return {path: path.stat().st_mtime_ns for path in out.glob("stops/*/channels.parquet")}
 
 
@@ -233,6 +238,7 @@ def written_again(files):
     return [path for path, at_ns in files.items() if path.stat().st_mtime_ns != at_ns]
 
 
+@pytest.mark.nightly
 def test_the_search_runs_new_stops_until_the_budget_is_used_up(searched) -> None:
     out, history, seen = searched
     assert stops_of(history) == [3, 5]
@@ -254,15 +260,16 @@ def test_the_search_runs_new_stops_until_the_budget_is_used_up(searched) -> None
     assert written["causes"] == [[SPEED.name, TIME.name]]
 
 
+@pytest.mark.nightly
 def test_the_last_round_runs_no_more_stops_than_the_budget_has(searched, tmp_path) -> None:
-    with_stops(searched, tmp_path, 4)
+    with_stops(searched[0], tmp_path, 4)
     with_first_round(searched, tmp_path)
     _, history = find_out("velim_a1", tmp_path, 4, explain=explain_as([EITHER], []))
     assert stops_of(history) == [3, 4]
 
 
-def test_the_search_is_over_with_one_cause_that_nothing_looks_like(searched, tmp_path) -> None:
-    files = with_stops(searched, tmp_path, 3)
+def test_the_search_is_over_with_one_cause_that_nothing_looks_like(first_stops, tmp_path) -> None:
+    files = with_stops(first_stops, tmp_path, 3)
     diagnosis, history = find_out("velim_a1", tmp_path, 9, explain=explain_as([RADIUS], []))
     assert stops_of(history) == [3]
     assert history["rounds"][0]["causes"] == [["wheel_radius"]]
@@ -270,8 +277,9 @@ def test_the_search_is_over_with_one_cause_that_nothing_looks_like(searched, tmp
     assert written_again(files) == []
 
 
+@pytest.mark.nightly
 def test_the_search_is_over_after_two_rounds_without_a_cause(searched, tmp_path) -> None:
-    files = with_stops(searched, tmp_path, 5)
+    files = with_stops(searched[0], tmp_path, 5)
     with_first_round(searched, tmp_path, verdict="consistent", causes=[])
     diagnosis, history = find_out("velim_a1", tmp_path, 9, explain=explain_as([()], []))
     assert stops_of(history) == [3, 5]
@@ -279,8 +287,9 @@ def test_the_search_is_over_after_two_rounds_without_a_cause(searched, tmp_path)
     assert written_again(files) == []
 
 
+@pytest.mark.nightly
 def test_a_search_that_was_interrupted_continues_with_its_stops(searched, tmp_path) -> None:
-    files = with_stops(searched, tmp_path, 5)
+    files = with_stops(searched[0], tmp_path, 5)
     with_first_round(searched, tmp_path)
     _, history = find_out("velim_a1", tmp_path, 5, explain=explain_as([EITHER], []))
     assert stops_of(history) == [3, 5]
@@ -291,7 +300,7 @@ def test_a_search_that_was_interrupted_continues_with_its_stops(searched, tmp_pa
 def test_a_search_continues_with_a_larger_budget_and_proposes_the_same_stops(
     searched, tmp_path
 ) -> None:
-    files = with_stops(searched, tmp_path, 5)
+    files = with_stops(searched[0], tmp_path, 5)
     _, history = find_out("velim_a1", tmp_path, 3, explain=explain_as([EITHER], []))
     assert stops_of(history) == [3]
     _, history = find_out("velim_a1", tmp_path, 5, explain=explain_as([EITHER] * 2, []))
@@ -299,11 +308,13 @@ def test_a_search_continues_with_a_larger_budget_and_proposes_the_same_stops(
     assert written_again(files) == []
 
 
-def test_data_that_cannot_be_explained_end_the_search_with_the_reason(searched, tmp_path) -> None:
+def test_data_that_cannot_be_explained_end_the_search_with_the_reason(
+    first_stops, tmp_path
+) -> None:
     def explain(data, seed, progress):
         raise ConfigError("this is the reason")
 
-    with_stops(searched, tmp_path, 3)
+    with_stops(first_stops, tmp_path, 3)
     with pytest.raises(ConfigError, match="this is the reason"):
         find_out("velim_a1", tmp_path, 3, explain=explain)
 

@@ -103,6 +103,7 @@ def run_of_three(tmp_path_factory):
     return run
 
 
+@pytest.mark.nightly
 def test_several_fmus_share_the_bus(run_of_three):
     run = run_of_three("one")
     assert run.status in (0, 4), run.stderr + said(run)

@@ -132,6 +132,7 @@ def test_a_plan_of_a_thousand_million_runs_needs_no_memory_for_its_points(plan):
 # --- what is kept ---
 
 
+@pytest.mark.nightly
 def test_a_large_campaign_has_the_statistics_of_one_that_keeps_all_rows(plan, tmp_path, few_rows):
     small = campaign.load(plan(rows_up_to=RUNS))
     for chunk in campaign.open_result(small, tmp_path / "small"):

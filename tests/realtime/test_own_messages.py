@@ -35,6 +35,7 @@ def test_a_speed_below_zero_is_limited_in_an_unsigned_message_and_the_stop_goes_
     assert limited[0].startswith("SPEEDS.V1: the value was limited")
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("pacing", ["lockstep", pytest.param("wall", marks=pytest.mark.nightly)])
 def test_a_gateway_that_fails_ends_the_run_with_its_reason_and_without_blame_for_the_unit(
     pacing, tmp_path, monkeypatch

@@ -97,6 +97,7 @@ def test_a_sequence_begins_a_fault_at_its_time_and_warns_of_one_that_never_began
     assert begins.time_s == 0.5
 
 
+@pytest.mark.nightly
 def test_a_campaign_warns_once_of_a_fault_that_never_began_and_counts_its_runs(tmp_path, capsys):
     (tmp_path / "late.toml").write_text(SCENARIO)
     plan = tmp_path / "plan.toml"

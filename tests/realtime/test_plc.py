@@ -270,6 +270,7 @@ def test_a_run_that_starts_before_the_rollers_have_settled_is_a_warning(rig):
     assert "discrete input 4" in early["text"]
 
 
+@pytest.mark.nightly
 def test_what_a_plc_and_a_master_on_the_bus_set_is_in_the_events(rig):
     one = rig(*HELD, "--set", "initial_speed_m_s=6", "--set", "duration_max_s=3")
     one.connect()

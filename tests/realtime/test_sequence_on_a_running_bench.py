@@ -4,6 +4,7 @@ import json
 import shlex
 from html import escape
 
+import pytest
 from bench_process import BenchProcess
 
 from rollerrig.realtime import cli
@@ -75,6 +76,7 @@ def test_a_bench_with_other_adhesion_than_the_sequence_starts_from_is_refused(tm
     assert sequence["figures"] == {}
 
 
+@pytest.mark.nightly
 def test_the_report_of_a_running_bench_has_the_load_and_adhesion_of_that_bench(tmp_path):
     running = bench(tmp_path / "run", "adhesion=low", "vehicle.mass_kg=30000")
     try:

@@ -101,8 +101,9 @@ def test_without_a_unit_no_magnet_is_energised(plans):
 @pytest.mark.parametrize(
     "setting",
     [
-        "rig=virtual_track",
-        'contact.model="polach"',
+        # with other kernels
+        pytest.param("rig=virtual_track", marks=pytest.mark.nightly),
+        pytest.param('contact.model="polach"', marks=pytest.mark.nightly),
         "mechanisms.brake_gain_gain=0.1",
         "mechanisms.adhesion_memory_length_m=2.0",
         "mechanisms.wheel_out_of_round_amplitude=0.05",

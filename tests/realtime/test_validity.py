@@ -353,6 +353,7 @@ def test_a_second_ctrl_c_while_the_record_is_closed_loses_nothing(tmp_path):
     assert bench.record.column("time_s")[-1] >= 1.0
 
 
+@pytest.mark.nightly
 def test_a_run_under_nohup_goes_on_when_its_terminal_closes(tmp_path):
     bench = BenchProcess(
         tmp_path / "run",

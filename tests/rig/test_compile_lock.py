@@ -111,6 +111,7 @@ def test_a_process_that_is_killed_while_it_compiles_blocks_nobody(processes, tmp
     assert compiled(second) > 0
 
 
+@pytest.mark.nightly
 def test_a_process_that_is_suspended_while_it_compiles_blocks_nobody_for_ever(processes, tmp_path):
     (first,) = processes(1)
     (second,) = processes(1, longest_s=0.1)

@@ -44,6 +44,19 @@ Without a bench
 """
 
 
+SHORT = """*** Settings ***
+Library          rollerrig.wsp_interface.robot
+Test Teardown    End Bench
+
+*** Test Cases ***
+A wheel locks
+    Run Keyword And Expect Error    *begin with the keyword 'Start Bench'    Brake    1 bar
+    Start Bench    speed=50 km/h    wsp=none    adhesion=leaf_film
+    Run Keyword And Expect Error    *the unit 'm' does not belong here*    Brake    3.8 m
+    Brake    3.8 bar
+    Wait Until Speed Below    42 km/h
+    Run Keyword And Expect Error    *longest_lock * s, wanted at most 0.4 s*    Limits Should Be Kept
+"""
 SHARED = """*** Settings ***
 Library           rollerrig.wsp_interface.robot
 Suite Setup       Start Bench    speed=36 km/h    adhesion=soap    unit={unit}
@@ -153,11 +166,18 @@ def played(tmp_path_factory):
     return folder, results_of(folder, 2)
 
 
+def test_keywords_brake_the_train_and_judge_it(tmp_path):
+    (tmp_path / "suite.robot").write_text(SHORT)
+    assert results_of(tmp_path, 0) == {"A wheel locks": ("PASS", "")}
+
+
+@pytest.mark.nightly
 def test_a_suite_of_keywords_brakes_the_train(played):
     _, results = played
     assert results["The brakes hold the train"] == ("PASS", "")
 
 
+@pytest.mark.nightly
 def test_a_failed_test_shows_the_figure_with_its_limit(played):
     _, results = played
     status, message = results["A wheel locks"]
@@ -166,6 +186,7 @@ def test_a_failed_test_shows_the_figure_with_its_limit(played):
     assert message.endswith(" s, wanted below 0.4 s")
 
 
+@pytest.mark.nightly
 def test_a_wrong_unit_is_refused_and_the_message_lists_the_right_ones(played):
     folder, _ = played
     assert (
@@ -174,6 +195,7 @@ def test_a_wrong_unit_is_refused_and_the_message_lists_the_right_ones(played):
     )
 
 
+@pytest.mark.nightly
 def test_a_keyword_without_a_bench_names_the_keyword_that_starts_one(played):
     _, results = played
     status, message = results["Without a bench"]
@@ -181,6 +203,7 @@ def test_a_keyword_without_a_bench_names_the_keyword_that_starts_one(played):
     assert message.endswith("no bench runs: begin with the keyword 'Start Bench'")
 
 
+@pytest.mark.nightly
 def test_the_log_has_the_plot_of_each_run_and_where_its_record_is(played):
     folder, _ = played
     output = (folder / "output.xml").read_text()
