@@ -50,6 +50,9 @@ def test_the_rate_of_the_force_is_limited():
 def test_the_axles_of_a_bogie_or_of_a_car_blend_together():
     np.testing.assert_array_equal(build(blending="bogie").blends_with, [0, 0, 1, 1])
     np.testing.assert_array_equal(build(blending="car").blends_with, [0, 0, 0, 0])
+    two_cars = {"dynamic_brake": MOTORS | {"blending": "car"}, "vehicle": {"bogies_per_body": 1}}
+    brake = dynamic_params.build(physics.check(two_cars, "my.toml"), STEP_S)
+    np.testing.assert_array_equal(brake.blends_with, [0, 0, 1, 1])
 
 
 @pytest.mark.parametrize(

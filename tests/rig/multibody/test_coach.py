@@ -431,3 +431,26 @@ def test_on_rollers_the_wheels_sink_deeper_and_the_contacts_are_more_curved():
     on_rail = stop.rolling(COACH, 20.0).contacts[:: geometry.MOST]
     curvature_1_m = on_rail[:, geometry.ROLLING] + 1.0 / roller_m
     np.testing.assert_allclose(touching[:, geometry.ROLLING], curvature_1_m, rtol=1e-3)
+
+
+# --- the wheelsets as gyroscopes ---
+
+
+def test_a_turning_wheelset_that_rolls_to_the_side_begins_to_yaw():
+    rolls = slice(BEFORE_WHEELSETS + ROLL, None, PER_BODY)
+    yaws = slice(BEFORE_WHEELSETS + YAW, None, PER_BODY)
+    roll_rad_s = 1e-3
+    step_s = 1e-5
+    yaw_rad_s = []
+    for sign in (1.0, -1.0):
+        state = stop.rolling(COACH, 30.0)
+        turns_rad_s = state.v[ROTATION].copy()
+        state.v[rolls] += sign * roll_rad_s
+        stop.advance(state, COACH, DRY, step_s, step_s=step_s)
+        yaw_rad_s.append(state.v[yaws].copy())
+    inertia_kgm2 = COACH.inertia
+    moment_Nm = -inertia_kgm2[ROTATION] * turns_rad_s * roll_rad_s
+    expected_rad_s = moment_Nm / inertia_kgm2[yaws] * step_s
+    found_rad_s = 0.5 * (yaw_rad_s[0] - yaw_rad_s[1])
+    # the contacts resist a little
+    np.testing.assert_allclose(found_rad_s, expected_rad_s, rtol=0.1)
