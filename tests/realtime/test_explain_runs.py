@@ -286,6 +286,8 @@ def test_runs_of_different_mass_make_one_dataset_in_which_each_keeps_its_mass(
     assert [run.group for run in data.runs] == ["tune", "validate"]
     assert data.sample_time_s == pytest.approx(0.01)
     assert data.runs[0].surface_m_s is not None
+    radius_m = records.load(stop).scenario["contact"]["roller_radius_m"]
+    assert data.sections["contact"]["roller_radius_m"] == radius_m
 
 
 def test_a_dataset_of_runs_has_their_vehicle_and_their_brake(stop: Path, tmp_path: Path) -> None:

@@ -205,7 +205,7 @@ def assert_same_stops(imported: Any, expected: Any) -> None:
 
 
 def test_german_files_of_stops_give_the_same_arrays_as_the_dataset(tmp_path: Path) -> None:
-    expected = dataset.load(STOPS).runs[:2]
+    expected = dataset.load(STOPS).runs[:3]
     files = []
     for run in expected:
         files.append(tmp_path / f"{run.name}.csv")
@@ -214,6 +214,7 @@ def test_german_files_of_stops_give_the_same_arrays_as_the_dataset(tmp_path: Pat
     assert import_files(*files, "--out", out, "--yes") == cli.PASS
     imported = dataset.load(out)
     assert imported.sample_time_s == 0.01
+    assert [run.group for run in imported.runs] == ["tune", "tune", "validate"]
     assert_same_stops(imported.runs, expected)
 
 
