@@ -26,6 +26,13 @@ def test_the_ranks_are_those_of_wilks(count, quantile, rank):
     assert quantiles.rank(count, quantile) == rank
 
 
+def test_the_interval_of_a_median_has_the_ranks_of_published_tables():
+    # n = 30 in tables of confidence intervals of the median: ranks 10 and 21, 95.7 %
+    found = quantiles.interval(np.arange(1.0, 31.0), 0.5)
+    assert (found.low, found.high) == (10.0, 21.0)
+    assert found.confidence == pytest.approx(0.957, abs=5e-4)
+
+
 @pytest.mark.parametrize("quantile", [0.5, 0.9, 0.95])
 def test_a_bound_lies_above_its_quantile_with_the_stated_confidence(quantile):
     rng = np.random.default_rng(5)
