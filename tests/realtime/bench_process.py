@@ -9,9 +9,11 @@ import threading
 import time
 from pathlib import Path
 
+import numpy as np
 import program
 
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
 
@@ -143,6 +145,14 @@ class BenchProcess:
 def run(out, *arguments, **more):
     """Run the bench from start to end; return it."""
     return BenchProcess(out, *arguments, **more).finish()
+
+
+def assert_same_channels(run, longer_run):
+    """Check that all channels of a run are equal to those of the beginning of a longer one."""
+    for name in signals.COLUMNS:
+        values = run.record.column(name)
+        expected = longer_run.record.column(name)[: len(values)]
+        np.testing.assert_array_equal(values, expected, err_msg=name)
 
 
 class SimpleUnit:
