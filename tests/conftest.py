@@ -19,6 +19,11 @@ pytest_plugins = ["ending"]
 # fixtures of tests/realtime/conftest.py
 RUNS = {"stop_with_wsp", "stop_without_wsp", "stop_on_leaves", "free_stop", "wall_run"}
 
+# characters; a longer text or longer bytes of a parameter are cut in the name of a test, which
+# workers send to each other and keep
+LONGEST_PARAMETER = 200
+KEPT_OF_A_LONGER_ONE = 40
+
 # groups of many files, which start first
 LONGEST_GROUPS = ("vehicles", "runs")
 
@@ -59,6 +64,12 @@ def pytest_configure(config):
         "xdist_group(name): tests that run in one worker; without it, those of a file do",
     ):
         config.addinivalue_line("markers", mark)
+
+
+def pytest_make_parametrize_id(val):
+    if isinstance(val, str | bytes) and len(val) > LONGEST_PARAMETER:
+        return f"{ascii(val[:KEPT_OF_A_LONGER_ONE])}...{len(val)}"
+    return None
 
 
 @pytest.hookimpl(tryfirst=True)
