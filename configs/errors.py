@@ -4,8 +4,6 @@ A message says where, what (with value and unit), what is allowed and how to cor
 command line catches these errors; it prints the message and exits with status 2.
 """
 
-from collections.abc import Mapping, Sequence
-
 
 class RollerrigError(Exception):
     """An error that a user can correct; its text says where, what, what is allowed and how."""
@@ -13,47 +11,6 @@ class RollerrigError(Exception):
 
 class ConfigError(RollerrigError):
     """A configuration file, key or value is wrong."""
-
-
-class OtherVehicleError(ConfigError):
-    """A process simulates other vehicles: those with other axles or other equipment.
-
-    `environment` are the variables with which a process simulates this vehicle.
-    """
-
-    def __init__(self, what: str, environment: Mapping[str, str]) -> None:
-        variables = " ".join(f"{name}={value}" for name, value in environment.items())
-        number = "variable" if len(environment) == 1 else "variables"
-        super().__init__(f"{what}; start it with the environment {number} {variables}")
-        self.environment = dict(environment)
-
-
-class OtherAxlesError(OtherVehicleError):
-    """A vehicle has another number of axles than those that this process simulates."""
-
-    def __init__(
-        self, where: str, axles: int, simulated: int, environment: Mapping[str, str]
-    ) -> None:
-        what = f"{where} = {axles}: this process simulates vehicles with {simulated} axles"
-        super().__init__(what, environment)
-        self.axles = axles
-
-
-class OtherEquipmentError(OtherVehicleError):
-    """A vehicle has other equipment than those that this process simulates."""
-
-    def __init__(
-        self,
-        where: str,
-        equipment: Sequence[str],
-        simulated: Sequence[str],
-        environment: Mapping[str, str],
-    ) -> None:
-        what = (
-            f"{where}: the vehicle has {', '.join(equipment) or 'no further equipment'}, and this "
-            f"process simulates vehicles with {', '.join(simulated) or 'friction brakes only'}"
-        )
-        super().__init__(what, environment)
 
 
 class BusError(RollerrigError):

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
@@ -24,33 +23,35 @@ from rollerrig.firmware_sim.cia301.objects import Abort, AbortError
 from rollerrig.wsp_interface import rig_objects as rig
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, SIGNALS
+from rollerrig.wsp_interface.signals import BENCH_NODE, Table
 
 DEVICE_TYPE = 0  # no profile of CiA covers a test bench
-# four cannot carry what a harness judges a stop by; each further group of axles needs five
-FURTHER_TPDOS = 4 + 5 * (GROUPS - 1)
 PRODUCT = process_image.Product("bench", 0x127)
 
 
-def _titles() -> dict[int, str]:
+def further_tpdos(groups: int) -> int:
+    """Return the number of TPDOs beyond four, for so many groups of axles.
+
+    Four cannot carry what a harness judges a stop by, and each further group needs five.
+    """
+    return 4 + 5 * (groups - 1)
+
+
+def titles(table: Table) -> dict[int, str]:
     """Return the names of the objects that carry signals, by index: the names of the signals."""
-    titles = {}
-    for signal in SIGNALS:
+    found = {}
+    for signal in table.signals:
         for place in signal.places:
             if place.node == BENCH_NODE:
-                titles[place.index] = signal.name.replace("_", " ").capitalize()
-    titles[0x2105] = "Dump valve"
-    return titles
+                found[place.index] = signal.name.replace("_", " ").capitalize()
+    found[0x2105] = "Dump valve"
+    return found
 
 
-TITLES = _titles()
-_AXLES = tuple(f"Axle {axle}" for axle in range(1, AXLES + 1))
-
-
-def rows(pacing: str) -> list[Row]:
+def rows(table: Table, pacing: str) -> list[Row]:
     """Return the objects beyond CiA 301."""
     return [
-        *process_image.rows(BENCH_NODE, 0, {}, TITLES),
+        *process_image.rows(process_image.carried(table, BENCH_NODE, {}), titles(table)),
         *array(
             rig.HARNESS,
             "Harness",
@@ -85,8 +86,8 @@ def rows(pacing: str) -> list[Row]:
             "Friction under the axle",
             "U16",
             "rw",
-            [0] * AXLES,
-            _AXLES,
+            [0] * table.kind.axles,
+            [f"Axle {axle}" for axle in table.axles],
             mappable=True,
             high=10_000,
             factor=rig.FRICTION_SCALE,
@@ -126,23 +127,28 @@ def rows(pacing: str) -> list[Row]:
 
 
 def build(
-    row: np.ndarray, friction: np.ndarray, on_command: Callable[[], None], pacing: str = "wall"
+    table: Table,
+    row: np.ndarray,
+    friction: np.ndarray,
+    on_command: Callable[[], None],
+    pacing: str = "wall",
 ) -> Node:
     """Build the node.
 
-    `row`: live float64 array of all signals. `friction`: float64 array of shape (AXLES,), which the
-    node writes before it calls `on_command()`: the kinematic friction commanded under each axle, 0
-    for none.
+    `table`: the signals of the vehicle. `row`: live float64 array of all signals. `friction`:
+    float64 array of shape (axles,) or more, which the node writes before it calls `on_command()`:
+    the kinematic friction commanded under each axle, 0 for none.
     """
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT.name,
         rpdos=(Pdo(EVENT_DRIVEN, ((rig.HARNESS, rig.CYCLE, 8),)),),
         heartbeat_ms=0,
-        further_tpdos=FURTHER_TPDOS,
+        further_tpdos=further_tpdos(table.kind.groups),
     )
-    node = process_image.build(BENCH_NODE, profile, PRODUCT, rows(pacing), row, {})
-    node.device = BenchNode(node, friction, on_command)
+    carried = process_image.carried(table, BENCH_NODE, {})
+    node = process_image.build(BENCH_NODE, profile, PRODUCT, rows(table, pacing), row, carried)
+    node.device = BenchNode(table, node, friction, on_command)
     return node
 
 
@@ -154,7 +160,9 @@ class BenchNode:
     configuration: returns what the bench plays, as JSON; "" if that is not known.
     """
 
-    def __init__(self, node: Node, friction: np.ndarray, on_command: Callable[[], None]) -> None:
+    def __init__(
+        self, table: Table, node: Node, friction: np.ndarray, on_command: Callable[[], None]
+    ) -> None:
         self.node = node
         self.joined = False
         self.refusal = ""
@@ -171,7 +179,7 @@ class BenchNode:
         attach(rig.CONFIGURATION, read=lambda: self.configuration())
         attach(rig.NOTE, effect=lambda text: node.on_event(Code.OPERATOR_NOTE, note=text))
         attach(rig.FAILURE, effect=partial(self._act, "fail"))
-        for axle in range(1, AXLES + 1):
+        for axle in table.axles:
             attach(rig.FRICTION, axle, effect=partial(self._set_friction, axle))
         node.on_reset.append(lambda: self._join(0))
         node.on_poll.append(lambda _: self._start())

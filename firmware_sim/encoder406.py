@@ -18,7 +18,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.signals import SPEED_NODE, Place
+from rollerrig.wsp_interface.signals import SPEED_NODE, Place, Table
 
 DEVICE_TYPE = 0x000A0196  # encoder, multi-sensor
 PRODUCT = process_image.Product("axle speed unit", 0x406)
@@ -45,17 +45,17 @@ def tpdos(axles: int) -> tuple[Pdo, ...]:
     return (speeds, *frequencies)
 
 
-def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
+def rows(table: Table, parameters: Mapping[str, float], group: int = 0) -> list[Row]:
     """Return the objects of the device profile. `parameters`: `teeth` of each pole wheel."""
-    node_number = signals.nodes(SPEED_NODE)[group]
+    node_number = signals.in_group(SPEED_NODE, group)
     teeth = round(parameters["teeth"])
     # as many revolutions as the 32-bit pulse counter can distinguish, within the 16 bits of 6502h
     revolutions = min(0xFFFF, 0xFFFFFFFF // max(teeth, 1))
-    axles = signals.axles_of(group)
+    axles = table.axles_of(group)
     zeros = [0] * len(axles)
     by_axle = [f"Axle {axle}" for axle in axles]
     return [
-        *process_image.rows(node_number, axle=0, parameters=parameters, titles=TITLES),
+        *process_image.rows(process_image.carried(table, node_number, parameters), TITLES),
         Row(0x6000, 0, "Operating parameters", "U16", "rw", 0),
         Row(0x6001, 0, "Measuring units per revolution", "U32", "const", teeth),
         Row(0x6002, 0, "Total measuring range in measuring units", "U32", "const", 0xFFFFFFFF),
@@ -115,6 +115,7 @@ def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
 
 
 def build(
+    table: Table,
     row: np.ndarray,
     parameters: Mapping[str, float] | None = None,
     storage: Path | None = None,
@@ -122,19 +123,21 @@ def build(
 ) -> Node:
     """Build the node of a group of axles (0: the leading one).
 
-    `row`: live float64 array of all signals. `storage`: the file of stored parameters (1010h).
+    `table`: the signals of the vehicle. `row`: live float64 array of all signals. `storage`: the
+    file of stored parameters (1010h).
     """
     parameters = DEFAULTS | dict(parameters or {})
-    axles = signals.axles_of(group)
+    axles = table.axles_of(group)
     profile = Profile(DEVICE_TYPE, PRODUCT.name, tpdos=tpdos(len(axles)))
+    number = signals.in_group(SPEED_NODE, group)
     node = process_image.build(
-        signals.nodes(SPEED_NODE)[group],
+        number,
         profile,
         PRODUCT,
-        rows(parameters, group),
+        rows(table, parameters, group),
         row,
-        parameters,
-        storage=storage,
+        process_image.carried(table, number, parameters),
+        storage,
     )
     node.device = SpeedUnit(node, row, axles)
     return node

@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.cia301 import communication
 from rollerrig.firmware_sim.cia301.communication import SDO_SERVERS
 from rollerrig.firmware_sim.cia301.lss import UNCONFIGURED
@@ -22,6 +21,7 @@ from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
 from rollerrig.wsp_interface.rig_objects import unit_frames
+from rollerrig.wsp_interface.signals import Table
 
 _EMERGENCY_OBJECT = 0x1014
 _SDO_OBJECT = 0x1200
@@ -38,32 +38,33 @@ class _Sender(NamedTuple):
     file: Path | None
 
 
-def check(nodes: Mapping[int, Node]) -> None:
+def check(table: Table, nodes: Mapping[int, Node]) -> None:
     """Check the identifiers and numbers that nodes have after power-on, with what they have stored.
 
-    `nodes` are those of the rig by their default number; they are powered on without a bus. Raises
-    ConfigError for the first number or identifier with two senders.
+    `table`: the signals of the vehicle. `nodes` are those of the rig by their default number; they
+    are powered on without a bus. Raises ConfigError for the first number or identifier with two
+    senders.
     """
     for node in nodes.values():
         node.start(lambda frame: None, 0)
-    _check_numbers(nodes)
-    _check_identifiers(nodes)
+    _check_numbers(table, nodes)
+    _check_identifiers(table, nodes)
 
 
-def _check_numbers(nodes: Mapping[int, Node]) -> None:
+def _check_numbers(table: Table, nodes: Mapping[int, Node]) -> None:
     taken = {signals.BENCH_NODE: _Sender("the bench", None)}
-    for group, number in enumerate(signals.WSP_NODES):
-        taken[number] = _Sender(_unit(group), None)
+    for group, number in enumerate(table.wsp_nodes):
+        taken[number] = _Sender(_unit(table, group), None)
     for number, node in nodes.items():
         if node.node_id != UNCONFIGURED:
-            sender = _Sender(f"node {number}{_of_group(number)}", _file(node))
+            sender = _Sender(f"node {number}{_of_group(table, number)}", _file(node))
             _take(taken, node.node_id, sender, f"node number {node.node_id} (LSS)")
 
 
-def _check_identifiers(nodes: Mapping[int, Node]) -> None:
+def _check_identifiers(table: Table, nodes: Mapping[int, Node]) -> None:
     taken = {NMT: _Sender("the bench", None), SYNC: _Sender("the bench", None)}
-    for group in range(GROUPS):
-        frames = unit_frames(group)
+    for group in range(table.kind.groups):
+        frames = unit_frames(table, group)
         of_unit = (
             frames.reference_speed.can_id,
             frames.magnets_id,
@@ -71,12 +72,12 @@ def _check_identifiers(nodes: Mapping[int, Node]) -> None:
             frames.shares_id,
             frames.emergency_id,
         )
-        taken |= dict.fromkeys(of_unit, _Sender(_unit(group), None))
+        taken |= dict.fromkeys(of_unit, _Sender(_unit(table, group), None))
     for number, node in nodes.items():
         if node.node_id == UNCONFIGURED:
             continue
         for can_id, service in _sent(node):
-            sender = _Sender(f"node {number}{_of_group(number)} in {service}", _file(node))
+            sender = _Sender(f"node {number}{_of_group(table, number)} in {service}", _file(node))
             _take(taken, can_id, sender, f"identifier {can_id & communication.EXTENDED_MASK:X}h")
 
 
@@ -117,9 +118,9 @@ def _file(node: Node) -> Path | None:
     return path if path is not None and path.is_file() else None
 
 
-def _unit(group: int) -> str:
-    return "the WSP unit" if GROUPS == 1 else f"the WSP unit of group {group + 1}"
+def _unit(table: Table, group: int) -> str:
+    return "the WSP unit" if table.kind.groups == 1 else f"the WSP unit of group {group + 1}"
 
 
-def _of_group(number: int) -> str:
-    return "" if GROUPS == 1 else f" of group {signals.group_of(number) + 1}"
+def _of_group(table: Table, number: int) -> str:
+    return "" if table.kind.groups == 1 else f" of group {signals.group_of(number) + 1}"

@@ -9,10 +9,11 @@ analogue).
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES_OF_BOGIE, HAS_MAGNETIC_TRACK_BRAKE
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, MOST_AXLES
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import (
     ACYCLIC,
@@ -30,34 +31,50 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.magnets import BITS_PER_AXLE
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
 from rollerrig.wsp_interface.signals import (
-    AXLES,
     BRAKE_NODE,
-    BY_NAME,
     TRACK_BRAKE_OBJECT,
     TRACK_BRAKE_SUB,
+    Table,
 )
 
-# the array of commands: the energised magnets of each axle (bit 0 hold, bit 1 vent), then the brake
-# cylinder pressure in Pa that the bus commands (NaN: none)
-MAGNETS = slice(0, AXLES)
-BRAKE_DEMAND = AXLES
-COMMANDS = AXLES + 1
+# the array of commands: the energised magnets of each axle (bit 0 hold, bit 1 vent), with room for
+# the most axles, then the brake cylinder pressure in Pa that the bus commands (NaN: none)
+MAGNETS = slice(0, MOST_AXLES)
+BRAKE_DEMAND = MOST_AXLES
+COMMANDS = MOST_AXLES + 1
 
 DEVICE_TYPE = 0x000F0191
-TEXT_OF_OUTPUTS = "bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1"
 PRODUCT = process_image.Product("brake I/O", 0x401)
 TITLES = {0x6401: "Read analogue input 16-bit"}
-DEMAND = BY_NAME["brake_demand"].places[0]
+DEMAND = signals.first_place("brake_demand")
 HIGHEST_DEMAND_mbar = 10_000
-RPDOS: tuple[Pdo, ...] = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
 # the bits of 6200h:2 that command the magnets of the leading bogie of the group
 MASK_OF_BOGIE = 0b0101
-# outputs of 8 bits by their sub-index of 6200h; the second only where the vehicle has such a brake
-OUTPUTS: tuple[str, ...] = ("Magnets",)
-if HAS_MAGNETIC_TRACK_BRAKE:
-    OUTPUTS += ("Magnetic track brake",)
-    TEXT_OF_OUTPUTS += "; track brake: bit 2j for the bogie of axle j+1"
-    RPDOS += (Pdo(EVENT_DRIVEN, ((TRACK_BRAKE_OBJECT, TRACK_BRAKE_SUB, 8),)),)
+
+
+class Outputs(NamedTuple):
+    """The outputs of 8 bits, by their sub-index of 6200h: their names, and the RPDO of each."""
+
+    names: tuple[str, ...]
+    text: str
+    rpdos: tuple[Pdo, ...]
+
+
+_MAGNETS = Outputs(
+    ("Magnets",),
+    "bit 2j hold magnet, bit 2j+1 vent magnet of axle j+1",
+    (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),),
+)
+_MAGNETS_AND_TRACK_BRAKE = Outputs(
+    (*_MAGNETS.names, "Magnetic track brake"),
+    f"{_MAGNETS.text}; track brake: bit 2j for the bogie of axle j+1",
+    (*_MAGNETS.rpdos, Pdo(EVENT_DRIVEN, ((TRACK_BRAKE_OBJECT, TRACK_BRAKE_SUB, 8),))),
+)
+
+
+def outputs(table: Table) -> Outputs:
+    """Return the outputs of a module; the second one only where the vehicle has such a brake."""
+    return _MAGNETS_AND_TRACK_BRAKE if table.kind.magnetic_track_brake else _MAGNETS
 
 
 def tpdos(axles: int) -> tuple[Pdo, ...]:
@@ -69,10 +86,12 @@ def tpdos(axles: int) -> tuple[Pdo, ...]:
     )
 
 
-def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
+def rows(table: Table, parameters: Mapping[str, float], group: int = 0) -> list[Row]:
     """Return the objects of the device profile."""
+    number = signals.in_group(BRAKE_NODE, group)
+    names = outputs(table).names
     return [
-        *process_image.rows(signals.nodes(BRAKE_NODE)[group], 0, parameters, TITLES),
+        *process_image.rows(process_image.carried(table, number, parameters), TITLES),
         *array(0x6000, "Read input 8-bit", "U8", "ro", [0], ("Magnets energised",), mappable=True),
         Row(0x6005, 0, "Global interrupt enable digital", "BOOL", "rw", True),
         *array(
@@ -80,13 +99,13 @@ def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
             "Write output 8-bit",
             "U8",
             "rw",
-            [0] * len(OUTPUTS),
-            OUTPUTS,
+            [0] * len(names),
+            names,
             mappable=True,
-            text=TEXT_OF_OUTPUTS,
+            text=outputs(table).text,
         ),
-        *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF] * len(OUTPUTS), OUTPUTS),
-        *array(0x6207, "Error value output 8-bit", "U8", "rw", [0] * len(OUTPUTS), OUTPUTS),
+        *array(0x6206, "Error mode output 8-bit", "U8", "rw", [0xFF] * len(names), names),
+        *array(0x6207, "Error value output 8-bit", "U8", "rw", [0] * len(names), names),
         *array(
             0x6411,
             "Write analogue output 16-bit",
@@ -99,7 +118,7 @@ def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
             high=HIGHEST_DEMAND_mbar,
             unit="Pa",
             factor=DEMAND.scale,
-            text=BY_NAME["brake_demand"].text,
+            text=table.by_name["brake_demand"].text,
         ),
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
         *array(0x6443, "Analogue output error mode", "U8", "rw", [0], ("Brake demand",), high=1),
@@ -117,6 +136,7 @@ def rows(parameters: Mapping[str, float], group: int = 0) -> list[Row]:
 
 
 def build(
+    table: Table,
     row: np.ndarray,
     commands: np.ndarray,
     parameters: Mapping[str, float] | None = None,
@@ -127,32 +147,36 @@ def build(
 ) -> Node:
     """Build the node of a group of axles (0: the leading one).
 
-    `row`: live float64 array of all signals. `commands`: float64 array of shape (COMMANDS,), of
-    which the node writes the magnets of its axles and the demand before it calls `on_command()`.
-    `storage`: the file of 1010h. `track_brake`: float64 array of shape (AXLES,), of which the node
-    writes its axles: 1 where the magnetic track brake is on; None for a vehicle without one.
+    `table`: the signals of the vehicle. `row`: live float64 array of all signals. `commands`:
+    float64 array of shape (COMMANDS,), of which the node writes the magnets of its axles and the
+    demand before it calls `on_command()`. `storage`: the file of 1010h. `track_brake`: float64
+    array of shape (MOST_AXLES,), of which the node writes its axles: 1 where the magnetic track
+    brake is on. A vehicle without one needs no such array.
     """
     parameters = dict(parameters or {})
     lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
-    axles = signals.axles_of(group)
+    axles = table.axles_of(group)
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT.name,
-        RPDOS,
+        outputs(table).rpdos,
         tpdos(len(axles)),
-        consumed=((signals.WSP_NODES[group], lost_after_ms),),
+        consumed=((table.wsp_nodes[group], lost_after_ms),),
     )
+    number = signals.in_group(BRAKE_NODE, group)
     node = process_image.build(
-        signals.nodes(BRAKE_NODE)[group],
+        number,
         profile,
         PRODUCT,
-        rows(parameters, group),
+        rows(table, parameters, group),
         row,
-        parameters,
-        storage=storage,
+        process_image.carried(table, number, parameters),
+        storage,
     )
     node.commands = frozenset({0x6200, 0x6411})
     node.event_enablers = {0x6000: key(0x6005, 0), 0x6401: key(0x6423, 0)}
+    if not table.kind.magnetic_track_brake:
+        track_brake = None
     node.device = BrakeIo(node, row, commands, on_command, axles, track_brake)
     return node
 

@@ -11,7 +11,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.cia301.host import MS, Timers
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.unit_answers import UnitAnswers
@@ -25,7 +24,7 @@ from rollerrig.wsp_interface.rig_objects import (
     emergency_event,
     unit_frames,
 )
-from rollerrig.wsp_interface.signals import BENCH_NODE, RIG_NODES, WSP_NODES
+from rollerrig.wsp_interface.signals import BENCH_NODE, Table
 
 LOST_AFTER_MS = 500  # silence after which a node of the rig counts as lost
 
@@ -45,34 +44,38 @@ class Health:
 class NmtMaster:
     """Node 127. Its owner calls `on_frame`, `poll` and `sync`.
 
-    `master`: whether it starts the nodes. `sync_overflow`: highest value of the SYNC counter (0: no
-    counter). `unit_silent_after`: SYNCs without an answer after which a WSP unit is silent (0: it
-    is not judged). `on_event(code, **fields)` takes the events of the run.
+    `table`: the signals of the vehicle. `master`: whether it starts the nodes. `sync_overflow`:
+    highest value of the SYNC counter (0: no counter). `further_nodes`: nodes of the rig besides
+    those that every rig has. `unit_silent_after`: SYNCs without an answer after which a WSP unit is
+    silent (0: it is not judged). `on_event(code, **fields)` takes the events of the run.
     """
 
     def __init__(
         self,
+        table: Table,
         master: bool = True,
         sync_overflow: int = 0,
         heartbeat_ms: int = 100,
         unit_lost_after_ms: int = UNIT_LOST_AFTER_MS,
-        nodes: Sequence[int] = RIG_NODES,
+        further_nodes: Sequence[int] = (),
         unit_silent_after: int = 0,
     ) -> None:
+        self.table = table
+        nodes = (*table.rig_nodes, *further_nodes)
         self.patience_ms = dict.fromkeys(nodes, LOST_AFTER_MS)
-        self.patience_ms |= dict.fromkeys(WSP_NODES, unit_lost_after_ms)
+        self.patience_ms |= dict.fromkeys(table.wsp_nodes, unit_lost_after_ms)
         self.master = master
         self.sync_overflow = sync_overflow
         self.heartbeat_ms = heartbeat_ms
-        self.health = {node: Health() for node in (*nodes, *WSP_NODES)}
+        self.health = {node: Health() for node in (*nodes, *table.wsp_nodes)}
         # the WSP units, the one of the leading group first
-        self.units = tuple(self.health[node] for node in WSP_NODES)
+        self.units = tuple(self.health[node] for node in table.wsp_nodes)
         self.unit = self.units[0]
         self.answers: dict[int, UnitAnswers] = {}
         if unit_silent_after:
-            self.answers = {node: UnitAnswers(unit_silent_after) for node in WSP_NODES}
+            self.answers = {node: UnitAnswers(unit_silent_after) for node in table.wsp_nodes}
         # the reference speeds that the units send, NaN: none
-        self.reference_speeds_m_s = [math.nan] * GROUPS
+        self.reference_speeds_m_s = [math.nan] * table.kind.groups
         self.now_ns = 0
         self.counter = 0
         self.on_event: OnEvent = events.ignore
@@ -92,7 +95,7 @@ class NmtMaster:
         return all(
             health.state is State.OPERATIONAL and not health.lost
             for node, health in self.health.items()
-            if node not in WSP_NODES
+            if node not in self.table.wsp_nodes
         )
 
     def start(self, send: Callable[[Frame], Any], now_ns: int) -> None:
@@ -101,13 +104,14 @@ class NmtMaster:
         self.now_ns = now_ns
         self.handlers = {HEARTBEAT + node: self._on_heartbeat for node in self.health}
         self.handlers |= {EMERGENCY + node: self._on_emergency for node in self.health}
-        for group in range(GROUPS):
-            layout = unit_frames(group).reference_speed
+        for group in range(self.table.kind.groups):
+            layout = unit_frames(self.table, group).reference_speed
             self.handlers[layout.can_id] = partial(self._on_reference_speed, group, layout)
         if self.answers and not self.master:
             self.handlers[SYNC] = self._on_sync
         for group, node in enumerate(self.answers):
-            self.handlers[unit_frames(group).magnets_id] = partial(self._on_answer, node)
+            answer_id = unit_frames(self.table, group).magnets_id
+            self.handlers[answer_id] = partial(self._on_answer, node)
         self.on_rewired()
         self._beat(State.INITIALISING)
 
@@ -157,9 +161,9 @@ class NmtMaster:
             return
         health = self.health[node]
         if health.lost:
-            back = Code.UNIT_BACK if node in WSP_NODES else Code.NODE_BACK
+            back = Code.UNIT_BACK if node in self.table.wsp_nodes else Code.NODE_BACK
             self.on_event(back, node=node, state=state.title)
-        elif node in WSP_NODES and health.state is not state:
+        elif node in self.table.wsp_nodes and health.state is not state:
             # the nodes of the rig report their states themselves
             seen = Code.UNIT_APPEARED if health.state is None else Code.UNIT_STATE
             self.on_event(seen, node=node, state=state.title)
@@ -180,10 +184,10 @@ class NmtMaster:
     def _lose(self, node: int) -> None:
         self.health[node].lost = True
         self.health[node].started = False
-        lost = Code.UNIT_LOST if node in WSP_NODES else Code.NODE_LOST
+        lost = Code.UNIT_LOST if node in self.table.wsp_nodes else Code.NODE_LOST
         self.on_event(lost, node=node, silent_s=self.patience_ms[node] / 1e3)
-        if node in WSP_NODES:
-            self.reference_speeds_m_s[WSP_NODES.index(node)] = math.nan
+        if node in self.table.wsp_nodes:
+            self.reference_speeds_m_s[self.table.wsp_nodes.index(node)] = math.nan
 
     def _on_sync(self, _: Frame) -> None:
         """Another node has sent SYNC, and produces it."""
@@ -214,7 +218,7 @@ class NmtMaster:
             return
         node = frame.can_id - EMERGENCY
         self.on_event(
-            emergency_event(node, error_code),
+            emergency_event(self.table, node, error_code),
             node=node,
             error_code=error_code,
             error_register=frame.data[2],

@@ -22,7 +22,6 @@ import numpy as np
 from rollerrig.firmware_sim.faults import effects as faulty
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.signals import AXLES
 
 IDEAL = 0
 POLE_WHEEL = 1
@@ -70,11 +69,11 @@ class Sensor(NamedTuple):
     flat_noise_rad_s_m: float = 0.0
 
 
-def memory(seed: int) -> np.ndarray:
-    """The memory of all sensors before the first tick."""
-    new = np.zeros((MEMORY, AXLES))
+def memory(seed: int, axles: int) -> np.ndarray:
+    """The memory of the sensors of all axles before the first tick, shape (MEMORY, axles)."""
+    new = np.zeros((MEMORY, axles))
     # another sequence of the generator for each axle and seed; never 0, which it would repeat
-    new[RANDOM] = [1 + (7919 * seed + 104729 * axle) % 2147483646 for axle in range(1, AXLES + 1)]
+    new[RANDOM] = [1 + (7919 * seed + 104729 * axle) % 2147483646 for axle in range(1, axles + 1)]
     return new
 
 
@@ -82,9 +81,10 @@ def memory(seed: int) -> np.ndarray:
 def sense(row, memory, sensor, faults):
     """Write measured speeds, tooth frequencies and pulse counters of this tick into a row."""
     memory[CLOCK, 0] += 1.0
-    for j in range(AXLES):
+    axles = memory.shape[1]
+    for j in range(axles):
         count_teeth(row[_SPEED + j], row[_ANGLE + j], j, memory, sensor, faults)
-    for j in range(AXLES):
+    for j in range(axles):
         if faulty.value(faults, faulty.STUCK, j) != 0.0:
             continue
         wheel = j

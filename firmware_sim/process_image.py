@@ -6,7 +6,7 @@ the bus, as `signals.count` does. The conversion is prepared once for each objec
 for every signal at every SYNC.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from math import isfinite
 from pathlib import Path
 from typing import NamedTuple
@@ -19,7 +19,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Identity, Row
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.signals import Place, Signal
+from rollerrig.wsp_interface.signals import Place, Signal, Table
 
 _VENDOR = "rollerrig"
 _VENDOR_ID = 0  # none is registered with CAN in Automation
@@ -49,14 +49,13 @@ def build(
     product: Product,
     device_rows: list[Row],
     row: np.ndarray,
-    parameters: Mapping[str, float],
-    axle: int = 0,
+    signals_carried: Iterable[Carried],
     storage: Path | None = None,
 ) -> Node:
     """Return a node of the rig, whose objects read the live row.
 
-    `row`: float64, one item for each column of the table of signals. `device_rows`: the rows beyond
-    CiA 301; `axle`: that of a drive, else 0. The node number is also the serial number.
+    `row`: float64, the row of all signals. `device_rows`: the rows beyond CiA 301. The node number
+    is also the serial number.
     """
     identity = Identity(
         vendor=_VENDOR,
@@ -69,9 +68,7 @@ def build(
     all_rows = communication.rows(profile, identity) + device_rows
     node = Node(dictionary.build(all_rows, node_id, identity), storage)
 
-    # the table of signals describes one drive, as node 0, for all drives
-    node_number = 0 if axle else node_id
-    for signal, place, signal_axle, sub, parameter in carried(node_number, axle, parameters):
+    for signal, place, signal_axle, sub, parameter in signals_carried:
         in_dictionary = key(place.index, sub) in node.objects.variables
         if signal.direction == signals.OUT and in_dictionary:
             column = signals.column(signal.name, signal_axle)
@@ -79,48 +76,50 @@ def build(
     return node
 
 
-def carried(node_number: int, axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
-    """Return the signals that a node carries, axle by axle: of its group, or the bench of all.
+def carried(table: Table, node_number: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
+    """Yield the signals that a node carries, axle by axle: of its group, or the bench of all.
 
-    `node_number` 0 with an axle is the drive under that axle. Raises KeyError if a scale needs a
-    parameter that is not in `parameters`.
+    Raises KeyError if a scale needs a parameter that is not in `parameters`.
     """
-    of_drive = node_number == signals.DRIVE_UNDER_AXLE
-    leading = node_number if of_drive else signals.in_leading_group(node_number)
-    for signal in signals.SIGNALS:
+    leading = signals.in_leading_group(node_number)
+    for signal in table.signals:
         for place in signal.places:
             if place.node != leading:
                 continue
             parameter = parameters[place.of] if place.of else 1.0
-            if of_drive:
+            for at, axle in enumerate(table.axles_at(signal, node_number)):
+                yield Carried(signal, place, axle, place.sub + at, parameter)
+
+
+def carried_by_drive(axle: int, parameters: Mapping[str, float]) -> Iterator[Carried]:
+    """Yield the signals that the drive under an axle carries, as `carried` does."""
+    for signal in signals.ALL_SIGNALS:
+        for place in signal.places:
+            if place.node == signals.DRIVE_UNDER_AXLE:
+                parameter = parameters[place.of] if place.of else 1.0
                 yield Carried(signal, place, axle, place.sub, parameter)
-                continue
-            for at, signal_axle in enumerate(signals.axles_at(signal, node_number)):
-                yield Carried(signal, place, signal_axle, place.sub + at, parameter)
 
 
-def rows(
-    node_number: int, axle: int, parameters: Mapping[str, float], titles: Mapping[int, str]
-) -> list[Row]:
+def rows(signals_carried: Iterable[Carried], titles: Mapping[int, str]) -> list[Row]:
     """Return the rows of the objects that carry measured signals.
 
     `titles`: the names of the objects by index.
     """
     rows_by_place: dict[tuple[int, int], Row] = {}
-    for signal, place, signal_axle, sub, parameter in carried(node_number, axle, parameters):
+    for signal, place, axle, sub, parameter in signals_carried:
         if signal.direction != signals.OUT or place.index not in titles:
             continue
         title = titles[place.index]
         name = title
         if sub:
-            name = f"{title}/{title} axle {signal_axle}"
+            name = f"{title}/{title} axle {axle}"
             rows_by_place[place.index, 0] = Row(
                 index=place.index,
                 sub=0,
                 name=f"{title}/Highest sub-index supported",
                 kind="U8",
                 access="const",
-                default=place.sub + len(signals.axles_at(signal, node_number)) - 1,
+                default=sub,  # the last one stays
             )
         rows_by_place[place.index, sub] = Row(
             index=place.index,

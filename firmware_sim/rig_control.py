@@ -29,7 +29,7 @@ from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 @kernel
 def hold_surface_speed(state, drive, tick_s):
     """Write the motor torque demands in N m of all rollers for the coming tick."""
-    for j in range(state.roller_speed.size):
+    for j in range(state.axles):
         if state.standing[0] != 0.0:
             state.motor_torque_demand[j] = 0.0
             continue
@@ -69,10 +69,10 @@ def held(omega, observer, motor_Nm, v, a, J, R, speed_loop_rad_s, observer_rad_s
 def follow_virtual_wheels(state, virtual, drive, radius_m, inertia_kgm2):
     """Write the motor torque demands in N m that make the wheels of `state` turn as `virtual`'s.
 
-    radius_m and inertia_kgm2 (4,) are those of the wheelsets.
+    radius_m and inertia_kgm2 (axles,) are those of the wheelsets.
     """
     R = drive.roller_radius_m
-    for j in range(state.roller_speed.size):
+    for j in range(state.axles):
         if virtual.standing[0] != 0.0:
             state.motor_torque_demand[j] = 0.0
             continue

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.configs.vehicle import UNIT_AXLES
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, SYNCHRONOUS, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
@@ -21,7 +20,7 @@ from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_LOST_AFTER_MS
-from rollerrig.wsp_interface.signals import SANDER_NODE
+from rollerrig.wsp_interface.signals import SANDER_NODE, Table
 
 DEVICE_TYPE = 0x00060191
 PRODUCT = process_image.Product("sander I/O", 0x402)
@@ -30,14 +29,15 @@ RPDOS = (Pdo(EVENT_DRIVEN, ((0x6200, 1, 8),)),)
 
 
 # 6401h: the flow of sand of each axle, then the remaining sand of each axle
-def tpdos(axles: int) -> tuple[Pdo, ...]:
-    """Return the TPDOs of a module for so many axles."""
+def tpdos(axles: int, unit_axles: int) -> tuple[Pdo, ...]:
+    """Return the TPDOs of a module for so many axles; a group has `unit_axles` at most."""
     flows = tuple((0x6401, axle, 16) for axle in range(1, axles + 1))
-    boxes = tuple((0x6401, UNIT_AXLES + axle, 16) for axle in range(1, axles + 1))
+    boxes = tuple((0x6401, unit_axles + axle, 16) for axle in range(1, axles + 1))
     return Pdo(SYNCHRONOUS, flows), Pdo(SYNCHRONOUS, boxes)
 
 
 def build(
+    table: Table,
     row: np.ndarray,
     commands: np.ndarray,
     on_command: Callable[[], None] = lambda: None,
@@ -47,23 +47,23 @@ def build(
 ) -> Node:
     """Build the node of a group of axles (0: the leading one).
 
-    `row`: live float64 array of all signals. `commands`: array of shape (AXLES,), of which the node
-    writes its axles before it calls `on_command()`: 1 where the sander of an axle is on. `storage`:
-    the file of 1010h.
+    `table`: the signals of the vehicle. `row`: live float64 array of all signals. `commands`: array
+    of shape (axles,) or more, of which the node writes its axles before it calls `on_command()`: 1
+    where the sander of an axle is on. `storage`: the file of 1010h.
     """
-    number = signals.nodes(SANDER_NODE)[group]
-    axles = signals.axles_of(group)
+    number = signals.in_group(SANDER_NODE, group)
+    axles = table.axles_of(group)
     parameters = dict(parameters or {})
     lost_after_ms = int(parameters.get("unit_lost_after_ms", UNIT_LOST_AFTER_MS))
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT.name,
         RPDOS,
-        tpdos(len(axles)),
-        consumed=((signals.WSP_NODES[group], lost_after_ms),),
+        tpdos(len(axles), table.kind.unit_axles),
+        consumed=((table.wsp_nodes[group], lost_after_ms),),
     )
     device_rows = [
-        *process_image.rows(number, 0, {}, TITLES),
+        *process_image.rows(process_image.carried(table, number, {}), TITLES),
         *array(
             0x6200,
             "Write output 8-bit",
@@ -76,9 +76,8 @@ def build(
         ),
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
     ]
-    node = process_image.build(
-        number, profile, PRODUCT, device_rows, row, parameters, storage=storage
-    )
+    carried = process_image.carried(table, number, {})
+    node = process_image.build(number, profile, PRODUCT, device_rows, row, carried, storage)
     node.commands = frozenset({0x6200})
     node.event_enablers = {0x6401: key(0x6423, 0)}
 

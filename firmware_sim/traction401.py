@@ -15,7 +15,6 @@ from pathlib import Path
 
 import numpy as np
 
-from rollerrig.configs.vehicle import UNIT_AXLES
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import EVENT_DRIVEN, SYNCHRONOUS, Pdo, Profile
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
@@ -24,7 +23,7 @@ from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import rig_objects, signals
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.signals import TRACTION_NODE
+from rollerrig.wsp_interface.signals import TRACTION_NODE, Table
 
 DEVICE_TYPE = 0x000C0191
 PRODUCT = process_image.Product("traction and dynamic brake I/O", 0x403)
@@ -40,14 +39,18 @@ def rpdos(axles: int, group: int) -> tuple[Pdo, ...]:
     return shares, Pdo(EVENT_DRIVEN, ((0x6411, axles + 1, 16),))
 
 
-def tpdos(axles: int) -> tuple[Pdo, ...]:
-    """Return the TPDOs of a module: the torques of its axles, then the permitted shares."""
+def tpdos(axles: int, unit_axles: int) -> tuple[Pdo, ...]:
+    """Return the TPDOs of a module: the torques of its axles, then the permitted shares.
+
+    A group has `unit_axles` at most.
+    """
     torques = tuple((0x6401, axle, 16) for axle in range(1, axles + 1))
-    shares = tuple((0x6401, UNIT_AXLES + axle, 16) for axle in range(1, axles + 1))
+    shares = tuple((0x6401, unit_axles + axle, 16) for axle in range(1, axles + 1))
     return Pdo(SYNCHRONOUS, torques), Pdo(SYNCHRONOUS, shares)
 
 
 def build(
+    table: Table,
     row: np.ndarray,
     commands: np.ndarray,
     on_command: Callable[[], None] = lambda: None,
@@ -57,20 +60,20 @@ def build(
 ) -> Node:
     """Build the node of a group of axles (0: the leading one).
 
-    `row`: live float64 array of all signals. `commands`: array of shape (AXLES + 1,), the permitted
-    share of each axle and the demand of traction, which the node writes before it calls
-    `on_command()`. `storage`: the file of 1010h.
+    `table`: the signals of the vehicle. `row`: live float64 array of all signals. `commands`: array
+    that begins with the permitted shares of the axles and ends with the demand of traction; the
+    node writes its own before it calls `on_command()`. `storage`: the file of 1010h.
     """
-    number = signals.nodes(TRACTION_NODE)[group]
-    axles = signals.axles_of(group)
+    number = signals.in_group(TRACTION_NODE, group)
+    axles = table.axles_of(group)
     parameters = dict(parameters or {})
     lost_after_ms = int(parameters.get("unit_lost_after_ms", rig_objects.UNIT_LOST_AFTER_MS))
     profile = Profile(
         DEVICE_TYPE,
         PRODUCT.name,
         rpdos(len(axles), group),
-        tpdos(len(axles)),
-        consumed=((signals.WSP_NODES[group], lost_after_ms),),
+        tpdos(len(axles), table.kind.unit_axles),
+        consumed=((table.wsp_nodes[group], lost_after_ms),),
     )
     whole = rig_objects.WHOLE_SHARE
     defaults = [whole] * len(axles)
@@ -79,7 +82,7 @@ def build(
         defaults.append(NO_TRACTION_DEMAND)
         names.append("Traction demand")
     device_rows = [
-        *process_image.rows(number, 0, {}, TITLES),
+        *process_image.rows(process_image.carried(table, number, {}), TITLES),
         *array(
             0x6411,
             "Write analogue output 16-bit",
@@ -95,9 +98,8 @@ def build(
         ),
         Row(0x6423, 0, "Analogue input global interrupt enable", "BOOL", "rw", False),
     ]
-    node = process_image.build(
-        number, profile, PRODUCT, device_rows, row, parameters, storage=storage
-    )
+    carried = process_image.carried(table, number, {})
+    node = process_image.build(number, profile, PRODUCT, device_rows, row, carried, storage)
     node.commands = frozenset({0x6411})
     node.event_enablers = {0x6401: key(0x6423, 0)}
 

@@ -17,16 +17,10 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Any, NamedTuple, NoReturn
 
-from rollerrig.configs.errors import (
-    ConfigError,
-    OtherVehicleError,
-    RollerrigError,
-    UnitLostError,
-)
+from rollerrig.configs.errors import ConfigError, RollerrigError, UnitLostError
 from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
 from rollerrig.configs.table import similar
-from rollerrig.configs.vehicle import AXLES_VARIABLE, EQUIPMENT_VARIABLE
 from rollerrig.realtime import standard_streams
 from rollerrig.realtime.commands import (
     bench,
@@ -68,6 +62,9 @@ EXIT_STATUSES = {
 MESSAGE_BEGIN = 4000
 MESSAGE_END = 1000
 
+
+# environment variables that chose the vehicle of a process in earlier versions: without effect
+FORMER_VARIABLES = ("ROLLERRIG_AXLES", "ROLLERRIG_EQUIPMENT")
 
 # option of `rollerrig` for Python: errors are printed as JSON only, and messages name its arguments
 FROM_PYTHON = "--from-python"
@@ -398,6 +395,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     if argv is None:
         # this process is the program `rollerrig`, and not a function call in another program
         children.keep_working_folder_out()
+        _report_former_variables()
     words = sys.argv[1:] if argv is None else list(argv)
     from_python = FROM_PYTHON in words
     top = parser(raises=from_python)
@@ -419,15 +417,22 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         _check_names(options)
         return options.call(options)
-    except OtherVehicleError as error:
-        if argv is None and not {AXLES_VARIABLE, EQUIPMENT_VARIABLE} & set(os.environ):
-            children.start_again(**error.environment)
-        return _print_error(options, error, from_python)
     except RollerrigError as error:
         return _print_error(options, error, from_python)
     except KeyboardInterrupt:
         print(f"rollerrig {options.verb}: interrupted", file=sys.stderr)
         return INVALID
+
+
+def _report_former_variables() -> None:
+    """Print one line if a variable is set that has no effect, and hide it from other processes."""
+    found = [name for name in FORMER_VARIABLES if os.environ.pop(name, None) is not None]
+    if found:
+        print(
+            f"rollerrig: {' and '.join(found)} in the environment: no effect, because axles and "
+            "equipment are those of the scenario's vehicle",
+            file=sys.stderr,
+        )
 
 
 def _print_error(options: argparse.Namespace, error: RollerrigError, from_python: bool) -> int:

@@ -22,7 +22,7 @@ import math
 
 from rollerrig.configs.vehicle import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
-from rollerrig.rig.state import AXLES, FILL, HOLD, VENT
+from rollerrig.rig.state import FILL, HOLD, VENT
 
 NORMAL_PRESSURE_PA = 101325.0
 
@@ -50,8 +50,8 @@ def target(demand, time_s):
 
 @kernel_inlined
 def switch_valves(state, delayed_magnets):
-    """Set the valves to magnets (4,) that have passed the dead time, and count new vents."""
-    for j in range(AXLES):
+    """Set the valves to magnets (axles,) that have passed the dead time, and count new vents."""
+    for j in range(state.axles):
         valve = valve_of(delayed_magnets[j])
         if valve == VENT and state.valve[j] != VENT:
             state.vents[j] += 1.0
@@ -62,8 +62,8 @@ def switch_valves(state, delayed_magnets):
 def fill(state, brake, target_Pa, dynamic):
     """Advance the demanded pressure and the cylinders by a step of constant valves and target.
 
-    `dynamic` is `dynamic_params.DynamicBrake`, or None. With it the friction brake gives the rest
-    of the demand.
+    `dynamic` is `dynamic_params.DynamicBrake`. Where it acts, the friction brake gives the rest of
+    the demand.
 
     The demand is exact. The cylinders follow its mean over the step, which is of second order.
     """
@@ -77,7 +77,7 @@ def fill(state, brake, target_Pa, dynamic):
     if brake.air.reservoir_L > 0.0:
         flow_through_valves(state, brake, p_d, dynamic)
         return
-    for j in range(AXLES):
+    for j in range(state.axles):
         p = state.cylinder_pressure[j]
         p_friction = pressure(p_d, j, state, dynamic)
         if state.valve[j] == VENT:
@@ -91,9 +91,7 @@ def fill(state, brake, target_Pa, dynamic):
 @kernel_inlined
 def pressure(p_d, axle, state, dynamic):
     """Return the demanded pressure in Pa of an axle's cylinder: `p_d` without a dynamic brake."""
-    if dynamic is None:
-        return p_d
-    if state.standing[0] != 0.0:
+    if not dynamic.acts or state.standing[0] != 0.0:
         return p_d  # the motors of a vehicle that stands do not brake
     return state.friction_demand[axle]
 
@@ -140,7 +138,7 @@ def flow_through_valves(state, brake, p_d, dynamic):
     state.air_supplied[0] += fed_NL
     p_r += fed_NL / room
 
-    for j in range(AXLES):
+    for j in range(state.axles):
         p = state.cylinder_pressure[j]
         p_friction = pressure(p_d, j, state, dynamic)
         if state.valve[j] == VENT:

@@ -23,7 +23,6 @@ The torque is positive when it brakes and negative when it drives.
 from rollerrig.rig import vehicle
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.dynamic_params import BUS, TRACTION_UNIT
-from rollerrig.rig.state import AXLES
 
 NO_COMMAND = -1.0  # the bus demands no traction: the programme of the scenario does
 
@@ -46,9 +45,9 @@ def fade_share(speed_m_s, brake):
 @kernel
 def begin(state, brake):
     """Permit all motors their whole force."""
-    if brake is not None:
+    if brake.acts:
         state.traction_command[0] = NO_COMMAND
-        for j in range(AXLES):
+        for j in range(state.axles):
             state.dynamic_share[j] = 1.0
             state.dynamic_credit_share[j] = 1.0
             state.dynamic_permitted[j] = 1.0
@@ -57,7 +56,7 @@ def begin(state, brake):
 @kernel
 def advance(state, params, brake):
     """Advance motors, slide control and blending by a step; nothing without a dynamic brake."""
-    if brake is not None:
+    if brake.acts:
         control_slide(state, params, brake)
         demand_motors(state, params, brake)
         blend(state, brake)
@@ -66,7 +65,7 @@ def advance(state, params, brake):
 @kernel
 def control_slide(state, params, brake):
     """Set the permitted share of each motor, and the share that blending counts [E5]."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         share = 1.0
         if brake.control == BUS:
             share = state.dynamic_permitted[j]
@@ -74,7 +73,7 @@ def control_slide(state, params, brake):
             surface_m_s = state.vehicle_speed[0]
             if params.mode != 0:
                 surface_m_s = params.drive.roller_radius_m * state.roller_speed[j]
-            rim_m_s = params.wheels.table[vehicle.RADIUS_M + j] * state.wheel_speed[j]
+            rim_m_s = params.wheels.table[vehicle.RADIUS_M, j] * state.wheel_speed[j]
             limit_m_s = brake.slide_limit * surface_m_s + brake.slide_floor_m_s
             slides = abs(surface_m_s - rim_m_s) > limit_m_s
             change = -brake.release_change if slides else brake.return_change
@@ -98,11 +97,11 @@ def demand_motors(state, params, brake):
                     traction = brake.traction_share[i]
     state.traction_demand[0] = traction
 
-    for j in range(AXLES):
+    for j in range(state.axles):
         state.dynamic_before[j] = state.dynamic_torque[j]
         if not brake.driven[j]:
             continue
-        radius_m = params.wheels.table[vehicle.RADIUS_M + j]
+        radius_m = params.wheels.table[vehicle.RADIUS_M, j]
         rim_m_s = radius_m * state.wheel_speed[j]
         if state.dynamic_failed[j] != 0.0:
             state.dynamic_torque[j] = 0.0
@@ -113,7 +112,7 @@ def demand_motors(state, params, brake):
         # what the axles that blend together demand, in equal shares from their motors
         axles = 0
         motors = 0
-        for i in range(AXLES):
+        for i in range(state.axles):
             if brake.blends_with[i] == brake.blends_with[j]:
                 axles += 1
                 motors += 1 if brake.driven[i] and state.dynamic_failed[i] == 0.0 else 0
@@ -146,13 +145,13 @@ def blend(state, brake):
     """Set the demanded pressure of the friction brake of each axle [E4]."""
     p_d = state.brake_demand[0]
     above_spring_Pa = max(0.0, p_d - brake.spring_pressure_Pa)
-    for j in range(AXLES):
+    for j in range(state.axles):
         if above_spring_Pa == 0.0:
             state.friction_demand[j] = p_d
             continue
         axles = 0
         counted_N = 0.0
-        for i in range(AXLES):
+        for i in range(state.axles):
             if brake.blends_with[i] == brake.blends_with[j]:
                 axles += 1
                 counted_N += state.dynamic_credit[i]
@@ -163,33 +162,22 @@ def blend(state, brake):
 
 
 @kernel
-def torque(state, axle, brake):
+def torque(state, axle):
     """Return the mean torque in N m of an axle's motor in this step; 0 without a dynamic brake."""
-    if brake is None:
-        return 0.0
     return 0.5 * (state.dynamic_before[axle] + state.dynamic_torque[axle])
 
 
 @kernel
-def torque_now(state, axle, brake):
-    """Return the torque in N m of an axle's motor at this time; 0 without a dynamic brake."""
-    if brake is None:
-        return 0.0
-    return state.dynamic_torque[axle]
-
-
-@kernel
-def count_work(state, axle, turned_rad, brake):
+def count_work(state, axle, turned_rad):
     """Add the work that an axle's motor takes from the wheelset while it turns by an angle."""
-    if brake is not None:
-        state.dynamic_work[axle] += torque(state, axle, brake) * turned_rad
+    state.dynamic_work[axle] += torque(state, axle) * turned_rad
 
 
 @kernel
-def settle(state, brake):
+def settle(state):
     """Leave no torque on the wheelsets of a vehicle that stands, and demand none."""
-    if brake is not None and state.standing[0] != 0.0:
-        for j in range(AXLES):
+    if state.standing[0] != 0.0:
+        for j in range(state.axles):
             state.dynamic_before[j] = 0.0
             state.dynamic_torque[j] = 0.0
             state.dynamic_torque_demand[j] = 0.0

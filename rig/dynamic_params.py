@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE, bodies, brake_torque_Nm_Pa
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, bodies, brake_torque_Nm_Pa
 
 # what permits the share of an axle
 NO_CONTROL, TRACTION_UNIT, BUS = 0, 1, 2
@@ -23,8 +23,9 @@ class DynamicBrake(NamedTuple):
     A share of a lag is the part of the difference that it closes in one step.
     """
 
-    driven: np.ndarray  # bool, (AXLES,)
-    blends_with: np.ndarray  # (AXLES,): number of the group of axles that blend together
+    acts: bool  # False: the vehicle has none
+    driven: np.ndarray  # bool, (axles,)
+    blends_with: np.ndarray  # (axles,): number of the group of axles that blend together
     force_N: float
     corner_speed_m_s: float
     fade_from_m_s: float
@@ -54,35 +55,37 @@ def build(
     sections: Mapping[str, Mapping[str, Any]],
     step_s: float,
     traction: Sequence[Mapping[str, float]] = (),
-) -> DynamicBrake | None:
-    """Return the constants of the dynamic brake; None for a vehicle without one.
+) -> DynamicBrake:
+    """Return the constants of the dynamic brake; it does not act in a vehicle without one.
 
     `sections` are checked sections, `traction` the steps of the scenario's programme of traction.
     Raises ConfigError for a brake that cannot work.
     """
     section = sections["dynamic_brake"]
     axles = axles_of(section)
-    if not axles:
-        if traction:
-            raise ConfigError(
-                "[[traction]] without driven axles: list them in [dynamic_brake] axles, or remove "
-                "[[traction]]"
-            )
-        return None
-    _check(section, sections, axles, traction)
+    if axles:
+        _check(section, sections, axles, traction)
+    elif traction:
+        raise ConfigError(
+            "[[traction]] without driven axles: list them in [dynamic_brake] axles, or remove "
+            "[[traction]]"
+        )
 
     brake = sections["brake"]
     radius_m = sections["vehicle"]["wheel_radius_m"]
     friction_N_Pa = brake_torque_Nm_Pa(brake) / radius_m
-    driven = np.zeros(AXLES, dtype=np.bool_)
-    driven[np.array(axles) - 1] = True
+    number = sections["vehicle"]["axles"]
+    driven = np.zeros(number, dtype=np.bool_)
+    for axle in axles:
+        driven[axle - 1] = True
     size = AXLES_OF_BOGIE
     if section["blending"] == "car":
-        size = AXLES // bodies(sections["vehicle"]["bogies_per_body"])
+        size = number // bodies(sections["vehicle"])
     rate_N_s = section["force_rate_N_s"]
     return DynamicBrake(
+        acts=bool(axles),
         driven=driven,
-        blends_with=np.arange(AXLES) // size,
+        blends_with=np.arange(number) // size,
         force_N=section["force_N"],
         corner_speed_m_s=section["corner_speed_m_s"],
         fade_from_m_s=section["fade_from_m_s"],
@@ -104,9 +107,10 @@ def build(
     )
 
 
-def rotor_inertias_kgm2(section: Mapping[str, Any]) -> np.ndarray:
-    """Return the inertia of the motor on each wheelset, shape (AXLES,); 0 without a motor."""
-    inertias = np.zeros(AXLES)
+def rotor_inertias_kgm2(sections: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
+    """Return the inertia of the motor on each wheelset, shape (axles,); 0 without a motor."""
+    section = sections["dynamic_brake"]
+    inertias = np.zeros(sections["vehicle"]["axles"])
     for axle in axles_of(section):
         inertias[axle - 1] = section["rotor_inertia_kgm2"]
     return inertias
@@ -120,12 +124,13 @@ def _check(
 ) -> None:
     """Raise ConfigError for a dynamic brake that cannot work."""
     where = "[dynamic_brake]"
+    number = sections["vehicle"]["axles"]
     exact = all(axle == given for axle, given in zip(axles, section["axles"], strict=True))
-    if not exact or len(set(axles)) < len(axles) or max(axles) > AXLES:
+    if not exact or len(set(axles)) < len(axles) or max(axles) > number:
         given = [f"{axle:g}" for axle in section["axles"]]
         raise ConfigError(
-            f"{where} axles = [{', '.join(given)}]: the vehicle has {AXLES} axles; list each driven "
-            f"axle once, by its number from 1 to {AXLES}"
+            f"{where} axles = [{', '.join(given)}]: the vehicle has {number} axles; list each "
+            f"driven axle once, by its number from 1 to {number}"
         )
     if section["force_N"] == 0.0 or section["corner_speed_m_s"] == 0.0:
         raise ConfigError(
@@ -154,13 +159,13 @@ def _check(
         )
 
 
-def check_blending(brake: DynamicBrake | None, largest_Pa: float, limit_Pa: float) -> None:
+def check_blending(brake: DynamicBrake, largest_Pa: float, limit_Pa: float) -> None:
     """Check that both brakes together have the force that the highest demand requests.
 
     largest_Pa: the highest demanded pressure. limit_Pa: the highest pressure of a cylinder.
     Raises ConfigError.
     """
-    if brake is None:
+    if not brake.acts:
         return
     demanded_N = brake.demand_N_Pa * max(0.0, largest_Pa - brake.spring_pressure_Pa)
     friction_N = brake.friction_N_Pa * max(0.0, limit_Pa - brake.spring_pressure_Pa)

@@ -15,13 +15,12 @@ not depend on speed; every constant is an assumption.
 """
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
-from rollerrig.rig.state import AXLES
 
 
 @kernel_inlined
 def begin(state, heat):
     """Set discs and motors to the temperature of the air; `heat` is `params.Heat`."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         state.disc_temperature[j] = heat.air_K
         state.motor_temperature[j] = heat.air_K
         state.brake_work_before[j] = state.brake_work[j]
@@ -30,7 +29,7 @@ def begin(state, heat):
 @kernel
 def advance(state, heat):
     """Advance the temperatures by a tick; `heat` is `params.Heat`."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         # work of this tick
         work_J = state.brake_work[j] - state.brake_work_before[j]
         state.brake_work_before[j] = state.brake_work[j]

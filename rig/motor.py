@@ -5,7 +5,6 @@ and no driving torque above the largest speed. Gear and converter are inside the
 """
 
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.rig.state import AXLES
 
 SLOWEST_RAD_S = 1e-3  # speed by which the power is divided at least
 
@@ -27,6 +26,6 @@ def limit(demand_Nm, speed_rad_s, drive):
 @kernel
 def respond(state, drive):
     """Advance the motor torques by a step, exactly for a constant demand [M1]."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         wanted = limit(state.motor_torque_demand[j], state.roller_speed[j], drive)
         state.motor_torque[j] += (wanted - state.motor_torque[j]) * drive.torque_share

@@ -15,14 +15,13 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, integer, number, read
 from rollerrig.configs.vehicle import (
-    AXLES,
     AXLES_OF_BOGIE,
     COACH_AXLES,
     GRAVITY_M_S2,
     axle_positions_m,
     bodies,
     brake_torque_Nm_Pa,
-    check_axles_of,
+    kind_of,
     weighed_share,
 )
 from rollerrig.rig import dynamic_params, track_brake_params
@@ -76,7 +75,7 @@ ROWS["mechanisms"] = table.rows()
 
 
 class Vehicle(NamedTuple):
-    """The vehicle. A transfer is in N of wheelset load for each m/s2 of braking, shape (AXLES,)."""
+    """The vehicle. A transfer is in N of wheelset load for each m/s2 of braking, shape (axles,)."""
 
     mass_kg: float
     wheel_radius_m: float
@@ -212,6 +211,7 @@ class Demand(NamedTuple):
 class Params(NamedTuple):
     """Everything that the plant needs and never changes."""
 
+    axles: int
     mode: int
     tick_s: float
     step_s: float
@@ -233,9 +233,9 @@ class Params(NamedTuple):
     flats: Flats
     sanders: Sanders
     film: RollerFilm
+    dynamic: dynamic_params.DynamicBrake
+    track_brake: track_brake_params.MagneticTrackBrake
     coach: Packed | None = None
-    dynamic: dynamic_params.DynamicBrake | None = None  # None: the vehicle has none
-    track_brake: track_brake_params.MagneticTrackBrake | None = None  # likewise
 
 
 record_type.register(Params)
@@ -246,9 +246,11 @@ def check(sections: Mapping[str, Mapping[str, Any]], where: str) -> dict[str, di
 
     Raises ConfigError with file, section, key, value and the allowed values.
     """
-    check_axles_of({"vehicle": sections.get("vehicle", {})}, where)
+    axles = kind_of(sections, where).axles
+    rows_of_vehicle = ROWS | {"mechanisms": table.rows(axles)}
     checked = {
-        name: read(rows, sections.get(name, {}), f"{where} [{name}]") for name, rows in ROWS.items()
+        name: read(rows, sections.get(name, {}), f"{where} [{name}]")
+        for name, rows in rows_of_vehicle.items()
     }
     check_recovery(checked["adhesion"], f"{where} [adhesion]")
     if checked["adhesion"]["initial_adhesion"] > 0.0:
@@ -282,7 +284,7 @@ def initial_mu_cd(sections: Mapping[str, Mapping[str, Any]], where: str) -> floa
         contact["poisson"],
     )
     law = law_of(section)
-    load_N = 0.5 * GRAVITY_M_S2 * vehicle["mass_kg"] / AXLES
+    load_N = 0.5 * GRAVITY_M_S2 * vehicle["mass_kg"] / vehicle["axles"]
     speed = section["initial_at_speed_m_s"]
     sliding = section["initial_at_sliding_m_s"]
     wanted = section["initial_adhesion"]
@@ -372,10 +374,10 @@ def build(
     extra = sections["mechanisms"]
     if sections["vehicle"]["model"] != "planar":
         check_coach(extra)
-        if AXLES != COACH_AXLES:
+        if sections["vehicle"]["axles"] != COACH_AXLES:
             raise ConfigError(
-                f"[vehicle] model = 'multibody' with {AXLES} axles: the coach in 3D has "
-                f'{COACH_AXLES}; allowed is model = "planar"'
+                f"[vehicle] model = 'multibody' with {sections['vehicle']['axles']} axles: the "
+                f'coach in 3D has {COACH_AXLES}; allowed is model = "planar"'
             )
     step_s = tick_s / substeps
 
@@ -399,6 +401,7 @@ def build(
     # checks the driven axles, which the inertias of the wheelsets need
     dynamic = dynamic_params.build(sections, step_s, traction)
     return Params(
+        axles=vehicle["axles"],
         mode=mode,
         tick_s=tick_s,
         step_s=step_s,
@@ -417,16 +420,16 @@ def build(
         wheels=effects.wheels(
             sections["vehicle"],
             extra,
-            dynamic_params.rotor_inertias_kgm2(sections["dynamic_brake"]),
+            dynamic_params.rotor_inertias_kgm2(sections),
         ),
         heat=_heat(sections, tick_s),
         pads=_pads(sections["pads"]),
         flats=_flats(sections),
         sanders=_sanders(sections["sanders"]),
         film=_film(sections["roller_film"], mode),
-        coach=_coach({**sections, "vehicle": vehicle}, roller_radius_m, law, step_s),
         dynamic=dynamic,
         track_brake=track_brake_params.build(sections, tick_s),
+        coach=_coach({**sections, "vehicle": vehicle}, roller_radius_m, law, step_s),
     )
 
 
@@ -513,7 +516,7 @@ def build_rollers(
 
 
 def axle_positions(vehicle: Mapping[str, Any]) -> np.ndarray:
-    """Return the distance in m of each wheelset behind the first, shape (AXLES,)."""
+    """Return the distance in m of each wheelset behind the first, shape (axles,)."""
     return np.array(axle_positions_m(vehicle))
 
 
@@ -527,7 +530,7 @@ def _transfers(
     pitch here, because nothing holds it but the rest of its train.
     """
     bogies = v["bogies_per_body"]
-    number_of_bodies = bodies(bogies)
+    number_of_bodies = bodies(v)
     one_body_kg = body_kg / number_of_bodies
     # Moments about the pivots. The weights are 1 and -1 where a body has two bogies.
     distance_m = v["bogie_distance_m"]
@@ -553,15 +556,16 @@ def _transfers(
 
 def _vehicle(v: Mapping[str, Any], extra: Mapping[str, float], rig: Mapping[str, Any]) -> Vehicle:
     """Return the vehicle from its sections [vehicle], [mechanisms] and [rig]."""
-    bogies = AXLES // AXLES_OF_BOGIE
-    body_kg = v["mass_kg"] - bogies * v["bogie_mass_kg"] - AXLES * v["wheelset_mass_kg"]
+    axles = v["axles"]
+    bogies = axles // AXLES_OF_BOGIE
+    body_kg = v["mass_kg"] - bogies * v["bogie_mass_kg"] - axles * v["wheelset_mass_kg"]
     if body_kg <= 0.0:
         raise ConfigError(
             f"[vehicle] mass_kg = {v['mass_kg']:g} is not more than its bogies and "
             f"wheelsets weigh ({v['mass_kg'] - body_kg:g} kg); raise it"
         )
 
-    static_N = GRAVITY_M_S2 * v["mass_kg"] / AXLES
+    static_N = GRAVITY_M_S2 * v["mass_kg"] / axles
 
     # where the drives hold the speed, nothing can slow the vehicle that they simulate
     mass_kg = math.inf if rig["speed"] == "held" else v["mass_kg"]

@@ -25,7 +25,7 @@ from rollerrig.rig.mechanisms import applied, pads, wheel_flat
 from rollerrig.rig.mechanisms.friction import dose_share, film_share
 from rollerrig.rig.multibody import coach_state, on_rig
 from rollerrig.rig.params import Params
-from rollerrig.rig.state import AXLES, SIZE, State, views
+from rollerrig.rig.state import SIZE, State, views
 
 
 class Plant:
@@ -33,9 +33,10 @@ class Plant:
 
     def __init__(self, params: Params, initial_speed_m_s: float) -> None:
         self.params = params
-        self.buffer = np.zeros(SIZE if params.coach is None else SIZE + coach_state.SIZE)
-        self.state: State = views(self.buffer)
-        self.delay = np.zeros((params.brake.dead_time_ticks + 1, AXLES))
+        memory_of_coach = 0 if params.coach is None else coach_state.SIZE
+        self.buffer = np.zeros(SIZE + memory_of_coach)
+        self.state: State = views(self.buffer, params.axles)
+        self.delay = np.zeros((params.brake.dead_time_ticks + 1, params.axles))
         start(self.state, params, initial_speed_m_s)
 
 
@@ -43,8 +44,8 @@ class Plant:
 def start(state, params, initial_speed_m_s):
     """Set a rig that rolls at a speed in m/s, with released brakes and without sliding."""
     state.vehicle_speed[0] = initial_speed_m_s
-    for j in range(AXLES):
-        state.wheel_speed[j] = initial_speed_m_s / params.wheels.table[vehicle.RADIUS_M + j]
+    for j in range(state.axles):
+        state.wheel_speed[j] = initial_speed_m_s / params.wheels.table[vehicle.RADIUS_M, j]
         if params.mode != 0:
             state.roller_speed[j] = initial_speed_m_s / params.drive.roller_radius_m
         state.observer[j] = (
@@ -76,7 +77,7 @@ def friction(state, params):
     plan = params.friction
     if params.effects.on_friction or params.effects.on_torque:
         applied.remember(state, params.axle_position_m, params.tick_s)
-    for j in range(AXLES):
+    for j in range(state.axles):
         state.friction_degraded[j] = params.law.mu_cd
         state.friction_recovered[j] = params.law.mu_cr
 
@@ -106,14 +107,8 @@ def friction(state, params):
             raise_friction(state, j, params.sanders.gain * share, params)
         if params.film.acts:
             raise_friction(state, j, params.film.gain * film_share(state.film[j]), params)
-        clean_by_magnets(state, j, params, params.track_brake)
-
-
-@kernel
-def clean_by_magnets(state, axle, params, magnets):
-    """Raise the friction of an axle behind magnets; nothing where `magnets` is None."""
-    if magnets is not None:
-        raise_friction(state, axle, track_brake.cleaning(state, axle, magnets), params)
+        if params.track_brake.acts:
+            raise_friction(state, j, track_brake.cleaning(state, j, params.track_brake), params)
 
 
 @kernel
@@ -134,8 +129,8 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
     Parameters
     ----------
     state : `State`
-    delay : (dead time in ticks + 1, 4), memory of the magnets; kept from tick to tick
-    magnets : (4,), pattern of each axle
+    delay : (dead time in ticks + 1, axles), memory of the magnets; kept from tick to tick
+    magnets : (axles,) or more, pattern of each axle
     demand_Pa : demanded pressure, NaN for the one of the programme
     tick : number of the tick
     params : `Params`
@@ -157,7 +152,7 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
 @kernel
 def wear(state, params):
     """Let the sliding of locked wheels in this tick grind their flats."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         work_J = state.sliding_work[j] - state.sliding_work_before[j]
         state.sliding_work_before[j] = state.sliding_work[j]
         if state.wheel_speed[j] > 0.0:
@@ -169,7 +164,7 @@ def wear(state, params):
             state.lock_work[j],
             params.flats.wear_m3_J,
             params.flats.width_m,
-            params.wheels.table[vehicle.RADIUS_M + j],
+            params.wheels.table[vehicle.RADIUS_M, j],
         )
         # only the longest flat of an axle is kept
         if length_m > state.flat_length[j]:
@@ -184,7 +179,7 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
     Arguments as for `advance`.
     """
     # `delay` is a ring: the row after the one just written is the oldest
-    for j in range(AXLES):
+    for j in range(state.axles):
         delay[tick % delay.shape[0], j] = magnets[j]
     brake.switch_valves(state, delay[(tick + 1) % delay.shape[0]])
     friction(state, params)
@@ -198,7 +193,7 @@ def step(state, target_Pa, params):
     """Advance by one step of the physics; `target_Pa` is the demanded pressure."""
     brake.fill(state, params.brake, target_Pa, params.dynamic)
     if params.pads.vary:
-        for j in range(AXLES):
+        for j in range(state.axles):
             state.clamp_pressure[j] = pads.clamped(
                 state.clamp_pressure[j], state.cylinder_pressure[j], params.pads.clamp_hysteresis
             )
@@ -210,11 +205,11 @@ def step(state, target_Pa, params):
     dynamic_brake.advance(state, params, params.dynamic)
 
     # the most that the discs can hold at the step's end; `observe` writes the acting torque
-    for j in range(AXLES):
+    for j in range(state.axles):
         state.brake_torque[j] = capacity(state, j, params)
     integrate(state, params, params.coach)
     vehicle.settle(state)
-    dynamic_brake.settle(state, params.dynamic)
+    dynamic_brake.settle(state)
 
 
 @kernel
@@ -222,7 +217,7 @@ def capacity(state, axle, params):
     """Return the torque in N m that the discs of an axle can hold now."""
     if params.pads.vary:
         pressure_Pa = state.clamp_pressure[axle]
-        rim_m_s = params.wheels.table[vehicle.RADIUS_M + axle] * state.wheel_speed[axle]
+        rim_m_s = params.wheels.table[vehicle.RADIUS_M, axle] * state.wheel_speed[axle]
         torque_Nm = brake.capacity(pressure_Pa, params.brake) * pads.friction_share(
             rim_m_s, pressure_Pa, state.disc_temperature[axle], params.pads
         )
@@ -256,8 +251,8 @@ def swing_out(state, params, coach):
 @kernel
 def observe(state, params):
     """Write the observed quantities of this state: contact, torques, loads, sensors, locks."""
-    for j in range(AXLES):
-        r = params.wheels.table[vehicle.RADIUS_M + j]
+    for j in range(state.axles):
+        r = params.wheels.table[vehicle.RADIUS_M, j]
         planar_N = wheelset.load(j, state.felt_acceleration[0], state.wheel_angle[j], state, params)
         load_N = on_rig.load(j, planar_N, state, params.coach)
 
@@ -294,7 +289,7 @@ def observe(state, params):
         # a locked wheel takes no more torque than its contact gives
         torque = capacity(state, j, params)
         if state.wheel_speed[j] <= 0.0:
-            driven_Nm = r * f * load_N - dynamic_brake.torque_now(state, j, params.dynamic)
+            driven_Nm = r * f * load_N - state.dynamic_torque[j]
             torque = min(torque, max(0.0, driven_Nm))
         state.brake_torque[j] = torque
 
@@ -312,7 +307,7 @@ def watch_lock(state, axle, params):
 
     A tick that nobody observes needs only this of `observe`.
     """
-    radius_m = params.wheels.table[vehicle.RADIUS_M + axle]
+    radius_m = params.wheels.table[vehicle.RADIUS_M, axle]
     state.wheel_circumferential_speed[axle] = radius_m * state.wheel_speed[axle]
     state.locked_since[axle], state.longest_lock[axle] = wheelset.lock_s(
         state.locked_since[axle],

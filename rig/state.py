@@ -1,16 +1,21 @@
 """The state of the plant: named views into one float64 buffer, so that a snapshot is one copy.
 
+The number of axles is that of the vehicle. Slots of equipment that a vehicle does not have stay 0.
 The comment of each slot gives its unit and the stage that writes it. Every quantity that is
 observed, recorded or carried by a bus is a slot here, with the same name as in the table of
 signals.
 """
 
+import functools
+from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES, HAS_DYNAMIC_BRAKE, HAS_MAGNETIC_TRACK_BRAKE
+from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.rig.compiled import state_type
+from rollerrig.rig.compiled.state_type import Width
 from rollerrig.rig.multibody import coach_state
 
 # states of a dump valve
@@ -22,7 +27,7 @@ SECTORS = 16  # of a roller's surface
 
 
 class State(NamedTuple):
-    """Views of one buffer: shape (4,), one value for each axle, unless WIDTHS gives another width.
+    """Views of one buffer: shape (axles,), unless `_WIDTHS` gives another width.
 
     Behind the unit of each slot is the function of `plant`, or the module, that writes it.
     """
@@ -123,7 +128,7 @@ class State(NamedTuple):
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
-    # dynamic brake and traction; empty in a process whose vehicles have none
+    # dynamic brake and traction
     dynamic_torque: np.ndarray  # N m, of the motor on the wheelset, positive brakes; dynamic_brake
     dynamic_torque_demand: np.ndarray  # N m, before slide control; dynamic_brake
     dynamic_before: np.ndarray  # N m, at the beginning of the step; dynamic_brake
@@ -138,7 +143,7 @@ class State(NamedTuple):
         np.ndarray
     )  # -, share of traction that the bus demands, below 0 none; the tick
     traction_demand: np.ndarray  # -, share of the traction force that acts; dynamic_brake
-    # magnetic track brake, half of a bogie's for each axle; empty in a process without one
+    # magnetic track brake, half of a bogie's for each axle
     track_brake_command: np.ndarray  # 1: the bus commands the magnets of the bogie; the tick
     track_brake_failed: np.ndarray  # 1: the magnets do not drop; the tick
     track_brake_demand: np.ndarray  # 1: the magnets are demanded; track_brake
@@ -150,70 +155,56 @@ class State(NamedTuple):
     # (coach_state.SIZE,) of the multibody model, None for the planar vehicle
     coach: np.ndarray | None = None
 
+    @property
+    def axles(self) -> int:
+        """The number of axles."""
+        return self.wheel_speed.size
 
-PER_VEHICLE = frozenset(
-    (
-        "time",
-        "standing",
-        "vehicle_speed",
-        "position",
-        "vehicle_acceleration",
-        "felt_acceleration",
-        "resistance_work",
-        "brake_demand",
-        "air_consumption",
-        "reservoir_pressure",
-        "reservoir_least",
-        "air_supplied",
-        "sand_blown",
-        "sand_left",
-        "rail_front",
-    )
-)
-# the slots of the dynamic brake
-OF_DYNAMIC_BRAKE = (
-    "dynamic_torque",
-    "dynamic_torque_demand",
-    "dynamic_before",
-    "dynamic_credit",
-    "dynamic_share",
-    "dynamic_credit_share",
-    "dynamic_permitted",
-    "dynamic_failed",
-    "dynamic_work",
-    "friction_demand",
+
+_PER_VEHICLE = (
+    "time",
+    "standing",
+    "vehicle_speed",
+    "position",
+    "vehicle_acceleration",
+    "felt_acceleration",
+    "resistance_work",
+    "brake_demand",
+    "air_consumption",
+    "reservoir_pressure",
+    "reservoir_least",
+    "air_supplied",
+    "sand_blown",
+    "sand_left",
+    "rail_front",
+    "traction_command",
+    "traction_demand",
+    "track_brake_work",
 )
 # number of values in the slots that do not have one for each axle
-WIDTHS = dict.fromkeys(PER_VEHICLE, 1) | {"rail_sand": CELLS, "roller_film": AXLES * SECTORS}
-WIDTHS |= dict.fromkeys(OF_DYNAMIC_BRAKE, AXLES if HAS_DYNAMIC_BRAKE else 0)
-WIDTHS |= dict.fromkeys(("traction_command", "traction_demand"), int(HAS_DYNAMIC_BRAKE))
-# the slots of the magnetic track brake
-OF_TRACK_BRAKE = (
-    "track_brake_command",
-    "track_brake_failed",
-    "track_brake_demand",
-    "track_brake_lowered",
-    "track_brake_attraction",
-    "track_brake_force",
-    "track_brake_cleaning",
+_WIDTHS = dict.fromkeys(_PER_VEHICLE, Width(0, 1))
+_WIDTHS |= {"rail_sand": Width(0, CELLS), "roller_film": Width(SECTORS)}
+# the names of all slots, and where each lies in the buffer; the coach's state follows behind
+NAMES = State._fields[:-1]
+PLACES = state_type.one_after_another(
+    {name: _WIDTHS.get(name, Width(1)) for name in NAMES} | {"coach": Width(0, coach_state.SIZE)},
+    MOST_AXLES,
 )
-WIDTHS |= dict.fromkeys(OF_TRACK_BRAKE, AXLES if HAS_MAGNETIC_TRACK_BRAKE else 0)
-WIDTHS["track_brake_work"] = int(HAS_MAGNETIC_TRACK_BRAKE)
-# where each slot lies in the buffer; the coach's state follows behind
-SLOTS: dict[str, slice] = {}
-_at = 0
-for _name in State._fields[:-1]:
-    _width = WIDTHS.get(_name, AXLES)
-    SLOTS[_name] = slice(_at, _at + _width)
-    _at += _width
-SIZE = _at
-state_type.register(State, SLOTS | {"coach": slice(SIZE, SIZE + coach_state.SIZE)})
+state_type.register(State, PLACES, counted="wheel_speed")
+# number of values without a coach's
+SIZE = PLACES["coach"].begin
 
 
-def views(buffer: np.ndarray) -> State:
-    """Return the state in a float64 buffer.
+@functools.cache
+def slots(axles: int) -> Mapping[str, slice]:
+    """Return where each slot lies in the buffer of a vehicle with so many axles."""
+    return MappingProxyType({name: PLACES[name].of(axles) for name in NAMES})
+
+
+def views(buffer: np.ndarray, axles: int) -> State:
+    """Return the state of a vehicle with so many axles in a float64 buffer.
 
     The buffer has the shape (SIZE,), or (SIZE + coach_state.SIZE,) with a coach.
     """
     coach = buffer[SIZE:] if buffer.size > SIZE else None
-    return State(**{name: buffer[place] for name, place in SLOTS.items()}, coach=coach)
+    return State(**{name: buffer[place] for name, place in slots(axles).items()}, coach=coach)

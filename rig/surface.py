@@ -26,7 +26,7 @@ clean limit.
 import math
 
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.rig.state import AXLES, CELLS, SECTORS
+from rollerrig.rig.state import CELLS, SECTORS
 
 CELL_M = 0.2  # length of a cell of the rail
 SHORTEST_DELAY_S = 1e-9  # of a hose: it must be above 0
@@ -35,14 +35,14 @@ SHORTEST_DELAY_S = 1e-9  # of a hose: it must be above 0
 @kernel
 def begin(state, params):
     """Fill the boxes, clean the rail and prepare the rollers."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         has_sander = (params.sanders.axles >> j) & 1
         state.sand_box[j] = params.sanders.box_kg if has_sander else 0.0
         state.rail_cell[j] = cell_at(state.position[0] - params.axle_position_m[j])
     state.rail_front[0] = cell_at(state.position[0] + params.sanders.ahead_m)
-    for j in range(AXLES):
+    for j in range(state.axles):
         state.film[j] = 1.0
-    for i in range(AXLES * SECTORS):
+    for i in range(state.axles * SECTORS):
         state.roller_film[i] = 1.0
 
 
@@ -67,7 +67,7 @@ def advance_sand(state, sanders, positions_m, tick_s):
         state.sand_left[0] += state.rail_sand[at]
         state.rail_sand[at] = 0.0
 
-    for j in range(AXLES):
+    for j in range(state.axles):
         place_m = state.position[0] - positions_m[j]
         if (sanders.axles >> j) & 1:
             run_sander(state, j, place_m + sanders.ahead_m, sanders, tick_s)
@@ -122,7 +122,7 @@ def advance_films(state, film, tick_s):
 
     `film` is `params.RollerFilm`. All amounts are shares of the film of a whole prepared roller.
     """
-    for j in range(AXLES):
+    for j in range(state.axles):
         first = j * SECTORS
         sector = math.floor(state.roller_angle[j] * SECTORS / (2.0 * math.pi))
 

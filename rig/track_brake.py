@@ -24,16 +24,15 @@ import math
 
 from rollerrig.configs.vehicle import AXLES_OF_BOGIE
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.rig.state import AXLES
 
 
 @kernel
 def advance(state, target_Pa, params, brake):
-    """Advance the magnets by a tick; nothing without a magnetic track brake, `brake` None.
+    """Advance the magnets by a tick; nothing without a magnetic track brake.
 
     `target_Pa` is the demanded brake pressure.
     """
-    if brake is not None:
+    if brake.acts:
         lower(state, target_Pa, brake)
         clean(state, params, brake)
 
@@ -43,7 +42,7 @@ def lower(state, target_Pa, brake):
     """Lower or raise the magnets, and let their attraction follow [T1], [T2]."""
     fast = state.vehicle_speed[0] > brake.cut_below_m_s
     emergency = target_Pa >= brake.emergency_Pa
-    for j in range(AXLES):
+    for j in range(state.axles):
         demanded = emergency or state.track_brake_command[j] != 0.0
         works = brake.fitted[j] and state.track_brake_failed[j] == 0.0
         acts = demanded and works and fast and state.standing[0] == 0.0
@@ -61,7 +60,7 @@ def clean(state, params, brake):
     """Advance the work of the magnets that the rail under each axle has met [T4]."""
     speed_m_s = state.vehicle_speed[0]
     work_J_m = 0.0
-    for j in range(AXLES):
+    for j in range(state.axles):
         if j > 0:
             length_m = params.axle_position_m[j] - params.axle_position_m[j - 1]
             share = -math.expm1(-speed_m_s * params.tick_s / length_m)
@@ -92,25 +91,12 @@ def axle_force_N(state, axle, speed_m_s, brake):
 @kernel
 def force_N(state, speed_m_s, brake):
     """Return the force in N of all magnets at a speed; 0 without a magnetic track brake."""
-    if brake is None:
-        return 0.0
-    return sum_N(state, speed_m_s, brake)
-
-
-@kernel
-def sum_N(state, speed_m_s, brake):
-    """Return the force in N of all magnets at a speed."""
     total_N = 0.0
-    for j in range(AXLES):
+    if not brake.acts:
+        return total_N
+    for j in range(state.axles):
         total_N += axle_force_N(state, j, speed_m_s, brake)
     return total_N
-
-
-@kernel
-def count_work(state, work_J, brake):
-    """Add the work of a step to that of the magnets so far; nothing without them."""
-    if brake is not None:
-        state.track_brake_work[0] += work_J
 
 
 @kernel
@@ -122,13 +108,8 @@ def cleaning(state, axle, brake):
 
 @kernel
 def observe(state, brake):
-    """Write the observed force of each axle's magnets."""
-    if brake is not None:
-        write_forces(state, brake)
-
-
-@kernel
-def write_forces(state, brake):
     """Write the force of each axle's magnets at the speed of the vehicle."""
-    for j in range(AXLES):
+    if not brake.acts:
+        return
+    for j in range(state.axles):
         state.track_brake_force[j] = axle_force_N(state, j, state.vehicle_speed[0], brake)

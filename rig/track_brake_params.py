@@ -10,13 +10,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE
 
 
 class MagneticTrackBrake(NamedTuple):
     """Section [magnetic_track_brake]. A share of a lag is that of one tick."""
 
-    fitted: np.ndarray  # bool, (AXLES,): the bogie of the axle has magnets
+    acts: bool  # False: the vehicle has none
+    fitted: np.ndarray  # bool, (axles,): the bogie of the axle has magnets
     attraction_N: float  # of all magnets of a bogie, halved: one half for each of its axles
     friction_low: float
     friction_high: float
@@ -31,22 +32,21 @@ class MagneticTrackBrake(NamedTuple):
     cleaning_scale_J_m: float
 
 
-def build(sections: Mapping[str, Mapping[str, Any]], tick_s: float) -> MagneticTrackBrake | None:
-    """Return the constants of the magnetic track brake; None for a vehicle without one.
+def build(sections: Mapping[str, Mapping[str, Any]], tick_s: float) -> MagneticTrackBrake:
+    """Return the constants of the magnetic track brake; it does not act in a vehicle without one.
 
     `sections` are checked sections. Raises ConfigError for a brake that cannot work.
     """
     section = sections["magnetic_track_brake"]
     bogies = section["bogies"]
-    if not bogies:
-        return None
-    _check(section, sections)
-
-    fitted = np.zeros(AXLES, dtype=np.bool_)
+    if bogies:
+        _check(section, sections)
+    fitted = np.zeros(sections["vehicle"]["axles"], dtype=np.bool_)
     for bogie in bogies:
         first = AXLES_OF_BOGIE * (int(bogie) - 1)
         fitted[first : first + AXLES_OF_BOGIE] = True
     return MagneticTrackBrake(
+        acts=bool(bogies),
         fitted=fitted,
         attraction_N=section["magnets"] * section["attraction_N"] / AXLES_OF_BOGIE,
         friction_low=section["friction_low"],
@@ -68,7 +68,7 @@ def _check(section: Mapping[str, Any], sections: Mapping[str, Mapping[str, Any]]
     where = "[magnetic_track_brake]"
     given = [f"{bogie:g}" for bogie in section["bogies"]]
     numbers = [int(bogie) for bogie in section["bogies"]]
-    most = AXLES // AXLES_OF_BOGIE
+    most = sections["vehicle"]["axles"] // AXLES_OF_BOGIE
     exact = all(number == bogie for number, bogie in zip(numbers, section["bogies"], strict=True))
     if not exact or len(set(numbers)) < len(numbers) or max(numbers) > most:
         raise ConfigError(

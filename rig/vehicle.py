@@ -14,14 +14,13 @@ import math
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.mechanisms.elsewhere import wheel_out_of_round
-from rollerrig.rig.state import AXLES
 
 # Below this speed a braked or resisted vehicle stands: resistance is dry friction there.
 STANDING_M_S = 0.005
-# Places in the table of the wheels (`mechanisms.applied.Wheels`). Each begins a group of one value
-# for each axle: radius, inertia, radius over inertia (rad/s2 for each newton, so that no step has
-# to divide), and the share of the load that varies once a turn.
-RADIUS_M, INERTIA_KGM2, RESPONSE_1_KGM, SWING = range(0, 4 * AXLES, AXLES)
+# Rows of the table of the wheels (`mechanisms.applied.Wheels`), with one value for each axle:
+# radius, inertia, radius over inertia (rad/s2 for each newton, so that no step has to divide), and
+# the share of the load that varies once a turn.
+RADIUS_M, INERTIA_KGM2, RESPONSE_1_KGM, SWING = range(4)
 
 
 @kernel
@@ -51,7 +50,7 @@ def swinging_load(load_N, axle, angle_rad, wheels):
     if not wheels.swings:
         return load_N
     return load_N * (
-        1.0 + wheels.table[SWING + axle] * wheel_out_of_round(angle_rad, wheels.swing_phase_rad)
+        1.0 + wheels.table[SWING, axle] * wheel_out_of_round(angle_rad, wheels.swing_phase_rad)
     )
 
 
@@ -68,7 +67,7 @@ def settle(state):
         state.standing[0] = 1.0
         state.vehicle_speed[0] = 0.0
         state.vehicle_acceleration[0] = 0.0
-        for j in range(AXLES):
+        for j in range(state.axles):
             state.wheel_speed[j] = 0.0
             state.roller_speed[j] = 0.0
             state.motor_torque[j] = 0.0

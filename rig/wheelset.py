@@ -25,7 +25,6 @@ from rollerrig.rig import vehicle as body
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.contact import adhesion, creep_force
 from rollerrig.rig.mechanisms import wheel_flat
-from rollerrig.rig.state import AXLES
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
 LOCKED_BELOW_M_S = 0.1  # a wheel whose rim is slower counts as locked
@@ -139,10 +138,10 @@ def wheel_acceleration(wheel_rad_s, T, brake_Nm, motor_Nm, axle, wheels):
     `T` is the contact force in N, `brake_Nm` the torque that the discs can hold, `motor_Nm` that of
     a dynamic brake, negative in traction.
     """
-    drive_Nm = wheels.table[body.RADIUS_M + axle] * T - motor_Nm
+    drive_Nm = wheels.table[body.RADIUS_M, axle] * T - motor_Nm
     if wheel_rad_s <= 0.0 and drive_Nm <= brake_Nm:
         return 0.0, max(drive_Nm, 0.0), True  # [W4]
-    return (drive_Nm - brake_Nm) / wheels.table[body.INERTIA_KGM2 + axle], brake_Nm, False
+    return (drive_Nm - brake_Nm) / wheels.table[body.INERTIA_KGM2, axle], brake_Nm, False
 
 
 @kernel
@@ -170,9 +169,9 @@ def implicit_slopes(wheel_k, roller_k, g, locked, on_track, step_s, axle, wheels
     wheel_k, roller_k : the slopes in rad/s2
     added_N : contact force that the implicit part adds
     """
-    r = wheels.table[body.RADIUS_M + axle]
+    r = wheels.table[body.RADIUS_M, axle]
     R = drive.roller_radius_m
-    p_wheel = 0.0 if locked else wheels.table[body.RESPONSE_1_KGM + axle]
+    p_wheel = 0.0 if locked else wheels.table[body.RESPONSE_1_KGM, axle]
     p_roller = 0.0 if on_track else -R / drive.roller_inertia_kgm2
     qk = g * (R * roller_k - r * wheel_k)
     share = _GAMMA * step_s * qk / (1.0 + _GAMMA * step_s * g * (r * p_wheel - R * p_roller))
@@ -188,7 +187,7 @@ def load(axle, felt_m_s2, turned_rad, state, params):
         load_N *= wheel_flat.load_share(
             turned_rad - state.flat_angle[axle],
             state.flat_length[axle],
-            params.wheels.table[body.RADIUS_M + axle],
+            params.wheels.table[body.RADIUS_M, axle],
             params.flats.load_1_m,
         )
     return load_N
@@ -207,7 +206,7 @@ def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, 
     state, params : `State`, `Params`
     """
     surface = v if params.mode == 0 else params.drive.roller_radius_m * roller_rad_s
-    sliding = surface - params.wheels.table[body.RADIUS_M + axle] * wheel_rad_s
+    sliding = surface - params.wheels.table[body.RADIUS_M, axle] * wheel_rad_s
     load_N = load(axle, felt_m_s2, turned_rad, state, params)
     return contact_force(
         sliding,
@@ -246,7 +245,7 @@ def integrate(state, params):
 
     # first stage: slopes at the beginning of the step
     total = resistance_N + magnets_N
-    for j in range(AXLES):
+    for j in range(state.axles):
         wheel = state.wheel_speed[j]
         roller = state.roller_speed[j]
         lagging = state.lagged_transition[j] if remembers else adhesion.NO_MEMORY
@@ -255,7 +254,7 @@ def integrate(state, params):
         )
         if remembers:
             state.instantaneous_transition[j] = lambda_0
-        electric_Nm = dynamic_brake.torque(state, j, params.dynamic)
+        electric_Nm = dynamic_brake.torque(state, j)
         wheel_k, brake_Nm, locked = wheel_acceleration(
             wheel, T, state.brake_capacity[j], electric_Nm, j, wheels
         )
@@ -279,7 +278,7 @@ def integrate(state, params):
     magnets_N = track_brake.force_N(state, v2, params.track_brake)
     rubbing_N += 0.5 * magnets_N
     total = resistance_N + magnets_N
-    for j in range(AXLES):
+    for j in range(state.axles):
         wheel1 = state.wheel_rate[j]
         roller1 = state.roller_rate[j]
         motor_Nm = state.motor_torque[j]
@@ -295,7 +294,7 @@ def integrate(state, params):
             state.lagged_transition[j] = lagged_transition(
                 state.lagged_transition[j], 0.5 * (before + lambda_0), 0.5 * (v + v2), h, effects
             )
-        electric_Nm = dynamic_brake.torque(state, j, params.dynamic)
+        electric_Nm = dynamic_brake.torque(state, j)
         wheel_k, brake_Nm, locked = wheel_acceleration(
             wheel, T, state.brake_torque[j], electric_Nm, j, wheels
         )
@@ -335,10 +334,10 @@ def integrate(state, params):
     way_m = 0.5 * h * (v + state.vehicle_speed[0])
     state.position[0] += way_m
     state.resistance_work[0] += resisting_N * way_m
-    track_brake.count_work(state, rubbing_N * way_m, params.track_brake)
+    state.track_brake_work[0] += rubbing_N * way_m
     if on_track:
         # on a track the surface moves with the vehicle, not with a roller
-        for j in range(AXLES):
+        for j in range(state.axles):
             state.sliding_work[j] += state.contact_force[j] * way_m
 
 
@@ -361,11 +360,11 @@ def turn(state, axle, wheel_change_rad_s, roller_change_rad_s, motor_Nm, params)
     # mean force times way: the energy balance holds to rounding however stiff the contact
     slid_m = (
         params.drive.roller_radius_m * roller_rad
-        - params.wheels.table[body.RADIUS_M + axle] * wheel_rad
+        - params.wheels.table[body.RADIUS_M, axle] * wheel_rad
     )
     state.sliding_work[axle] += state.contact_force[axle] * slid_m
     state.brake_work[axle] += state.brake_mean[axle] * wheel_rad
-    dynamic_brake.count_work(state, axle, wheel_rad, params.dynamic)
+    dynamic_brake.count_work(state, axle, wheel_rad)
     state.motor_work[axle] += motor_Nm * roller_rad
 
 

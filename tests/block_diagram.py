@@ -3,7 +3,10 @@
 from html import escape
 from typing import NamedTuple
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.wsp_interface import signals
+
+TABLE = signals.table(COACH)
 
 WIDTH, HEIGHT = 830, 500
 FONT = "font-family='system-ui,-apple-system,Segoe UI,Helvetica,Arial,sans-serif'"
@@ -94,7 +97,7 @@ def block_diagram(dark):
     """Return the block diagram of rig, buses and unit as SVG, in light or dark."""
     diagram = Diagram(DARK if dark else LIGHT)
     look = diagram.look
-    drives = f"nodes {signals.DRIVE_NODES[0]} to {signals.DRIVE_NODES[-1]}"
+    drives = f"nodes {TABLE.drive_nodes[0]} to {TABLE.drive_nodes[-1]}"
 
     # who is on the bus from outside
     diagram.block(

@@ -68,7 +68,7 @@ def pytest_configure(config):
 
 def pytest_make_parametrize_id(val):
     if isinstance(val, str | bytes) and len(val) > LONGEST_PARAMETER:
-        return f"{ascii(val[:KEPT_OF_A_LONGER_ONE])}...{len(val)}"
+        return f"{val[:KEPT_OF_A_LONGER_ONE]!a}...{len(val)}"
     return None
 
 

@@ -34,20 +34,15 @@ def load():
     """Load what commands import, and the kernels of a bench."""
     import pyarrow.parquet  # noqa: F401
 
-    from rollerrig.configs import vehicle
     from rollerrig.realtime import cli  # noqa: F401
     from rollerrig.realtime.bench import bench, free, scenario, tick_data  # noqa: F401
     from rollerrig.realtime.campaign import campaign  # noqa: F401
     from rollerrig.realtime.loop import ring
     from rollerrig.realtime.record import summary  # noqa: F401
-    from rollerrig.wsp_interface import signals
 
-    if (vehicle.COACH_AXLES, frozenset()) != (vehicle.AXLES, vehicle.EQUIPMENT):
-        # few programs simulate another vehicle, and they need few of its kernels
-        return
     plan = scenario.load("velim_a1", settings=("duration_max_s=0.1",))
     for pacing in ("wall", "lockstep"):
-        memory = ring.Memory(1000, len(signals.COLUMNS))
+        memory = ring.Memory(1000, plan.table)
         tick_data.warm_up(tick_data.build(plan, memory), pacing, "external")
     free.simulate(plan)
 

@@ -4,7 +4,6 @@ Nearly all tests that need a process start it here, because a start by hand cost
 processor time. `test_program.py` shows that both are the same.
 """
 
-import contextlib
 import functools
 import json
 import os
@@ -16,21 +15,15 @@ import sys
 import tempfile
 import threading
 import time
-import tomllib
 from pathlib import Path
 from typing import NamedTuple
 
-from rollerrig.configs import store
-from rollerrig.configs.errors import ConfigError, OtherVehicleError
-from rollerrig.configs.vehicle import AXLES_VARIABLE, EQUIPMENT_VARIABLE
-from rollerrig.realtime.bench import scenario
-
-# s. The program compiles the kernels of its vehicle where nothing has used them before.
+# s. The program compiles its kernels where nothing has used them before.
 LONGEST_S = 900
 POLL_S = 0.01
 CLI = ("-m", "rollerrig.realtime.cli")
 SERVER = Path(__file__).with_name("fork_server.py")
-# a tram with motors and magnets: with it `make test` compiles for one vehicle besides the coach
+# a tram with motors and magnets
 BOTH_BRAKES = str(Path(__file__).with_name("data") / "both_brakes.toml")
 
 
@@ -52,11 +45,8 @@ class Program:
             "cores": sorted(cores or os.sched_getaffinity(0)),
         }
         replies, reply = os.pipe()
-        channel = server(
-            environment.get(AXLES_VARIABLE, ""), environment.get(EQUIPMENT_VARIABLE, "")
-        )
         descriptors = [*(stream.fileno() for stream in streams), reply]
-        socket.send_fds(channel, [json.dumps(request).encode()], descriptors)
+        socket.send_fds(server(), [json.dumps(request).encode()], descriptors)
         os.close(reply)
         self._replies = open(replies)  # noqa: SIM115
         number = self._replies.readline()
@@ -99,17 +89,14 @@ class Program:
 
 
 @functools.cache
-def server(axles, equipment):
-    """The socket of the server for this kind of vehicle. It is started when it is needed."""
+def server():
+    """The socket of the server, which is started when it is needed."""
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    variables = {AXLES_VARIABLE: axles, EQUIPMENT_VARIABLE: equipment}
-    environment = os.environ | {name: value for name, value in variables.items() if value}
     with theirs:
         subprocess.Popen(
             # the programs that benches fork write their command lines over this one
             [sys.executable, SERVER, str(theirs.fileno()), "forks the programs of tests"],
             pass_fds=(theirs.fileno(),),
-            env=environment,
             stdin=subprocess.DEVNULL,
             start_new_session=True,
         )
@@ -143,43 +130,11 @@ def python(*words, folder=None, timeout_s=LONGEST_S, **variables):
 
 def rollerrig(*words, **more):
     """Return the result of the command line `rollerrig`."""
-    return python(*CLI, *words, **variables_of(words), **more)
+    return python(*CLI, *words, **more)
 
 
 def start(words, stdout, stderr, **more):
     """Start the command line `rollerrig` with its output in two files; return the program."""
     with open(os.devnull) as nothing, stdout.open("wb") as printed, stderr.open("wb") as messages:
         streams = (nothing, printed, messages)
-        return Program((*CLI, *words), streams, variables_of(words), **more)
-
-
-def variables_of(words):
-    """The variables with which the command line would start itself again for these words."""
-    found = {}
-    for word in words:
-        if word in store.names_of_vehicles("sequences"):
-            content, _ = store.load("sequences", word)
-            found |= _variables_of_scenario(content["scenario"])
-        elif word in store.names("scenarios") or str(word).endswith(".toml"):
-            found |= _variables_of_scenario(_scenario_of(word))
-    return found
-
-
-def _scenario_of(word):
-    """The scenario of a sequence that a test has written; otherwise the word itself."""
-    with contextlib.suppress(OSError, ValueError):
-        content = tomllib.loads(Path(word).read_text())
-        if "step" in content:
-            return content.get("scenario", str(word))
-    return str(word)
-
-
-@functools.cache
-def _variables_of_scenario(name):
-    try:
-        scenario.load(name)
-    except OtherVehicleError as error:
-        return error.environment
-    except ConfigError:
-        pass  # another file, or a wrong one, which is a matter of the command
-    return {}
+        return Program((*CLI, *words), streams, **more)

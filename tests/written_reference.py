@@ -8,6 +8,7 @@ import math
 import re
 
 from rollerrig.configs import store
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
@@ -105,9 +106,10 @@ ENVIRONMENT = {
     "WAYLAND_DISPLAY": "as `DISPLAY`",
     "NUMBA_CACHE_DIR": "folder of compiled kernels, instead of the one in the cache",
     "PYTHONSAFEPATH": "set for child processes, which then import nothing from the working folder",
-    "ROLLERRIG_AXLES": "number of axles that a Python program simulates; the command line sets it",
-    "ROLLERRIG_EQUIPMENT": "equipment of the vehicles that a Python program simulates, such as "
-    "`dynamic_brake`; the command line sets it",
+    "ROLLERRIG_AXLES": "no longer read, because the vehicle has its number of axles; a start with it "
+    "set says so",
+    "ROLLERRIG_EQUIPMENT": "no longer read, because the vehicle has its equipment; a start with it set "
+    "says so",
     "ROLLERRIG_PYTHON": "Python that the rig as an FMU starts; it must have rollerrig installed "
     "([which one else](units.md#the-rig-as-an-fmu))",
     "RUST_LOG": "messages of Rerun; by default errors only",
@@ -437,7 +439,7 @@ def signal_table():
         "| columns | unit | meaning | direction | places on the bus |",
         "|---|---|---|---|---|",
     ]
-    for signal in signals.SIGNALS:
+    for signal in signals.table(COACH).signals:
         columns = signals.columns(signal)
         name = columns[0] if signal.axles == 1 else columns[0].replace("_1", "_1..4", 1)
         unit_text = UNITS.get(signal.unit, signal.unit)

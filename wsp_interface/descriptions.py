@@ -23,6 +23,7 @@ from cantools.database.conversion import BaseConversion
 from rollerrig.configs import output_files
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface.bus import connection_set
+from rollerrig.wsp_interface.signals import Table
 
 # object types of CiA 301
 _DOMAIN = 0x2
@@ -237,44 +238,45 @@ def object_table(dictionaries: Iterable[ObjectDictionary]) -> str:
 # -- DBC
 
 
-def dbc(dictionaries: Iterable[ObjectDictionary], sync_period_s: float) -> str:
+def dbc(table: Table, dictionaries: Iterable[ObjectDictionary], sync_period_s: float) -> str:
     """Return one DBC file with the PDOs of all nodes, the SYNC and the heartbeats, as text.
 
-    Messages that are sent regularly have their cycle time: with every n-th SYNC, or the producer
-    time of a heartbeat.
+    `table`: the signals of the vehicle. Messages that are sent regularly have their cycle time:
+    with every n-th SYNC, or the producer time of a heartbeat.
     """
     dictionaries = list(dictionaries)
     sync_ms = round(1000 * sync_period_s)
     heartbeats_ms = {
         dictionary.node_id: _number(dictionary, 0x1017, 0) for dictionary in dictionaries
     }
-    for unit in signals.WSP_NODES:
+    for unit in table.wsp_nodes:
         heartbeats_ms[unit] = _UNIT_HEARTBEAT_ms
     described = [dictionary.node_id or 0 for dictionary in dictionaries]
-    nodes = dict.fromkeys([*described, *signals.WSP_NODES, signals.BENCH_NODE])
+    nodes = dict.fromkeys([*described, *table.wsp_nodes, signals.BENCH_NODE])
 
-    bench_name = _node_name(signals.BENCH_NODE)
+    bench_name = _node_name(table, signals.BENCH_NODE)
     messages = [_message("SYNC", connection_set.SYNC, bench_name, [], sync_ms)]
     for dictionary in dictionaries:
-        messages += _pdo_messages(dictionary, sync_ms)
-    for group, unit in enumerate(signals.WSP_NODES):
+        messages += _pdo_messages(table, dictionary, sync_ms)
+    for group, unit in enumerate(table.wsp_nodes):
         if unit not in described:
-            messages.append(_unit_message(group))
+            messages.append(_unit_message(table, group))
     for node in nodes:
-        messages.append(_heartbeat_message(node, heartbeats_ms.get(node, 0)))
+        messages.append(_heartbeat_message(table, node, heartbeats_ms.get(node, 0)))
 
-    database = Database(messages, [Node(_node_name(node), None) for node in nodes], version="")
+    of_nodes = [Node(_node_name(table, node), None) for node in nodes]
+    database = Database(messages, of_nodes, version="")
     return database.as_dbc_string(sort_signals=None, shorten_long_names=False)
 
 
-def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Message]:
+def _pdo_messages(table: Table, dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Message]:
     """Yield the PDOs that a node has by default, as CAN messages."""
     node = dictionary.node_id or 0
-    own_name = _node_name(node)
-    partner = signals.WSP_NODES[signals.group_of(node)]
-    if node in signals.WSP_NODES or node in signals.DRIVE_NODES:
+    own_name = _node_name(table, node)
+    partner = table.wsp_nodes[signals.group_of(node)]
+    if node in table.wsp_nodes or node in table.drive_nodes:
         partner = signals.BENCH_NODE
-    partner_name = _node_name(partner)
+    partner_name = _node_name(table, partner)
     for first, word, sender, receiver in (
         (_RPDO, "RPDO", partner_name, own_name),
         (_TPDO, "TPDO", own_name, partner_name),
@@ -288,9 +290,9 @@ def _pdo_messages(dictionary: ObjectDictionary, sync_ms: int) -> Iterator[Messag
             if cob_id & _INVALID or is_empty:
                 continue
             name = f"node_{node}_{word}{index - first + 1}"
-            carried = list(_contents(dictionary, mapping, receiver))
+            carried = list(_contents(table, dictionary, mapping, receiver))
             cycle_ms = 0
-            if node in signals.nodes(signals.BRAKE_NODE) and word == "RPDO":
+            if node in table.nodes(signals.BRAKE_NODE) and word == "RPDO":
                 cycle_ms = sync_ms  # the magnets: a unit answers every SYNC
             elif word == "TPDO":
                 cycle_ms = _cycle_ms(dictionary, index, sync_ms)
@@ -365,7 +367,9 @@ def _number(dictionary: ObjectDictionary, index: int, sub: int) -> int:
     return variable.default
 
 
-def _contents(dictionary: ObjectDictionary, mapping: int, receiver: str) -> Iterator[Signal]:
+def _contents(
+    table: Table, dictionary: ObjectDictionary, mapping: int, receiver: str
+) -> Iterator[Signal]:
     """Yield the signals of a PDO by its mapping parameters."""
     start = 0
     for number in range(1, _number(dictionary, mapping, 0) + 1):
@@ -375,10 +379,10 @@ def _contents(dictionary: ObjectDictionary, mapping: int, receiver: str) -> Iter
         bits = entry & 0xFF
         variable = dictionary.get_variable(index, sub)
         if variable is not None:
-            names = signal_names(dictionary.node_id or 0, variable)
+            names = signal_names(table, dictionary.node_id or 0, variable)
             # one byte may carry a signal of all axles of a group, which may have two or four
             bits_each = bits if len(names) == 1 else magnets.BITS_PER_AXLE
-            are_magnets = set(names) <= set(signals.columns(signals.BY_NAME["magnets"]))
+            are_magnets = set(names) <= set(signals.columns(table.by_name["magnets"]))
             for position, name in enumerate(names):
                 yield _signal(
                     name,
@@ -394,22 +398,22 @@ def _contents(dictionary: ObjectDictionary, mapping: int, receiver: str) -> Iter
         start += bits
 
 
-def signal_names(node: int, variable: ODVariable) -> tuple[str, ...]:
-    """Return the names of an object's signals.
+def signal_names(table: Table, node: int, variable: ODVariable) -> tuple[str, ...]:
+    """Return the names of an object's signals, of a node of a vehicle.
 
     An object in the table of signals has their columns, several where the axles share its bits. Any
     other object has its name, with the axle if the node is a drive.
     """
-    if node in signals.DRIVE_NODES:
-        axle = signals.DRIVE_NODES.index(node) + 1
-        return (_drive_signal_name(axle, variable),)
+    if node in table.drive_nodes:
+        axle = table.drive_nodes.index(node) + 1
+        return (_drive_signal_name(table, axle, variable),)
 
     leading = signals.in_leading_group(node)
-    for signal in signals.SIGNALS:
+    for signal in table.signals:
         for place in signal.places:
             if place.node != leading or place.index != variable.index:
                 continue
-            axles = signals.axles_at(signal, node)
+            axles = table.axles_at(signal, node)
             columns = signals.columns(signal)[axles[0] - 1 : axles[-1]]
             offset = variable.subindex - place.sub
             if place.kind == "U8" and signal.axles > 1:
@@ -422,24 +426,24 @@ def signal_names(node: int, variable: ODVariable) -> tuple[str, ...]:
     return (_slug(variable.name),)
 
 
-def _drive_signal_name(axle: int, variable: ODVariable) -> str:
-    for signal in signals.SIGNALS:
+def _drive_signal_name(table: Table, axle: int, variable: ODVariable) -> str:
+    for signal in table.signals:
         for place in signal.places:
             if place.node == signals.DRIVE_UNDER_AXLE and place.index == variable.index:
                 return signals.columns(signal)[axle - 1]
     return f"{_slug(variable.name)}_{axle}"
 
 
-def _unit_message(group: int) -> Message:
+def _unit_message(table: Table, group: int) -> Message:
     """Return TPDO1 of the WSP unit of a group: the reference speed that it may send the bench."""
-    node = signals.WSP_NODES[group]
-    signal = signals.BY_NAME[signals.reference_speed_name(group)]
-    place = signals.place(signals.reference_speed_name(0), signals.WSP_NODE)
+    node = table.wsp_nodes[group]
+    signal = table.by_name[signals.reference_speed_name(group)]
+    place = table.place(signals.reference_speed_name(0), signals.WSP_NODE)
     reference_speed = _signal(
         signals.columns(signal)[0],
         0,
         signals.bits(place),
-        _node_name(signals.BENCH_NODE),
+        _node_name(table, signals.BENCH_NODE),
         signed=place.kind[0] == "I",
         factor=place.scale,
         unit=signal.unit.replace("_", "/"),
@@ -448,18 +452,18 @@ def _unit_message(group: int) -> Message:
     return _message(
         f"node_{node}_TPDO1",
         connection_set.TPDO[0] + node,
-        _node_name(node),
+        _node_name(table, node),
         [reference_speed],
     )
 
 
-def _heartbeat_message(node: int, cycle_ms: int) -> Message:
-    name = _node_name(node)
+def _heartbeat_message(table: Table, node: int, cycle_ms: int) -> Message:
+    name = _node_name(table, node)
     state = _signal(f"{name}_nmt_state", 0, 7, None, choices=_NMT_STATES)
     return _message(f"{name}_heartbeat", connection_set.HEARTBEAT + node, name, [state], cycle_ms)
 
 
-def _node_name(node: int) -> str:
+def _node_name(table: Table, node: int) -> str:
     names = {
         signals.SPEED_NODE: "axle_speed_unit",
         signals.BRAKE_NODE: "brake_io",
@@ -468,7 +472,7 @@ def _node_name(node: int) -> str:
         signals.WSP_NODE: "wsp_unit",
         signals.BENCH_NODE: "bench",
     }
-    for axle, drive in enumerate(signals.DRIVE_NODES, start=1):
+    for axle, drive in enumerate(table.drive_nodes, start=1):
         names[drive] = f"drive_{axle}"
     group = signals.group_of(node)
     leading = signals.in_leading_group(node)
@@ -484,14 +488,14 @@ def _slug(text: str) -> str:
 # -- the table of signals, and all of it on disk
 
 
-def signal_table() -> str:
-    """Return the table of signals as markdown."""
+def signal_table(table: Table) -> str:
+    """Return the table of signals of a vehicle as markdown."""
     rows = [
         "| signal | unit | axles | direction | on the bus | meaning |",
         "|---|---|---|---|---|---|",
     ]
-    for signal in signals.SIGNALS:
-        places = "<br>".join(_place_text(place, signal.axles) for place in signal.places)
+    for signal in table.signals:
+        places = "<br>".join(_place_text(table, place, signal.axles) for place in signal.places)
         unit = signal.unit.replace("_", "/") or "-"
         rows.append(
             f"| `{signal.name}` | {unit} | {signal.axles} | {signal.direction} | "
@@ -500,10 +504,10 @@ def signal_table() -> str:
     return "\n".join(rows) + "\n"
 
 
-def _place_text(place: signals.Place, axles: int) -> str:
+def _place_text(table: Table, place: signals.Place, axles: int) -> str:
     if place.node == signals.DRIVE_UNDER_AXLE:
-        first = signals.DRIVE_NODES[0]
-        last = signals.DRIVE_NODES[-1]
+        first = table.drive_nodes[0]
+        last = table.drive_nodes[-1]
         text = f"nodes {first}..{last} {place.index:04X}h"
     else:
         text = f"node {place.node} {place.index:04X}h:{place.sub}"
@@ -519,19 +523,23 @@ def _place_text(place: signals.Place, axles: int) -> str:
 
 
 def write(
-    folder: Path, dictionaries: Iterable[ObjectDictionary], sync_period_s: float = 0.01
+    folder: Path,
+    table: Table,
+    dictionaries: Iterable[ObjectDictionary],
+    sync_period_s: float = 0.01,
 ) -> list[Path]:
     """Write the EDS of every node, `rig.dbc` and two tables into a folder; return their paths.
 
-    The tables are `objects.csv` (units and factors of all objects) and `signals.md`.
+    `table`: the signals of the vehicle. The two tables are `objects.csv` (units and factors of all
+    objects) and `signals.md`.
     """
     dictionaries = list(dictionaries)
     texts = {}
     for dictionary in dictionaries:
         texts[f"{file_name(dictionary)}.eds"] = eds(dictionary)
-    texts["rig.dbc"] = dbc(dictionaries, sync_period_s)
+    texts["rig.dbc"] = dbc(table, dictionaries, sync_period_s)
     texts["objects.csv"] = object_table(dictionaries)
-    texts["signals.md"] = signal_table()
+    texts["signals.md"] = signal_table(table)
 
     output_files.make_folder(folder)
     for name, text in texts.items():

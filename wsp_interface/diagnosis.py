@@ -35,9 +35,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import HAS_DYNAMIC_BRAKE
+from rollerrig.configs.vehicle import Kind
 from rollerrig.wsp_interface.events import Code, OnEvent
-from rollerrig.wsp_interface.signals import AXLES
 
 FILLS = 0.5  # a valve below this value fills
 VENTS = 1.5  # a valve above this value vents
@@ -62,7 +61,8 @@ class Sample(NamedTuple):
     valves: 0 fill, 1 hold, 2 vent.
     reference_m_s: the reference speed that the unit sends; NaN if it sends none.
     brake_demand_Pa: the demanded brake pressure; NaN if nothing demands one.
-    faults: the known fault that explains a strange behaviour of the unit there, or "".
+    faults: the known fault that explains a strange behaviour of the unit there, or ""; empty if no
+        fault is known.
     """
 
     time_s: float
@@ -71,16 +71,11 @@ class Sample(NamedTuple):
     valves: list[float]
     reference_m_s: float
     brake_demand_Pa: float
-    faults: Sequence[str] = ("",) * AXLES
-
-    @property
-    def may_drive(self) -> bool:
-        """Whether motors may drive the vehicle: it has motors, and no brake is demanded."""
-        return HAS_DYNAMIC_BRAKE and not self.brake_demand_Pa > 0.0
+    faults: Sequence[str] = ()
 
 
 class Diagnosis:
-    """Looks at one sample after another, in the order of their times.
+    """Looks at one sample of a kind of vehicle after another, in the order of their times.
 
     vents_without_sliding: how often a valve began to vent although its axle had not slid.
     open_without_sliding_s: the longest time for which a valve vented without a break while its
@@ -90,18 +85,19 @@ class Diagnosis:
     drift_s: the longest time for which the reference speed was off; NaN if the unit sends none.
     """
 
-    def __init__(self, on_event: OnEvent) -> None:
+    def __init__(self, kind: Kind, on_event: OnEvent) -> None:
+        self._kind = kind
         self._on_event = on_event
         self.vents_without_sliding = 0
         self.open_without_sliding_s = 0.0
-        self.beside_s = np.zeros((AXLES, AXLES))
+        self.beside_s = np.zeros((kind.axles, kind.axles))
         self.drift_s = float("nan")
         self._before: Sample | None = None
-        self._slid_at_s = [_NEVER_S] * AXLES
-        self._open_since_s = [math.inf] * AXLES  # inf: it does not vent, or the axle slides
-        self._reported_open = [False] * AXLES
-        self._explained_by = [""] * AXLES
-        self._reported_vents = [False] * AXLES
+        self._slid_at_s = [_NEVER_S] * kind.axles
+        self._open_since_s = [math.inf] * kind.axles  # inf: it does not vent, or the axle slides
+        self._reported_open = [False] * kind.axles
+        self._explained_by = [""] * kind.axles
+        self._reported_vents = [False] * kind.axles
         self._reported_swaps: set[frozenset[int]] = set()
         self._drifts_since_s: float | None = None
         self._reported_drifts: set[Code] = set()
@@ -120,17 +116,18 @@ class Diagnosis:
         if sample.time_s <= before.time_s:
             return
         self._before = sample
-        for axle in range(AXLES):
+        for axle in range(self._kind.axles):
             if abs(sample.sliding_m_s[axle]) > SLIDES_M_S:
                 self._slid_at_s[axle] = sample.time_s
             has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
-            if sample.faults[axle] or has_not_slid:
-                self._explained_by[axle] = sample.faults[axle]
-        if sample.speed_m_s < SLOWEST_M_S or sample.may_drive:
+            fault = sample.faults[axle] if sample.faults else ""
+            if fault or has_not_slid:
+                self._explained_by[axle] = fault
+        if sample.speed_m_s < SLOWEST_M_S or self._may_drive(sample):
             self._drifts_since_s = None
-            self._open_since_s = [math.inf] * AXLES
+            self._open_since_s = [math.inf] * self._kind.axles
             return
-        for axle in range(AXLES):
+        for axle in range(self._kind.axles):
             self._look_at_open_valve(axle, sample)
             vents = sample.valves[axle] > VENTS
             has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
@@ -139,6 +136,10 @@ class Diagnosis:
                     self._count_vent(axle, sample)
                 self._compare_with_others(axle, sample, sample.time_s - before.time_s)
         self._look_at_reference(sample)
+
+    def _may_drive(self, sample: Sample) -> bool:
+        """Return whether motors may drive: the vehicle has motors, and no brake is demanded."""
+        return self._kind.dynamic_brake and not sample.brake_demand_Pa > 0.0
 
     def _look_at_open_valve(self, axle: int, sample: Sample) -> None:
         """Count for how long a valve vents while its axle rolls, however the vent began."""
@@ -173,7 +174,7 @@ class Diagnosis:
         """Count for how long other axles slide, unprotected, while the valve of `axle` vents."""
         beside_s = self.beside_s[axle]
         far_m_s = max(SLIDES_FAR_M_S, SLIDES_FAR_SHARE * sample.speed_m_s)
-        for other in range(AXLES):
+        for other in range(self._kind.axles):
             slides = sample.sliding_m_s[other] > far_m_s
             fills = sample.valves[other] < FILLS
             is_candidate = other != axle and not self._explained_by[other]

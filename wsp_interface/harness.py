@@ -22,11 +22,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rollerrig.wsp_interface import own_bench
-from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError, connect
+from rollerrig.configs.vehicle import COACH
+from rollerrig.wsp_interface import own_bench, signals
+from rollerrig.wsp_interface.harness_client import (
+    Event,
+    Harness,
+    TimeOutError,
+    connect,
+    reception,
+)
 
 with contextlib.suppress(ImportError):  # a bench runs without pytest
     from rollerrig.wsp_interface.fixture import rollerrig_bench, rollerrig_module_bench
+
+# the columns of a bench with the coach; those of any bench are in `Harness.columns`
+COLUMNS = reception(signals.table(COACH)).columns
 
 __all__ = [
     "COLUMNS",

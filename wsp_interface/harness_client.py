@@ -9,11 +9,12 @@ repeats bit for bit. In real time the harness follows the bench.
 """
 
 import contextlib
+import functools
 import json
 import linecache
 import struct
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple, Self
@@ -22,14 +23,14 @@ import can
 
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
 from rollerrig.configs.table import nearest
-from rollerrig.configs.vehicle import GROUPS
+from rollerrig.configs.vehicle import ALLOWED_AXLES, Kind
 from rollerrig.wsp_interface import events, magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, NODE_MASK, RPDO, TPDO
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError, SdoClient
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.rig_objects import layout
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE, BRAKE_NODE
+from rollerrig.wsp_interface.rig_objects import Layout
+from rollerrig.wsp_interface.signals import BENCH_NODE, BRAKE_NODE, Table
 
 # How long the harness waits for a silent bench. Before the first cycle other programs may still be
 # starting or compiling; later the bench itself waits for a slow unit.
@@ -42,8 +43,6 @@ _STANDSTILL_M_S = 0.005
 _TPDO_COMMUNICATION = 0x1800
 _TPDO_MAPPING = 0x1A00
 _PDO_OFF = 1 << 31  # bit of a PDO's COB-ID
-
-_AXLES = range(1, AXLES + 1)
 
 
 class TimeOutError(RollerrigError):
@@ -68,8 +67,8 @@ _OF_AXLES = (
 )
 
 
-def _tpdos() -> tuple[_Mapped, ...]:
-    """Return the TPDOs of node 127 in their order; the last one ends a cycle.
+def _tpdos(groups: int) -> Iterator[_Mapped]:
+    """Yield the TPDOs of node 127 in their order; the last one ends a cycle.
 
     The predefined connection set has identifiers for four TPDOs. The others of the leading group
     take those of the RPDOs 2 to 4 of node 127, which it does not use. Those of a further group take
@@ -83,50 +82,75 @@ def _tpdos() -> tuple[_Mapped, ...]:
         ("position", "vehicle_acceleration", "brake_demand"),
         *((name,) for name in of_axles),
     )
-    mapped = [
-        _Mapped(service + BENCH_NODE, carried, 0)
-        for service, carried in zip(first, names, strict=True)
-    ]
-    for group in range(1, GROUPS):
+    for service, carried in zip(first, names, strict=True):
+        yield _Mapped(service + BENCH_NODE, carried, 0)
+    for group in range(1, groups):
         services = (*TPDO, RPDO[1])
         for service, name in zip(services, _OF_AXLES, strict=True):
-            mapped.append(_Mapped(service + BENCH_NODE - group, (name,), group))
-    mapped.append(_Mapped(last + BENCH_NODE, (ends_cycle,), 0))
-    return tuple(mapped)
+            yield _Mapped(service + BENCH_NODE - group, (name,), group)
+    yield _Mapped(last + BENCH_NODE, (ends_cycle,), 0)
 
 
-_TPDOS = _tpdos()
-MAPPED = tuple(
-    layout(tpdo.can_id, *tpdo.names, node=BENCH_NODE, group=tpdo.group) for tpdo in _TPDOS
-)
-_UNITS = tuple(rig_objects.unit_frames(group) for group in range(GROUPS))
-HEARD = (
-    *MAPPED,
-    *(unit.speeds for unit in _UNITS),
-    *(unit.reference_speed for unit in _UNITS),
-)
-CYCLE_ENDS = MAPPED[-1].can_id
-_MAGNETS = tuple(f"magnets_{axle}" for axle in _AXLES)
-# the columns of the magnets by the identifier of their frame
-_MAGNETS_BY_ID = {
-    unit.magnets_id: tuple(f"magnets_{axle}" for axle in signals.axles_of(unit.group))
-    for unit in _UNITS
-}
-COLUMNS: tuple[str, ...] = (
-    *(name for frame_layout in HEARD for name in frame_layout.names),
-    *_MAGNETS,
-)
+class Reception(NamedTuple):
+    """What a harness receives of a vehicle in each cycle, and what it can read.
+
+    tpdos: the TPDOs of node 127 that the harness maps, and `mapped` their layouts.
+    layouts: of the frames with signals, by identifier: those of node 127, and the speeds that the
+        units receive and send.
+    cycle_ends: the identifier of the last frame of a cycle.
+    magnets: the columns of the magnets, by the identifier of their frame.
+    columns: all columns that are received.
+    received, readable: the names of the signals that are received, and of those of node 127.
+    """
+
+    tpdos: tuple[_Mapped, ...]
+    mapped: tuple[Layout, ...]
+    layouts: Mapping[int, Layout]
+    cycle_ends: int
+    magnets: Mapping[int, tuple[str, ...]]
+    columns: tuple[str, ...]
+    received: tuple[str, ...]
+    readable: tuple[str, ...]
 
 
-# the signals that the harness receives in each cycle, and those that it can read
-_RECEIVED = tuple(
-    signal.name for signal in signals.SIGNALS if set(signals.columns(signal)) <= set(COLUMNS)
-)
-_READABLE = tuple(
-    signal.name
-    for signal in signals.SIGNALS
-    if any(place.node == BENCH_NODE for place in signal.places)
-)
+@functools.cache
+def reception(table: Table) -> Reception:
+    """Return what a harness receives of the vehicle with these signals."""
+    tpdos = tuple(_tpdos(table.kind.groups))
+    mapped = tuple(
+        rig_objects.layout(table, tpdo.can_id, *tpdo.names, node=BENCH_NODE, group=tpdo.group)
+        for tpdo in tpdos
+    )
+    units = [rig_objects.unit_frames(table, group) for group in range(table.kind.groups)]
+    heard = (
+        *mapped,
+        *(unit.speeds for unit in units),
+        *(unit.reference_speed for unit in units),
+    )
+    all_magnets = signals.columns(table.by_name["magnets"])
+    of_units = {}
+    for unit in units:
+        axles = table.axles_of(unit.group)
+        of_units[unit.magnets_id] = all_magnets[axles[0] - 1 : axles[-1]]
+
+    columns = (*(name for frame in heard for name in frame.names), *all_magnets)
+    received = []
+    readable = []
+    for signal in table.signals:
+        if set(signals.columns(signal)) <= set(columns):
+            received.append(signal.name)
+        if any(place.node == BENCH_NODE for place in signal.places):
+            readable.append(signal.name)
+    return Reception(
+        tpdos=tpdos,
+        mapped=mapped,
+        layouts={frame.can_id: frame for frame in heard},
+        cycle_ends=mapped[-1].can_id,
+        magnets=of_units,
+        columns=columns,
+        received=tuple(received),
+        readable=tuple(readable),
+    )
 
 
 class Values(dict[str, float]):
@@ -175,8 +199,10 @@ class Harness:
     ends: whether closing the harness also ends the run.
 
     Attributes:
-    values: the newest values, by the names in COLUMNS.
-    trace: the values of every cycle, in the order of COLUMNS.
+    table: the signals of the vehicle. A dynamic brake is not in it, as node 127 does not show it.
+    columns: the names of the values that the harness receives.
+    values: the newest values, by these names.
+    trace: the values of every cycle, in the order of `columns`.
     events: what has happened so far.
     demands: the commanded brake demands, as (simulated time in s, pressure in Pa).
     lockstep: whether simulated time waits for the harness.
@@ -188,9 +214,9 @@ class Harness:
     """
 
     def __init__(self, bus: can.BusABC, ends: bool = True) -> None:
+        """Ask the bench for its vehicle. Raises BusError, and has closed the bus then."""
         self.bus = bus
         self.ends = ends
-        self.values = Values.fromkeys(COLUMNS, float("nan"))
         self.trace: list[tuple[float, ...]] = []
         self.events: list[Event] = []
         self.demands: list[tuple[float, float]] = []
@@ -203,11 +229,18 @@ class Harness:
         # messages that arrived while the harness waited for an SDO answer
         self._inbox: deque[can.Message] = deque()
         self._sdo = SdoClient(bus.send, bus.recv, self._inbox.append)
-        self._layouts = {frame_layout.can_id: frame_layout for frame_layout in HEARD}
+        try:
+            self.table = signals.table(self._ask_vehicle())
+        except BusError:
+            bus.shutdown()
+            raise
+        self._reception = reception(self.table)
+        self.columns = self._reception.columns
+        self.values = Values.fromkeys(self.columns, float("nan"))
 
     def __repr__(self) -> str:
         """Return the state of the bench in one line; pytest prints it for a failed test."""
-        speeds = zip(_AXLES, self.axles("wheel_circumferential_speed"), strict=True)
+        speeds = zip(self.table.axles, self.axles("wheel_circumferential_speed"), strict=True)
         standing = ", ".join(str(axle) for axle, speed in speeds if speed == 0.0)
         pressures = ", ".join(f"{value / 1e5:.2f}" for value in self.axles("cylinder_pressure"))
         left = "" if self.joined else ", has left"
@@ -218,6 +251,26 @@ class Harness:
         )
 
     # -- what the bench plays
+
+    def _ask_vehicle(self) -> Kind:
+        """Return the kind of the bench's vehicle, as the objects of node 127 show it.
+
+        An object with a value for each axle has their number in its sub-index 0, and only a vehicle
+        with a magnetic track brake has the object of its force. Raises BusError.
+        """
+        of_axles = signals.first_place("adhesion").index
+        of_magnets = signals.first_place("track_brake_force").index
+        axles = int.from_bytes(self._call(self._sdo.read, BENCH_NODE, of_axles, 0), "little")
+        if axles not in ALLOWED_AXLES:
+            raise BusError(
+                f"node {BENCH_NODE} has {axles} axles (object {of_axles:X}h:0); allowed are "
+                f"{', '.join(map(str, ALLOWED_AXLES))}: is it a bench of this version?"
+            )
+        try:
+            self._call(self._sdo.read, BENCH_NODE, of_magnets, 0)
+        except RefusedError:
+            return Kind(axles)
+        return Kind(axles, magnetic_track_brake=True)
 
     def configuration(self) -> dict[str, Any]:
         """Return what the bench plays, before or after joining.
@@ -243,7 +296,7 @@ class Harness:
     def commanded_friction(self) -> dict[int, float]:
         """Return the kinematic friction commanded under each axle; 0 is that of the scenario."""
         found = {}
-        for axle in _AXLES:
+        for axle in self.table.axles:
             data = self._call(self._sdo.read, BENCH_NODE, rig_objects.FRICTION, axle)
             (count,) = struct.unpack("<H", data)
             found[axle] = count * rig_objects.FRICTION_SCALE
@@ -255,7 +308,7 @@ class Harness:
         """Map the bench's quantities, join, and wait for the first cycle. Raises BusError."""
         pacing = self._call(self._sdo.read, BENCH_NODE, rig_objects.PACING, 0)
         self.lockstep = bool(pacing[0])
-        for number, tpdo in enumerate(_TPDOS):
+        for number, tpdo in enumerate(self._reception.tpdos):
             self._map(number, tpdo)
         self._write(rig_objects.HARNESS, rig_objects.JOINED, b"\x01")
         self.joined = True
@@ -264,12 +317,12 @@ class Harness:
 
     def _map(self, number: int, tpdo: _Mapped) -> None:
         """Make TPDO `number` (from 0) of the bench carry signals, at every SYNC."""
-        axles = signals.axles_of(tpdo.group)
+        axles = self.table.axles_of(tpdo.group)
         entries: list[int] = []
         for name in tpdo.names:
-            place = signals.place(name, BENCH_NODE)
+            place = self.table.place(name, BENCH_NODE)
             subs = range(place.sub, place.sub + 1)
-            if signals.BY_NAME[name].axles > 1:
+            if self.table.by_name[name].axles > 1:
                 first = place.sub - 1
                 subs = range(first + axles[0], first + axles[-1] + 1)
             for sub in subs:
@@ -309,7 +362,7 @@ class Harness:
         """Command a brake cylinder pressure, in Pa or bar."""
         if pressure_Pa is None:
             pressure_Pa = (bar or 0.0) * 1e5
-        place = signals.place("brake_demand", BRAKE_NODE)
+        place = signals.first_place("brake_demand")
         data = struct.pack(rig_objects.struct_format(place), signals.count(pressure_Pa, place))
         self._write(place.index, place.sub, data, BRAKE_NODE)
         self.demands.append((self.time_s, pressure_Pa))
@@ -318,9 +371,12 @@ class Harness:
         """Release the brakes."""
         self.brake(0.0)
 
-    def friction(self, mu: float, axles: Iterable[int] = _AXLES) -> None:
-        """Set the kinematic friction under axles from now on; 0 returns to that of the scenario."""
-        axles = tuple(axles)
+    def friction(self, mu: float, axles: Iterable[int] | None = None) -> None:
+        """Set the kinematic friction under axles from now on; 0 returns to that of the scenario.
+
+        axles: counted from 1; None for all.
+        """
+        axles = tuple(self.table.axles if axles is None else axles)
         data = struct.pack("<H", round(mu / rig_objects.FRICTION_SCALE))
         for axle in axles:
             self._write(rig_objects.FRICTION, axle, data)
@@ -331,7 +387,7 @@ class Harness:
 
     def sand(self, on: bool = True) -> None:
         """Switch all sanders of the vehicle, like a driver. Raises BusError if it has none."""
-        place = signals.place("sand_demand", signals.SANDER_NODE)
+        place = signals.first_place("sand_demand")
         sanders = rig_objects.ALL_SANDERS if on else 0
         self._write(place.index, place.sub, bytes([sanders]), signals.SANDER_NODE)
         self.record("harness", Code.TEST_SAND_ON if on else Code.TEST_SAND_OFF)
@@ -452,20 +508,18 @@ class Harness:
 
         Raises ConfigError for a signal that the harness does not receive.
         """
-        _check_name(name, _RECEIVED)
-        return tuple(self.values[column] for column in signals.columns(signals.BY_NAME[name]))
+        _check_name(name, self._reception.received)
+        columns = signals.columns(self.table.by_name[name])
+        return tuple(self.values[column] for column in columns)
 
     def read(self, name: str) -> tuple[float, ...]:
         """Read a signal of the bench by SDO; return the values of all its axles.
 
         Raises ConfigError for an unknown signal, and BusError.
         """
-        _check_name(name, _READABLE)
-        signal = signals.BY_NAME[name]
-        try:
-            place = signals.place(name, BENCH_NODE)
-        except LookupError as error:
-            raise BusError(f"the bench: {error}") from None
+        _check_name(name, self._reception.readable)
+        signal = self.table.by_name[name]
+        place = self.table.place(name, BENCH_NODE)
         form = rig_objects.struct_format(place)
         values = []
         for offset in range(signal.axles):
@@ -520,12 +574,13 @@ class Harness:
         """Take one frame; return True when it ends the cycle."""
         can_id = message.arbitration_id
         data = message.data
-        if can_id in self._layouts:
-            values = self._layouts[can_id].read(data)
+        expected = self._reception
+        if can_id in expected.layouts:
+            values = expected.layouts[can_id].read(data)
             self.values |= values
-            return can_id == CYCLE_ENDS and bool(values)
-        if can_id in _MAGNETS_BY_ID:
-            columns = _MAGNETS_BY_ID[can_id]
+            return can_id == expected.cycle_ends and bool(values)
+        if can_id in expected.magnets:
+            columns = expected.magnets[can_id]
             if len(data) == 1:
                 pairs = magnets.unpack(data[0], len(columns))
                 for column, pair in zip(columns, pairs, strict=True):
@@ -540,7 +595,7 @@ class Harness:
             return  # the error is over
         self.record(
             f"node {node}",
-            rig_objects.emergency_event(node, error_code),
+            rig_objects.emergency_event(self.table, node, error_code),
             node=node,
             error_code=error_code,
             error_register=data[2],

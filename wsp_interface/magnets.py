@@ -20,7 +20,7 @@ time is the channel `valve_1`; its states are in `rig.state`.
 
 from collections.abc import Iterable
 
-from rollerrig.configs.vehicle import HOLD_MAGNET, UNIT_AXLES, VENT_MAGNET
+from rollerrig.configs.vehicle import AXLES_OF_GROUP, HOLD_MAGNET, VENT_MAGNET
 
 # the pairs by what the valve does
 FILLING = 0
@@ -52,6 +52,6 @@ def pack(pairs: Iterable[int]) -> int:
     return byte
 
 
-def unpack(byte: int, axles: int = UNIT_AXLES) -> list[int]:
+def unpack(byte: int, axles: int = AXLES_OF_GROUP) -> list[int]:
     """Return the pairs of so many axles that a byte carries, the leading axle of a group first."""
     return [byte >> (BITS_PER_AXLE * j) & PAIR_MASK for j in range(axles)]

@@ -21,6 +21,7 @@ import tomli_w
 from rollerrig.configs import output_files, store, user_files
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError, UnitError
 from rollerrig.configs.processes import children, exits
+from rollerrig.configs.vehicle import EQUIPMENT_KEYS, Kind, kind_of
 from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
@@ -34,8 +35,14 @@ DEFAULT_SCENARIO = "velim_a1"
 Companion = Callable[[str], contextlib.AbstractContextManager[Any]]
 # after standstill the run continues until the harness ends it
 _LONG_RUN = {"stand_s": 60.0, "duration_max_s": 3600.0}
-# tables of a scenario that may also be the name of a packaged set
-_SETS = ("vehicle", "rig", "adhesion", "bus", "pads")
+# tables of a scenario that may also be the name of a packaged set, with the folder of these
+_SETS = {
+    "vehicle": "vehicles",
+    "rig": "rigs",
+    "adhesion": "adhesion",
+    "bus": "buses",
+    "pads": "pads",
+}
 
 
 def scenario_of(
@@ -77,6 +84,42 @@ def scenario_of(
     scenario["bus"] = {**scenario.get("bus", {}), "interface": "hub", "socketcand_port": 0}
     scenario["modbus"] = {**scenario.get("modbus", {}), "enabled": False}
     return scenario
+
+
+def kind_of_scenario(name: str, tables: Mapping[str, Any], where: str) -> Kind:
+    """Return the kind of the vehicle of a scenario: a packaged one, or a file, with changes.
+
+    `tables` are those of `scenario_of`. `where` begins messages. Raises ConfigError.
+    """
+    packaged, path = store.load("scenarios", name or DEFAULT_SCENARIO)
+    layers = []
+    for key, folder in _SETS.items():
+        chosen = _set_name(key, (tables, packaged))
+        if chosen:
+            content, _ = store.load(folder, chosen, path)
+            layers.append(content)
+    merged: dict[str, dict[str, Any]] = {}
+    for layer in (*layers, packaged, tables):
+        for section in ("vehicle", *EQUIPMENT_KEYS):
+            values = layer.get(section)
+            if isinstance(values, Mapping):
+                merged.setdefault(section, {}).update(values)
+    return kind_of(merged, where)
+
+
+def _set_name(key: str, layers: Iterable[Mapping[str, Any]]) -> str:
+    """Return the name of a packaged set that the first of some layers chooses; "" for none."""
+    for layer in layers:
+        for place in (f"{key}_set", key):
+            if isinstance(layer.get(place), str):
+                return str(layer[place])
+    return ""
+
+
+def scenarios_of(kind: Kind) -> tuple[str, ...]:
+    """Return the names of the packaged scenarios with a kind of vehicle. Raises ConfigError."""
+    names = store.names("scenarios")
+    return tuple(name for name in names if kind_of_scenario(name, {}, name) == kind)
 
 
 def text_of_running_bench(resolved: Mapping[str, Any]) -> str:

@@ -6,8 +6,10 @@ next to it, so a search for 211h or 2010h finds this file. Objects that carry si
 `magnets`.
 """
 
+import functools
 import struct
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import (
@@ -27,6 +29,7 @@ from rollerrig.wsp_interface.signals import (
     SPEED_NODE,
     TRACTION_NODE,
     WSP_NODE,
+    Table,
 )
 
 # ms; an assumption: the rig takes a unit for lost after this silence
@@ -69,8 +72,10 @@ class Layout:
         }
 
 
-def layout(can_id: int, *names: str, node: int = 0, group: int | None = None) -> Layout:
-    """Return the layout of the frame in which a node sends these signals.
+def layout(
+    table: Table, can_id: int, *names: str, node: int = 0, group: int | None = None
+) -> Layout:
+    """Return the layout of the frame in which a node of a vehicle sends these signals.
 
     node: the sender; 0 is the node of the identifier.
     group: the group of axles whose values the frame carries; None is that of the node.
@@ -78,13 +83,13 @@ def layout(can_id: int, *names: str, node: int = 0, group: int | None = None) ->
     node = node or can_id & NODE_MASK
     if group is None:
         group = signals.group_of(node)
-    axles = signals.axles_of(group)
+    axles = table.axles_of(group)
     letters = "<"
     columns: list[str] = []
     scales: list[float] = []
     for name in names:
-        signal = signals.BY_NAME[name]
-        place = signals.place(name, signals.in_leading_group(node))
+        signal = table.by_name[name]
+        place = table.place(name, signals.in_leading_group(node))
         carried = signals.columns(signal)
         if signal.axles > 1:
             carried = carried[axles[0] - 1 : axles[-1]]
@@ -100,9 +105,9 @@ def struct_format(place: signals.Place) -> str:
 
 
 # frames between the rig and the unit of the leading group
-SPEEDS = layout(TPDO[0] + SPEED_NODE, "measured_speed")  # 190h
-PRESSURES = layout(TPDO[0] + BRAKE_NODE, "cylinder_pressure")  # 191h
-REFERENCE_SPEED = layout(TPDO[0] + WSP_NODE, "wsp_reference_speed")  # 1A0h
+SPEEDS_ID = TPDO[0] + SPEED_NODE  # 190h
+PRESSURES_ID = TPDO[0] + BRAKE_NODE  # 191h
+REFERENCE_SPEED_ID = TPDO[0] + WSP_NODE  # 1A0h
 MAGNETS_ID = RPDO[0] + BRAKE_NODE  # 211h, one byte: see `magnets`
 SAND_ID = RPDO[0] + SANDER_NODE  # 212h, one byte: bit 2j commands the sander of axle j + 1
 ALL_SANDERS = 0b01_01_01_01
@@ -118,9 +123,13 @@ GENERIC_ERROR = 0x01  # bit 0 of the error register in an EMCY
 
 @dataclass(frozen=True)
 class UnitFrames:
-    """The frames between the rig and the unit of a group (0: the leading one)."""
+    """The frames between the rig and the unit of a group (0: the leading one).
+
+    node: that of the unit.
+    """
 
     group: int
+    node: int
     speeds: Layout
     pressures: Layout
     reference_speed: Layout
@@ -131,18 +140,21 @@ class UnitFrames:
     emergency_id: int
 
 
-def unit_frames(group: int) -> UnitFrames:
+def unit_frames(table: Table, group: int) -> UnitFrames:
     """Return the frames of the unit of a group: identifiers are higher by 20h for each group."""
     offset = signals.NODES_OF_GROUP * group
-    reference_speed = signals.BY_NAME[signals.reference_speed_name(group)]
+    place = signals.first_place(signals.reference_speed_name(0))
+    reference_speed = table.by_name[signals.reference_speed_name(group)]
     return UnitFrames(
         group=group,
-        speeds=layout(TPDO[0] + SPEED_NODE + offset, "measured_speed"),
-        pressures=layout(TPDO[0] + BRAKE_NODE + offset, "cylinder_pressure"),
-        reference_speed=replace(
-            REFERENCE_SPEED,
-            can_id=REFERENCE_SPEED.can_id + offset,
-            names=signals.columns(reference_speed),
+        node=WSP_NODE + offset,
+        speeds=layout(table, SPEEDS_ID + offset, "measured_speed"),
+        pressures=layout(table, PRESSURES_ID + offset, "cylinder_pressure"),
+        reference_speed=Layout(
+            REFERENCE_SPEED_ID + offset,
+            struct.Struct(struct_format(place)),
+            signals.columns(reference_speed),
+            (place.scale,),
         ),
         magnets_id=MAGNETS_ID + offset,
         sand_id=SAND_ID + offset,
@@ -152,11 +164,12 @@ def unit_frames(group: int) -> UnitFrames:
     )
 
 
-def _units_by_frame() -> dict[int, tuple[int, ...]]:
-    """Return the nodes of the units that need the frames of an identifier, or send them."""
-    found: dict[int, tuple[int, ...]] = {NMT: signals.WSP_NODES, SYNC: signals.WSP_NODES}
-    for group, node in enumerate(signals.WSP_NODES):
-        frames = unit_frames(group)
+@functools.cache
+def units_by_frame(table: Table) -> Mapping[int, tuple[int, ...]]:
+    """Return the nodes of the units that receive or send a frame, by its identifier."""
+    found: dict[int, tuple[int, ...]] = {NMT: table.wsp_nodes, SYNC: table.wsp_nodes}
+    for group, node in enumerate(table.wsp_nodes):
+        frames = unit_frames(table, group)
         for can_id in (
             frames.speeds.can_id,
             frames.pressures.can_id,
@@ -169,13 +182,9 @@ def _units_by_frame() -> dict[int, tuple[int, ...]]:
     return found
 
 
-# the units of every frame that the unit of a group receives or sends, by identifier
-UNITS_BY_FRAME = _units_by_frame()
-
-
-def emergency_event(node: int, error_code: int) -> Code:
-    """Return the code of the event for an EMCY of a node."""
-    if node not in signals.WSP_NODES:
+def emergency_event(table: Table, node: int, error_code: int) -> Code:
+    """Return the code of the event for an EMCY of a node of a vehicle."""
+    if node not in table.wsp_nodes:
         return Code.NODE_EMERGENCY
     if error_code == UNIT_HAS_FAILED:
         return Code.UNIT_FAILED

@@ -39,9 +39,6 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.harness_client import Harness
 from rollerrig.wsp_interface.sequences import conditions, play
-from rollerrig.wsp_interface.signals import AXLES
-
-_AXLES = range(1, AXLES + 1)
 
 
 @library(scope="GLOBAL", listener="SELF")
@@ -135,7 +132,7 @@ class Rig:
             raise ConfigError(
                 f"adhesion '{surface}' does not state mu_cd; give the kinematic friction as a number"
             )
-        self._rig.friction(mu, [axle] if axle else _AXLES)
+        self._rig.friction(mu, [axle] if axle else None)
 
     @keyword
     def inject(self, fault: str, *parameters: str) -> None:
@@ -166,7 +163,7 @@ class Rig:
 
         ``Wait Until    every cylinder_pressure > 3 bar    timeout=5 s``
         """
-        wanted = conditions.condition(condition, "condition")
+        wanted = self._condition(condition)
         self._rig.until(
             lambda: wanted.holds(self._rig.values),
             conditions.quantity(timeout, "s", "timeout"),
@@ -205,7 +202,7 @@ class Rig:
     @keyword
     def should_hold(self, condition: str) -> None:
         """Fails where a condition does not hold now: ``Should Hold    any valve > 0.5``."""
-        wanted = conditions.condition(condition, "condition")
+        wanted = self._condition(condition)
         if not wanted.holds(self._rig.values):
             raise AssertionError(f"{condition}: it is {wanted.readings(self._rig.values)}")
 
@@ -217,6 +214,10 @@ class Rig:
         missed = play.missed(self._rig, self._folder, criteria)
         if missed:
             raise AssertionError(missed)
+
+    def _condition(self, text: str) -> conditions.Condition:
+        """Return a condition for the vehicle of the bench."""
+        return conditions.condition(text, "condition", self._rig.table)
 
     def _end_test(self, data: Any, result: Any) -> None:
         """End the bench of a test; Robot Framework calls this at the end of each test."""

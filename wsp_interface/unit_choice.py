@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import COACH, Kind
 
 # units that run no code of other people
 NAMES = ("reference", "external", "none")
@@ -66,6 +67,21 @@ def command_words(command: str, address: str, host: str = "", port: int = 0) -> 
     if not words:
         raise ConfigError(f"the command of the unit is empty; {remedy}")
     return filled
+
+
+def vehicle_options(kind: Kind, group: int = 0) -> list[str]:
+    """Return the options of `rollerrig wsp` for the unit of a group (from 0) of a vehicle.
+
+    The unit of the coach needs none.
+    """
+    words = []
+    if kind.axles != COACH.axles:
+        words += ["--axles", str(kind.axles)]
+    if kind.dynamic_brake:
+        words.append("--dynamic-brake")
+    if group > 0:
+        words += ["--group", str(group + 1)]
+    return words
 
 
 def fmus_of(unit: str) -> tuple[Path, ...]:

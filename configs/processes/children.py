@@ -25,7 +25,7 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing import connection
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes import parent_death
@@ -66,14 +66,6 @@ def module(name: str, *words: str) -> list[str]:
 def interpreter() -> str:
     """Return the path of the Python that runs this program."""
     return sys.executable
-
-
-def start_again(**environment: str) -> NoReturn:
-    """Replace this process by one with the same command line and further variables."""
-    sys.stdout.flush()
-    sys.stderr.flush()
-    words = [sys.executable, *sys.orig_argv[1:]]
-    os.execve(sys.executable, words, os.environ | environment)
 
 
 def keep_working_folder_out() -> None:

@@ -23,7 +23,7 @@ def obey(state, drive, commands, tick_s):
     `commands` is the flat array of all drives, shape (axles * COMMANDS,).
     """
     gain = drive.roller_inertia_kgm2 * drive.speed_loop_rad_s
-    for j in range(state.roller_speed.size):
+    for j in range(state.axles):
         at = j * axis.COMMANDS
         if commands[at + axis.ENABLED] == 0.0:
             state.motor_torque_demand[j] = 0.0

@@ -70,8 +70,7 @@ def build(
         table.PRODUCT,
         table.rows(axle, parameters),
         row,
-        parameters,
-        axle,
+        process_image.carried_by_drive(axle, parameters),
         storage,
     )
     if commands is None:

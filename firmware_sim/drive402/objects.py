@@ -10,7 +10,7 @@ from typing import Any
 from rollerrig.firmware_sim import process_image
 from rollerrig.firmware_sim.cia301.communication import SYNCHRONOUS, Pdo
 from rollerrig.firmware_sim.cia301.dictionary import Row, array
-from rollerrig.wsp_interface.signals import BY_NAME
+from rollerrig.wsp_interface import signals
 
 DEVICE_TYPE = 0x00020192
 PRODUCT = process_image.Product("roller drive", 0x402)
@@ -21,8 +21,8 @@ TITLES = {
     0x6064: "Position actual value",
     0x6077: "Torque actual value",
 }
-SPEED = BY_NAME["roller_speed"].places[0]
-TORQUE = BY_NAME["motor_torque"].places[0]
+SPEED = signals.first_place("roller_speed")
+TORQUE = signals.first_place("motor_torque")
 DEFAULTS = {
     "rated_torque_Nm": 4000.0,
     "rated_current_A": 400.0,
@@ -59,7 +59,7 @@ def rows(axle: int, parameters: Mapping[str, float]) -> list[Row]:
     quick = round(parameters["quick_stop_rad_s2"] / SPEED.scale)
     interpolation = "Interpolation time period"
     return [
-        *process_image.rows(0, axle, parameters, TITLES),
+        *process_image.rows(process_image.carried_by_drive(axle, parameters), TITLES),
         Row(
             0x2000,
             0,

@@ -9,11 +9,10 @@ arbitration` they take time on the wire.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from rollerrig.configs.vehicle import GROUPS
 from rollerrig.firmware_sim.cia301.host import NEVER
-from rollerrig.firmware_sim.faults.catalogue import ALL_GROUPS
+from rollerrig.firmware_sim.faults.catalogue import ALL_GROUPS, Fault
 from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.wsp_interface.bus.connection_set import HEARTBEAT
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
@@ -140,18 +139,22 @@ class Gate:
         return False
 
 
-def frozen_groups(values: dict[str, Any]) -> frozenset[int]:
-    """Return the groups (from 0) whose units a fault `wsp_frozen` with these values stops."""
-    group = values.get("group", ALL_GROUPS)
-    return frozenset(range(GROUPS)) if group == ALL_GROUPS else frozenset((group - 1,))
+def frozen_groups(fault: Fault) -> frozenset[int]:
+    """Return the groups (from 0) whose units a fault `wsp_frozen` stops."""
+    group = fault.values.get("group", ALL_GROUPS)
+    if group == ALL_GROUPS:
+        return frozenset(range(fault.vehicle.groups))
+    return frozenset((group - 1,))
 
 
-def rules_of(name: str, values: dict[str, Any]) -> list[Rule]:
+def rules_of(fault: Fault) -> list[Rule]:
     """The rules of a fault of the catalogue; empty if it needs none."""
+    name = fault.kind.name
+    values = fault.values
     if name == "wsp_frozen":
         of_units: list[int] = []
-        for group in frozen_groups(values):
-            frames = unit_frames(group)
+        for group in frozen_groups(fault):
+            frames = unit_frames(fault.table, group)
             of_units += (frames.heartbeat_id, frames.magnets_id, frames.reference_speed.can_id)
         return [Rule(HELD, can_id, delay_ns=NEVER) for can_id in of_units]
     if name not in _EFFECTS:

@@ -6,9 +6,10 @@ fault, its parameters with their bounds, its effect, and the place where it acts
 tick (`effects`), on the bus (`bus`), or in a device (`panel`).
 """
 
+import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from rollerrig.configs import table, toml_text
@@ -17,23 +18,15 @@ from rollerrig.configs.table import Row, integer, number
 from rollerrig.configs.vehicle import (
     AXLES_OF_BOGIE,
     DYNAMIC_BRAKE,
-    EQUIPMENT,
     EQUIPMENT_KEYS,
-    GROUPS,
     MAGNETIC_TRACK_BRAKE,
+    MOST_AXLES,
+    MOST_GROUPS,
 )
-from rollerrig.wsp_interface.rig_objects import SPEEDS, UNITS_BY_FRAME
-from rollerrig.wsp_interface.signals import (
-    AXLES,
-    BRAKE_NODE,
-    RIG_NODES,
-    SPEED_NODE,
-    WSP_NODES,
-    axles_of,
-    group_of,
-    group_of_axle,
-    nodes,
-)
+from rollerrig.configs.vehicle import Kind as VehicleKind
+from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.rig_objects import SPEEDS_ID, units_by_frame
+from rollerrig.wsp_interface.signals import BRAKE_NODE, SPEED_NODE
 
 # where a fault acts
 TICK = "tick"
@@ -41,18 +34,17 @@ BUS = "bus"
 DEVICE = "device"
 LASTS = math.inf  # a fault that lasts to the end of the run
 
-_AXLE = integer("axle", 1, 1, AXLES, "axle, counted from the leading end")
+# bounds of axles, bogies and groups are those of the largest vehicle; `of` has those of any other
+_AXLE = integer("axle", 1, 1, MOST_AXLES, "axle, counted from the leading end")
 _NODE = integer("node", BRAKE_NODE, 1, 127, "a node of the rig")
-_CAN_ID = integer("can_id", SPEEDS.can_id, 0, 0x7FF, "11-bit identifier")
+_CAN_ID = integer("can_id", SPEEDS_ID, 0, 0x7FF, "11-bit identifier")
 _EVERY = integer("every", 1, 1, 100_000, "1 is each frame, 2 every second one")
-# a vehicle with one group of axles has one unit, and nothing to choose
 ALL_GROUPS = 0
-_GROUP = integer("group", ALL_GROUPS, 0, GROUPS, "group of axles of the unit; 0: all units")
-_OF_GROUP = (_GROUP,) if GROUPS > 1 else ()
+_GROUP = integer("group", ALL_GROUPS, 0, MOST_GROUPS, "group of axles of the unit; 0: all units")
 _LOSES_UNIT = ("wsp_frozen", "node_babbling", "error_frame", "receive_error")
 _SILENCES_NODE = ("node_off", "bus_off")
-# the nodes with which a unit exchanges its frames
-_PARTNERS_OF_UNITS = (*nodes(SPEED_NODE), *nodes(BRAKE_NODE))
+# the nodes with which the leading unit exchanges its frames
+_PARTNERS_OF_UNIT = (SPEED_NODE, BRAKE_NODE)
 # the unit cannot command the valve of the axle as it should
 _OF_VALVE = ("hold_magnet_stuck", "hold_magnet_dead", "vent_magnet_stuck", "vent_magnet_dead")
 # the unit cannot measure the speed of the axle as it should
@@ -74,7 +66,7 @@ class Kind:
     """One row of the catalogue. `parameters` have their unit in the name, and bounds.
 
     `number` identifies it over Modbus (register 20 of unit 1). Programs of plants use it, so it
-    never changes.
+    never changes. `equipment`: only vehicles with it have the fault; "" all vehicles.
     """
 
     number: int
@@ -82,19 +74,26 @@ class Kind:
     acts: str
     text: str
     parameters: tuple[Row, ...] = ()
+    equipment: str = ""
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One planned fault: its kind, its time, the values of its parameters, and whether events
-    report it.
+    """One planned fault: its kind, the kind of the vehicle, its time, the values of its parameters,
+    and whether events report it.
     """
 
     kind: Kind
+    vehicle: VehicleKind
     at_s: float = 0.0
     for_s: float = LASTS
     values: dict[str, Any] = field(default_factory=dict)
     reported: bool = True
+
+    @property
+    def table(self) -> signals.Table:
+        """The signals of the vehicle."""
+        return signals.table(self.vehicle)
 
     @property
     def target(self) -> tuple[str, Any]:
@@ -112,7 +111,8 @@ class Fault:
         """
         if self.kind.name in _LOSES_UNIT:
             return True
-        return self.values.get("node") in WSP_NODES or self.values.get("can_id") in UNITS_BY_FRAME
+        of_unit = self.values.get("node") in self.table.wsp_nodes
+        return of_unit or self.values.get("can_id") in units_by_frame(self.table)
 
     @property
     def units(self) -> list[int]:
@@ -120,17 +120,21 @@ class Fault:
 
         The latter are the units whose speed unit or brake I/O is off.
         """
+        wsp_nodes = self.table.wsp_nodes
         if self.kind.name == "wsp_frozen" and self.values.get("group", ALL_GROUPS) != ALL_GROUPS:
-            return [WSP_NODES[self.values["group"] - 1]]
+            return [wsp_nodes[self.values["group"] - 1]]
         if self.kind.name in _LOSES_UNIT or self.kind.name == "power_dip":
-            return [*WSP_NODES]
-        node = self.values.get("node")
-        if node in WSP_NODES:
-            return [node]
-        if self.kind.name in _SILENCES_NODE and node in _PARTNERS_OF_UNITS:
-            return [WSP_NODES[group_of(node)]]
+            return [*wsp_nodes]
         if "can_id" in self.values:
-            return [*UNITS_BY_FRAME.get(self.values["can_id"], ())]
+            return [*units_by_frame(self.table).get(self.values["can_id"], ())]
+        if "node" not in self.values:
+            return []
+        node = self.values["node"]
+        if node in wsp_nodes:
+            return [node]
+        is_partner = signals.in_leading_group(node) in _PARTNERS_OF_UNIT
+        if self.kind.name in _SILENCES_NODE and is_partner:
+            return [wsp_nodes[signals.group_of(node)]]
         return []
 
     @property
@@ -144,8 +148,10 @@ class Fault:
         if self.kind.name in _OF_VALVE:
             return frozenset({self.values["axle"]})
         if self.kind.name in _OF_SPEED:
-            return frozenset(axles_of(group_of_axle(self.values["axle"])))
-        return frozenset(axle for node in self.units for axle in axles_of(group_of(node)))
+            group = signals.group_of_axle(self.values["axle"])
+            return frozenset(self.table.axles_of(group))
+        groups = [signals.group_of(node) for node in self.units]
+        return frozenset(axle for group in groups for axle in self.table.axles_of(group))
 
     @property
     def title(self) -> str:
@@ -190,7 +196,7 @@ CATALOGUE: tuple[Kind, ...] = (
         "swapped_axles",
         TICK,
         "the sensors of two axles are connected the wrong way round",
-        (_AXLE, integer("other", 2, 1, AXLES, "the other axle")),
+        (_AXLE, integer("other", 2, 1, MOST_AXLES, "the other axle")),
     ),
     Kind(
         4,
@@ -299,7 +305,7 @@ CATALOGUE: tuple[Kind, ...] = (
         DEVICE,
         "the WSP unit freezes: the process of the reference unit is stopped, the frames of an "
         "external unit are held back",
-        _OF_GROUP,
+        (_GROUP,),
     ),
     Kind(
         23,
@@ -345,34 +351,58 @@ CATALOGUE: tuple[Kind, ...] = (
         "the sand of an axle is late: the lag of its hose is longer",
         (_AXLE, number("delay_s", 3.0, 0.01, 60.0, "additional lag of the hose")),
     ),
-)
-# the fault of each equipment; only vehicles with the equipment have it
-_OF_EQUIPMENT = {
-    DYNAMIC_BRAKE: Kind(
+    Kind(
         29,
         "dynamic_brake_lost",
         TICK,
         "the traction motor of an axle gives no torque; the friction brake takes over",
         (_AXLE,),
+        DYNAMIC_BRAKE,
     ),
-    MAGNETIC_TRACK_BRAKE: Kind(
+    Kind(
         30,
         "track_brake_dead",
         TICK,
         "the magnets of a bogie do not drop, or rise if they are down",
-        (integer("bogie", 1, 1, AXLES // AXLES_OF_BOGIE, "bogie, from the leading end"),),
+        (integer("bogie", 1, 1, MOST_AXLES // AXLES_OF_BOGIE, "bogie, from the leading end"),),
+        MAGNETIC_TRACK_BRAKE,
     ),
-}
-CATALOGUE += tuple(kind for name, kind in _OF_EQUIPMENT.items() if name in EQUIPMENT)
+)
 BY_NAME = {kind.name: kind for kind in CATALOGUE}
-BY_NUMBER = {kind.number: kind for kind in CATALOGUE}
 # the option of the command line that gives a fault
 OPTION = "--fault"
 _SHORT = {"at": "at_s", "for": "for_s"}
 
 
-def make(given: Mapping[str, Any], where: str) -> Fault:
-    """A checked fault from a table with `kind`, times and parameters.
+@functools.cache
+def of(kind: VehicleKind) -> Mapping[str, Kind]:
+    """Return the faults of a kind of vehicle by name, with the bounds of its axles."""
+    equipped = {
+        "": True,
+        DYNAMIC_BRAKE: kind.dynamic_brake,
+        MAGNETIC_TRACK_BRAKE: kind.magnetic_track_brake,
+    }
+    highest = {
+        "axle": kind.axles,
+        "other": kind.axles,
+        "bogie": kind.bogies,
+        "group": kind.groups,
+    }
+    found = {}
+    for fault in CATALOGUE:
+        if not equipped[fault.equipment]:
+            continue
+        parameters = []
+        for row in fault.parameters:
+            # with one group of axles there is one unit, and nothing to choose
+            if row.name != "group" or kind.groups > 1:
+                parameters.append(row._replace(high=highest.get(row.name, row.high)))
+        found[fault.name] = replace(fault, parameters=tuple(parameters))
+    return found
+
+
+def make(given: Mapping[str, Any], kind: VehicleKind, where: str) -> Fault:
+    """A checked fault of a kind of vehicle, from a table with `kind`, times and parameters.
 
     Raises ConfigError, whose message begins with `where`.
     """
@@ -380,35 +410,36 @@ def make(given: Mapping[str, Any], where: str) -> Fault:
         raise ConfigError(f"{where}: {given!r}: it must be a table with kind, at_s and for_s")
     given = {_SHORT.get(key, key): value for key, value in given.items()}
     name = given.pop("kind", None)
-    kind = kind_of(name, where)
-    read = table.read((*WHEN, *kind.parameters), given, f"{where} {name}")
-    fault = Fault(kind, read.pop("at_s"), read.pop("for_s"), read)
+    row = kind_of(name, kind, where)
+    read = table.read((*WHEN, *row.parameters), given, f"{where} {name}")
+    fault = Fault(row, kind, read.pop("at_s"), read.pop("for_s"), read)
     _check_target(fault, where)
     return fault
 
 
-def kind_of(name: Any, where: str) -> Kind:
-    """Return the kind of fault with a name.
+def kind_of(name: Any, kind: VehicleKind, where: str) -> Kind:
+    """Return the row of a fault by its name, with the bounds of a kind of vehicle.
 
     Raises ConfigError, whose message begins with `where`.
     """
+    allowed = of(kind)
+    if name in allowed:
+        return allowed[name]
     if name in BY_NAME:
-        return BY_NAME[name]
-    for equipment, kind in _OF_EQUIPMENT.items():
-        if kind.name == name:
-            raise ConfigError(
-                f"{where}: {name} is a fault of vehicles with [{equipment}] "
-                f"{EQUIPMENT_KEYS[equipment]}, and this vehicle has none; remove the fault, or "
-                "give the vehicle this equipment"
-            )
+        equipment = BY_NAME[name].equipment
+        raise ConfigError(
+            f"{where}: {name} is a fault of vehicles with [{equipment}] "
+            f"{EQUIPMENT_KEYS[equipment]}, and this vehicle has none; remove the fault, or "
+            "give the vehicle this equipment"
+        )
     wrong = f"kind = {name!r} is not a fault" if name else "kind, the name of the fault, is missing"
     # a dump valve has two magnets, and the faults are those of a magnet
     meant = str(name or "").replace("dump_valve", "magnet").replace("valve", "magnet")
-    raise ConfigError(f"{where}: {wrong}{table.nearest(meant, BY_NAME)}")
+    raise ConfigError(f"{where}: {wrong}{table.nearest(meant, allowed)}")
 
 
-def parse(text: str, source: str = OPTION) -> Fault:
-    """A fault from a text: 'speed_sensor_stuck axle=2 at=5 for=3'.
+def parse(text: str, kind: VehicleKind, source: str = OPTION) -> Fault:
+    """A fault of a kind of vehicle from a text: 'speed_sensor_stuck axle=2 at=5 for=3'.
 
     `source` is what gave the text, for messages. Raises ConfigError.
     """
@@ -420,9 +451,9 @@ def parse(text: str, source: str = OPTION) -> Fault:
         try:
             given[key] = toml_text.value(value, f"{where}: '{key}'")
         except ValueError:
-            hint = f"write key=number, as in axle=2 or can_id={SPEEDS.can_id:#x}"
+            hint = f"write key=number, as in axle=2 or can_id={SPEEDS_ID:#x}"
             raise ConfigError(f"{where}: '{pair}': {hint}") from None
-    return make(given, where)
+    return make(given, kind, where)
 
 
 def plain(fault: Fault) -> dict[str, Any]:
@@ -430,9 +461,14 @@ def plain(fault: Fault) -> dict[str, Any]:
     return {"kind": fault.kind.name, "at_s": fault.at_s, "for_s": fault.for_s, **fault.values}
 
 
-def all_of(given: list[Any], where: str) -> tuple[Fault, ...]:
-    """The faults of the [[fault]] tables of a scenario. Raises ConfigError."""
-    return tuple(make(fault, f"{where} [[fault]] {at}") for at, fault in enumerate(given, start=1))
+def all_of(given: list[Any], kind: VehicleKind, where: str) -> tuple[Fault, ...]:
+    """The faults of the [[fault]] tables of a scenario, for its kind of vehicle.
+
+    Raises ConfigError.
+    """
+    return tuple(
+        make(fault, kind, f"{where} [[fault]] {at}") for at, fault in enumerate(given, start=1)
+    )
 
 
 def check_equipped(fault: Fault, sections: Mapping[str, Any], where: str) -> None:
@@ -441,17 +477,17 @@ def check_equipped(fault: Fault, sections: Mapping[str, Any], where: str) -> Non
     `sections` are those of the resolved scenario. Raises ConfigError, whose message begins with
     `where`.
     """
-    for equipment, kind in _OF_EQUIPMENT.items():
-        if fault.kind is not kind:
-            continue
-        key = EQUIPMENT_KEYS[equipment]
-        fitted = [int(place) for place in sections[equipment][key]]
-        (aim,) = fault.values
-        if fault.values[aim] not in fitted:
-            raise ConfigError(
-                f"{where}: fault {fault.title}: {aim} {fault.values[aim]} has no such brake; "
-                f"allowed are {', '.join(map(str, fitted))} ([{equipment}] {key})"
-            )
+    equipment = fault.kind.equipment
+    if not equipment:
+        return
+    key = EQUIPMENT_KEYS[equipment]
+    fitted = [int(place) for place in sections[equipment][key]]
+    (aim,) = fault.values
+    if fault.values[aim] not in fitted:
+        raise ConfigError(
+            f"{where}: fault {fault.title}: {aim} {fault.values[aim]} has no such brake; "
+            f"allowed are {', '.join(map(str, fitted))} ([{equipment}] {key})"
+        )
 
 
 def markdown() -> str:
@@ -467,6 +503,10 @@ def markdown() -> str:
         "`--fault 'NAME parameter=value at=5 for=3'`. The fault begins at the time `at` and is lifted "
         'after `for` seconds (in a table: `at_s` and `for_s`). The column "acts in" has the place: the '
         "tick of the loop, a simulated device, or the bus.",
+        "",
+        "An axle, a bogie and a group must be one that the vehicle has. `group` is for vehicles with "
+        "more than four axles. `dynamic_brake_lost` and `track_brake_dead` are for vehicles with this "
+        "brake.",
         "",
         "| fault | acts in | effect | parameters: default (allowed) |",
         "|---|---|---|---|",
@@ -486,7 +526,9 @@ def _check_target(fault: Fault, where: str) -> None:
     at = f"{where} {fault.kind.name}"
     if values.get("other") == values.get("axle", 0):
         raise ConfigError(f"{at}: axle and other are both {values['axle']}; give two axles")
-    allowed = (*RIG_NODES, *WSP_NODES) if fault.kind.name == "heartbeat_late" else RIG_NODES
+    allowed = fault.table.rig_nodes
+    if fault.kind.name == "heartbeat_late":
+        allowed += fault.table.wsp_nodes
     if "node" in values and values["node"] not in allowed:
         raise ConfigError(
             f"{at}: node = {values['node']}; allowed are {', '.join(map(str, allowed))}"

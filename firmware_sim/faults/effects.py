@@ -16,13 +16,12 @@ The air that a leak lets out does not count as used; the air that fills the cyli
 
 import numpy as np
 
-from rollerrig.configs.vehicle import HAS_DYNAMIC_BRAKE, HAS_MAGNETIC_TRACK_BRAKE
+from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.wsp_interface.signals import AXLES
 
 ANY = 0  # slot of the array that is 1 while one of these faults acts
 
-# kinds of values; the array has one value of each kind for each axle
+# kinds of values; the array has one value of each kind for each of the most axles
 STUCK = 0  # 1: the measured speed stays
 DROPOUT = 1  # 1: no pulses
 MISSING_TEETH = 2  # number of teeth
@@ -38,28 +37,27 @@ MOTOR_LOAD = 11  # thermal load
 SAND_FLAW = 12  # change of the rate as a fraction
 SAND_LATE_s = 13  # additional lag of the hose
 SAND_EMPTY = 14  # 1: the box is empty
-MOTOR_LOST = 15  # 1: the traction motor gives no torque; only with a dynamic brake
-# 1: the magnets of the bogie of the axle do not drop; only with a magnetic track brake
-TRACK_BRAKE_DEAD = 15 + HAS_DYNAMIC_BRAKE
-_KINDS = 15 + HAS_DYNAMIC_BRAKE + HAS_MAGNETIC_TRACK_BRAKE
-SIZE = 1 + _KINDS * AXLES
+MOTOR_LOST = 15  # 1: the traction motor gives no torque
+TRACK_BRAKE_DEAD = 16  # 1: the magnets of the bogie of the axle do not drop
+_KINDS = 17
+SIZE = 1 + _KINDS * MOST_AXLES
 
 
 def slot(kind: int, axle: int) -> int:
     """The place in the array of the value of a kind for an axle (from 1)."""
-    return 1 + kind * AXLES + axle - 1
+    return 1 + kind * MOST_AXLES + axle - 1
 
 
 @kernel
 def value(faults, kind, j):
     """The value of a kind for axle j (from 0)."""
-    return faults[1 + kind * AXLES + j]
+    return faults[1 + kind * MOST_AXLES + j]
 
 
 @kernel
 def energise(magnets, faults):
-    """Apply stuck and dead magnets to the pattern of each axle, shape (4,) [F1]."""
-    for j in range(AXLES):
+    """Apply stuck and dead magnets to the pattern of each axle, shape (axles,) or more [F1]."""
+    for j in range(magnets.size):
         on = int(value(faults, MAGNETS_ON, j))
         off = int(value(faults, MAGNETS_OFF, j))
         magnets[j] = float((int(magnets[j]) | on) & ~off)
@@ -68,7 +66,7 @@ def energise(magnets, faults):
 @kernel
 def leak(state, faults, tick_s):
     """Let air out of leaking cylinders for a tick [F2]."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         rate = value(faults, LEAK_per_s, j)
         if rate != 0.0:
             state.cylinder_pressure[j] *= np.exp(-rate * tick_s)
@@ -77,7 +75,7 @@ def leak(state, faults, tick_s):
 @kernel
 def spill(state, faults):
     """Empty the boxes of sanders [F5]."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         if value(faults, SAND_EMPTY, j) != 0.0:
             state.sand_box[j] = 0.0
 
@@ -85,7 +83,7 @@ def spill(state, faults):
 @kernel
 def ripple(state, faults):
     """Add a ripple to torque demands, by the angle of their rollers [F3]."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         amplitude_Nm = value(faults, RIPPLE_Nm, j)
         if amplitude_Nm != 0.0:
             angle = value(faults, RIPPLE_ORDER, j) * state.roller_angle[j]
@@ -94,8 +92,8 @@ def ripple(state, faults):
 
 @kernel
 def heat(temperatures_K, faults, air_K, rise_K):
-    """Raise the measured temperatures of hot motors, shape (4,) [F4]."""
-    for j in range(AXLES):
+    """Raise the measured temperatures of hot motors, shape (axles,) [F4]."""
+    for j in range(temperatures_K.size):
         load = value(faults, MOTOR_LOAD, j)
         if load != 0.0:
             temperatures_K[j] = max(temperatures_K[j], air_K + load * rise_K)

@@ -14,16 +14,16 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import AXLES_OF_BOGIE
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, kind_of
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.faults import bus, catalogue, confinement, effects
 from rollerrig.firmware_sim.faults.bus import Babble, Gate, Rule
 from rollerrig.firmware_sim.faults.catalogue import LASTS, TICK, Fault
 from rollerrig.firmware_sim.faults.confinement import Confinement, Controllers
 from rollerrig.firmware_sim.rack import Rack
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, OnEvent
 from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
-from rollerrig.wsp_interface.signals import AXLES, DRIVE_NODES
 
 ELECTRONICS_V = 200.0  # below this voltage of the DC link the electronics have no supply either
 
@@ -98,9 +98,9 @@ class Active:
 class Panel:
     """Planned and active faults on `site`. `on_event(code, **fields)` records each change.
 
-    `sections` are those of the resolved scenario: they list the axles and bogies with equipment
-    that can fail. `explanations` has one text an axle: the active fault that explains a strange
-    behaviour of the unit there, or nothing.
+    `sections` are those of the resolved scenario: they state the vehicle, and list the axles and
+    bogies with equipment that can fail. `vehicle` is its kind. `explanations` has one text an axle:
+    the active fault that explains a strange behaviour of the unit there, or nothing.
     """
 
     site: Site
@@ -109,14 +109,15 @@ class Panel:
         self, planned: Iterable[Fault], on_event: OnEvent, sections: Mapping[str, Any]
     ) -> None:
         self.active: dict[tuple[str, Any], Active] = {}
-        self.explanations = [""] * AXLES
         self.now_s = 0.0
         self._on_event = on_event
         self.begin(planned, sections)
+        self.explanations = [""] * self.vehicle.axles
 
     def begin(self, planned: Iterable[Fault], sections: Mapping[str, Any]) -> None:
         """Take the faults and the sections of another scenario."""
         self._sections = sections
+        self.vehicle = kind_of(sections, "the running rig")
         self.schedule(planned)
 
     def schedule(self, planned: Iterable[Fault]) -> None:
@@ -135,7 +136,7 @@ class Panel:
         )
         self._links_V = {
             node: site.nodes[node].device.axis.dc_link_V
-            for node in DRIVE_NODES
+            for node in signals.table(self.vehicle).drive_nodes
             if node in site.nodes
         }
 
@@ -144,7 +145,8 @@ class Panel:
 
         It lasts for `for_s`, and replaces a fault with the same target. Raises ConfigError.
         """
-        fault = catalogue.make({"kind": name, "at_s": self.now_s} | values, f"fault {name}")
+        given = {"kind": name, "at_s": self.now_s} | values
+        fault = catalogue.make(given, self.vehicle, f"fault {name}")
         check_pacing((fault,), "lockstep" if self.site.nodes else "free")
         catalogue.check_equipped(fault, self._sections, "the running rig")
         if fault.at_s > self.now_s:
@@ -226,7 +228,7 @@ class Panel:
         frozen = name == "wsp_frozen" and site.freeze(on, self._groups_of(active))
         if on:
             # the frames of a unit whose process cannot be stopped are held back
-            active.rules = [] if frozen else bus.rules_of(name, values)
+            active.rules = [] if frozen else bus.rules_of(active.fault)
             for rule in active.rules:
                 site.gate.add(rule)
         else:
@@ -248,10 +250,10 @@ class Panel:
 
     def _groups_of(self, active: Active) -> frozenset[int]:
         """Return the groups whose units a fault stops and no other fault keeps stopped."""
-        groups = bus.frozen_groups(active.fault.values)
+        groups = bus.frozen_groups(active.fault)
         for other in self.active.values():
             if other is not active and other.fault.kind.name == active.fault.kind.name:
-                groups -= bus.frozen_groups(other.fault.values)
+                groups -= bus.frozen_groups(other.fault)
         return groups
 
     def _settle(self) -> None:
@@ -276,7 +278,7 @@ class Panel:
 
     def _explain(self) -> None:
         """Set `explanations` for all active faults; a fault that events do not report is secret."""
-        self.explanations = [""] * AXLES
+        self.explanations = [""] * self.vehicle.axles
         reported = [active.fault for active in self.active.values() if active.fault.reported]
         # a fault of all axles comes last: it explains more than that of a valve
         for fault in sorted(reported, key=lambda fault: len(fault.explains)):
@@ -334,7 +336,7 @@ class Panel:
 
     def _drive(self, values: dict[str, Any]) -> Any:
         """The drive under the axle of a fault."""
-        return self.site.nodes[DRIVE_NODES[values["axle"] - 1]].device
+        return self.site.nodes[signals.drive_node(values["axle"])].device
 
 
 def check_without_bus(planned: Iterable[Fault], place: str, remedy: str) -> None:

@@ -48,7 +48,7 @@ from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.bus.plugin import frame_of, message_of
 from rollerrig.wsp_interface.bus.wire import arbitration_field
-from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, PRESSURES, UNIT_HEARTBEAT_ID
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, PRESSURES_ID, UNIT_HEARTBEAT_ID
 from rollerrig.wsp_interface.signals import WSP_NODE
 
 log = logging.getLogger(__name__)
@@ -382,7 +382,7 @@ class Bridge:
         if can_id == SYNC:
             self._synced = True
             self._awaiting = True
-        elif can_id == PRESSURES.can_id and self._awaiting:
+        elif can_id == PRESSURES_ID and self._awaiting:
             self._cycle()
         elif can_id == NMT and not self._synced:
             addressed = frame.data[1:] in (bytes([_ALL_NODES]), bytes([WSP_NODE]))

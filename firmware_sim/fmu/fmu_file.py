@@ -20,27 +20,14 @@ from xml.etree import ElementTree
 from rollerrig.configs import unpacking, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
-from rollerrig.configs.vehicle import UNIT_AXLES
+from rollerrig.configs.vehicle import AXLES_OF_GROUP
 from rollerrig.firmware_sim.fmu import kinds
 from rollerrig.firmware_sim.fmu.ls_bus import MEDIA_TYPE
 from rollerrig.wsp_interface.unit_map import mapping
 
-# of the group that the unit protects
-_AXLES = range(1, UNIT_AXLES + 1)
-_SPEED_INPUTS = {f"wheel_speed_{axle}": (f"measured_speed_{axle}", 1.0) for axle in _AXLES}
-_PRESSURE_INPUTS = {
-    f"cylinder_pressure_{axle}": (f"cylinder_pressure_{axle}", 1.0) for axle in _AXLES
-}
-# the variables of an FMU without a mapping
-NAMES = mapping.FmuMap(
-    inputs=_SPEED_INPUTS | _PRESSURE_INPUTS,
-    hold=tuple(f"hold_{axle}" for axle in _AXLES),
-    vent=tuple(f"vent_{axle}" for axle in _AXLES),
-    reference="reference_speed",
-    reference_factor=1.0,
-)
-# an FMU without a mapping does not need these
-_OPTIONAL = (*_PRESSURE_INPUTS, NAMES.reference)
+# an FMU without a mapping needs neither the inputs with this beginning nor this output
+_PRESSURE = "cylinder_pressure_"
+_REFERENCE = "reference_speed"
 
 _LONGEST_REASON = 2000  # characters
 _MAP = "give a mapping with --unit-map"
@@ -68,6 +55,20 @@ _SI_UNITS = {
     "cylinder": _SiUnit("Pa", 1, -1, -2, 0),
     "reference": _SiUnit("m/s", 0, 1, -1, 0),
 }
+
+
+def usual_names(unit_axles: int) -> mapping.FmuMap:
+    """Return the variables of an FMU without a mapping, for a group of so many axles."""
+    axles = range(1, unit_axles + 1)
+    speeds = {f"wheel_speed_{axle}": (f"measured_speed_{axle}", 1.0) for axle in axles}
+    pressures = {f"{_PRESSURE}{axle}": (f"{_PRESSURE}{axle}", 1.0) for axle in axles}
+    return mapping.FmuMap(
+        inputs=speeds | pressures,
+        hold=tuple(f"hold_{axle}" for axle in axles),
+        vent=tuple(f"vent_{axle}" for axle in axles),
+        reference=_REFERENCE,
+        reference_factor=1.0,
+    )
 
 
 class Finding(NamedTuple):
@@ -118,6 +119,7 @@ class CheckedFmu(NamedTuple):
     outputs: tuple[Port, ...]
     period_s: float  # SYNC period
     step_s: float  # internal step; 0 if the FMU takes any step
+    unit_axles: int  # axles for which it has inputs and outputs
     terminal: Terminal | None = None  # its CAN port, if it has one
 
 
@@ -153,9 +155,17 @@ class _Problem(NamedTuple):
     mend: str
 
 
-def check_all(paths: tuple[Path, ...], map_path: Path | None, period_s: float) -> list[CheckedFmu]:
-    """Check one FMU, or several that share the bus by their CAN ports. Raises ConfigError."""
-    fmus = [check(path, map_path, period_s) for path in paths]
+def check_all(
+    paths: tuple[Path, ...],
+    map_path: Path | None,
+    period_s: float,
+    unit_axles: int = AXLES_OF_GROUP,
+) -> list[CheckedFmu]:
+    """Check one FMU, or several that share the bus by their CAN ports, as `check` does.
+
+    Raises ConfigError.
+    """
+    fmus = [check(path, map_path, period_s, unit_axles) for path in paths]
     if len(fmus) > 1:
         for fmu in fmus:
             if not fmu.terminal:
@@ -166,12 +176,15 @@ def check_all(paths: tuple[Path, ...], map_path: Path | None, period_s: float) -
     return fmus
 
 
-def check(path: Path, map_path: Path | None, period_s: float) -> CheckedFmu:
+def check(
+    path: Path, map_path: Path | None, period_s: float, unit_axles: int = AXLES_OF_GROUP
+) -> CheckedFmu:
     """Check an FMU that is stepped once a SYNC, every `period_s`.
 
-    Raises ConfigError with everything that does not fit.
+    `unit_axles`: the axles of the largest group of the vehicle, for which it has variables. Raises
+    ConfigError with everything that does not fit.
     """
-    fmu, findings = examine(path, map_path, period_s)
+    fmu, findings = examine(path, map_path, period_s, unit_axles)
     problems = [
         f"{finding.name}: {finding.found}; {finding.mend}"
         for finding in findings
@@ -183,13 +196,15 @@ def check(path: Path, map_path: Path | None, period_s: float) -> CheckedFmu:
 
 
 def examine(
-    path: Path, map_path: Path | None, period_s: float
+    path: Path, map_path: Path | None, period_s: float, unit_axles: int = AXLES_OF_GROUP
 ) -> tuple[CheckedFmu | None, list[Finding]]:
-    """Return the content of an FMU, and what fits and what does not.
+    """Return the content of an FMU, and what fits and what does not; `unit_axles` as in `check`.
 
     Raises ConfigError if the file cannot be read.
     """
-    names = mapping.load_fmu_map(map_path) if map_path else NAMES
+    names = usual_names(unit_axles)
+    if map_path:
+        names = mapping.load_fmu_map(map_path, unit_axles)
     description, deviation = _read(path)
     simulation = description.coSimulation
     tool = f", by {description.generationTool}" if description.generationTool else ""
@@ -230,6 +245,7 @@ def examine(
         outputs=outputs,
         period_s=period_s,
         step_s=step_s,
+        unit_axles=unit_axles,
         terminal=terminal,
     )
     return fmu, findings
@@ -561,7 +577,8 @@ def _wanted(names: mapping.FmuMap) -> Iterator[_Wanted]:
 
 def _missing(description: Any, wanted: _Wanted, mapped: bool) -> Finding:
     """Return the finding about a variable that the FMU does not have."""
-    optional = not mapped and wanted.name in _OPTIONAL
+    dispensable = wanted.name.startswith(_PRESSURE) or wanted.name == _REFERENCE
+    optional = not mapped and dispensable
     others = [
         variable.name
         for variable in description.modelVariables

@@ -13,10 +13,9 @@ from typing import Any
 import tomli_w
 
 from rollerrig.configs.output_files import write_text, writing
-from rollerrig.configs.vehicle import UNIT_AXLES
+from rollerrig.configs.vehicle import AXLES_OF_GROUP
 from rollerrig.firmware_sim.fmu import fmu_file, kinds
 
-_AXLES = range(1, UNIT_AXLES + 1)
 _UNKNOWN = "?"
 # words in names, in lower case; the first group that has one counts
 _WORDS = {
@@ -41,20 +40,21 @@ _RADIUS_m = 0.445  # of the wheels of the packaged coach
 _SPEEDS_OF_RIM = {"m/s": 1.0, "km/h": 3.6}
 
 
-def write(fmu: Path, out: Path) -> int:
+def write(fmu: Path, out: Path, unit_axles: int = AXLES_OF_GROUP) -> int:
     """Write the proposal for an FMU; return how many of its places are unknown.
 
-    Raises ConfigError.
+    `unit_axles`: the axles of the largest group of the vehicle. Raises ConfigError.
     """
     description = fmu_file.description_of(fmu)
-    text, unknown = skeleton(description, fmu.name)
+    text, unknown = skeleton(description, fmu.name, unit_axles)
     with writing(out, "give another file with --write-map"):
         write_text(out, text)
     return unknown
 
 
-def skeleton(description: Any, name: str) -> tuple[str, int]:
+def skeleton(description: Any, name: str, unit_axles: int) -> tuple[str, int]:
     """Return the text of a proposal, and how many of its places are unknown."""
+    axles = range(1, unit_axles + 1)
     inputs: dict[str, dict[int, str]] = {"measured_speed": {}, "cylinder_pressure": {}}
     outputs: dict[str, dict[int, str]] = {"hold": {}, "vent": {}}
     factors = {"measured_speed": 1.0, "cylinder_pressure": 1.0}
@@ -66,7 +66,7 @@ def skeleton(description: Any, name: str) -> tuple[str, int]:
             continue
         quantity = _quantity(variable, groups)
         axle = _axle(variable.name)
-        if not quantity or axle not in _AXLES or axle in groups[quantity]:
+        if not quantity or axle not in axles or axle in groups[quantity]:
             continue
         groups[quantity][axle] = variable.name
         if groups is inputs:
@@ -78,15 +78,15 @@ def skeleton(description: Any, name: str) -> tuple[str, int]:
         if not found and quantity == "cylinder_pressure":
             continue  # a unit may do without pressures
         signals = {}
-        for axle in _AXLES:
+        for axle in axles:
             key = found.get(axle, f"{_UNKNOWN}{axle}")
             unknown += axle not in found
             signals[key] = f"{quantity}_{axle}"
         tables.append({"factor": factors[quantity], "signals": signals})
     from_unit: dict[str, Any] = {}
     for magnet, found in outputs.items():
-        from_unit[magnet] = [found.get(axle, f"{_UNKNOWN}{axle}") for axle in _AXLES]
-        unknown += UNIT_AXLES - len(found)
+        from_unit[magnet] = [found.get(axle, f"{_UNKNOWN}{axle}") for axle in axles]
+        unknown += unit_axles - len(found)
     from_unit |= _reference(description)
     content = tomli_w.dumps({"to_unit": tables, "from_unit": from_unit})
     return "".join(f"# {line}\n" for line in _head(description, name)) + "\n" + content, unknown

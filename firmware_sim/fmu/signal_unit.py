@@ -25,18 +25,18 @@ import numpy as np
 
 from rollerrig.configs import unpacking
 from rollerrig.configs.errors import ConfigError, UnitError
-from rollerrig.configs.vehicle import UNIT_AXLES
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.firmware_sim.fmu import fmu_file
 from rollerrig.firmware_sim.fmu.fmu_file import CheckedFmu
 from rollerrig.firmware_sim.fmu.fmu_log import FmuLog
 from rollerrig.firmware_sim.wsp import node
 from rollerrig.wsp_interface import magnets, signals
 from rollerrig.wsp_interface import rig_objects as rig
-from rollerrig.wsp_interface.unit_map.mapping import SOURCES_OF_GROUP
+from rollerrig.wsp_interface.unit_map import mapping
 
 _EXIT_STATUS_HANGS = 5
 _WATCH_PERIOD_S = 0.1
-_REFERENCE_SPEED = signals.place("wsp_reference_speed", signals.WSP_NODE)
+_REFERENCE_SPEED = signals.first_place("wsp_reference_speed")
 # an output that is a number means an energised magnet from here on
 _ENERGISED_FROM = 0.5
 _REAL_TYPES = ("Real", "Float32", "Float64")
@@ -124,25 +124,24 @@ def initialisation_of(name: str, log: FmuLog) -> Iterator[None]:
 class Fmu:
     """An FMU as the WSP of a unit, see `node.Wsp`.
 
-    `patience_s`: how long a step may take before the process is stopped. An FMU has inputs and
-    outputs for the axles of a whole group. In a group with fewer axles, the further inputs repeat
-    the speeds and pressures of the axles that are there, and the further outputs have no effect.
+    `frames`: those of the group of axles that it protects. `patience_s`: how long a step may take
+    before the process is stopped. An FMU has inputs and outputs for the axles of a whole group. In
+    a group with fewer axles, the further inputs repeat the speeds and pressures of the axles that
+    are there, and the further outputs have no effect.
     """
 
     def __init__(
         self,
         checked: CheckedFmu,
         folder: Path,
+        frames: rig.UnitFrames,
         patience_s: float = 10.0,
-        frames: rig.UnitFrames = node.LEADING_GROUP,
     ) -> None:
-        """Extract the FMU into a folder and load it. `frames` are those of its group of axles.
-
-        Raises ConfigError, UnitError.
-        """
+        """Extract the FMU into a folder and load it. Raises ConfigError, UnitError."""
         self.hears: tuple[rig.Layout, ...] = (frames.speeds, frames.pressures)
         self._axles = len(frames.speeds.names)
-        self._repeated = np.arange(UNIT_AXLES) % self._axles  # the axle of each input
+        self._sources = mapping.sources_of_group(checked.unit_axles)
+        self._repeated = np.arange(checked.unit_axles) % self._axles  # the axle of each input
         self._period_s = checked.period_s
         self._steps = 0
         self._begun = False
@@ -175,7 +174,7 @@ class Fmu:
         # quantities of the input frames in SI units, one row each
         values = (counts * self._scales).reshape(len(self.hears), self._axles)
         of_inputs = values[:, self._repeated].ravel()
-        inputs = dict(zip(SOURCES_OF_GROUP, of_inputs.tolist(), strict=True))
+        inputs = dict(zip(self._sources, of_inputs.tolist(), strict=True))
         outputs = self._step(inputs)
 
         pairs = []
@@ -328,18 +327,19 @@ def main(
     lockstep_s: float = 0.0,
     patience_s: float = 10.0,
     group: int = 1,
+    kind: Kind = COACH,
 ) -> int:
     """Run an FMU on a bus until the bus ends, as `node.main`. Returns 0.
 
     Raises ConfigError, BusError, UnitError.
     """
     flush_every_line()
-    frames = node.frames_of_group(group)
+    frames = node.frames_of_group(kind, group)
     with tempfile.TemporaryDirectory(prefix="rollerrig-fmu-") as folder:
-        fmu = Fmu(checked, Path(folder), patience_s, frames)
+        fmu = Fmu(checked, Path(folder), frames, patience_s)
         try:
             return node.serve(
-                lambda bus: node.Unit(bus, fmu, lockstep_s, frames),
+                lambda bus: node.Unit(bus, fmu, frames, lockstep_s),
                 bus_address,
                 priority,
                 lockstep_s,

@@ -12,6 +12,7 @@ of two registers has the higher one first.
 """
 
 import csv
+import functools
 import itertools
 from collections.abc import Iterable, Iterator, Mapping
 from enum import IntEnum
@@ -21,13 +22,13 @@ from typing import NamedTuple, cast
 from canopen.objectdictionary import ObjectDictionary, ODVariable, datatypes
 
 from rollerrig.configs import output_files
-from rollerrig.firmware_sim.faults.catalogue import CATALOGUE
+from rollerrig.configs.vehicle import AXLES_OF_GROUP
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import Table
 
 PLC_UNIT = 1
 FIRST_DRIVE_UNIT = 11
-# the unit of the drive, by the number of its node
-DRIVE_UNITS = {node: FIRST_DRIVE_UNIT + at for at, node in enumerate(signals.DRIVE_NODES)}
 
 BIT = "BIT"
 READ = "ro"
@@ -120,7 +121,7 @@ BITS: tuple[Register, ...] = (
 )
 
 # set-points, faults and states, in front of the measured values
-_COMMANDS_AND_STATES = (
+COMMANDS_AND_STATES = (
     Register(
         0,
         "scenario",
@@ -143,7 +144,7 @@ _COMMANDS_AND_STATES = (
         "I16",
         "demanded brake cylinder pressure; -1: node 17 or the scenario decides",
         unit="Pa",
-        scale=signals.BY_NAME["brake_demand"].places[0].scale,
+        scale=signals.scale("brake_demand"),
         access=WRITE,
     ),
     Register(
@@ -182,22 +183,22 @@ def unit_state_name(group: int) -> str:
 # the places of the nodes of a group behind the state of its WSP unit: its drives come first
 _FIRST_NODE_STATE = 103
 _NODE_STATES = {
-    signals.SPEED_NODE: _FIRST_NODE_STATE + signals.AXLES_OF_GROUP,
-    signals.BRAKE_NODE: _FIRST_NODE_STATE + signals.AXLES_OF_GROUP + 1,
+    signals.SPEED_NODE: _FIRST_NODE_STATE + AXLES_OF_GROUP,
+    signals.BRAKE_NODE: _FIRST_NODE_STATE + AXLES_OF_GROUP + 1,
 }
 
 
-def _node_states(group: int) -> Iterator[Register]:
+def _node_states(table: Table, group: int) -> Iterator[Register]:
     """Yield the rows of the NMT states of the nodes of a group."""
     offset = REGISTERS_OF_GROUP * group
     yield Register(
         102 + offset,
         unit_state_name(group),
         "U16",
-        f"NMT state of node {signals.WSP_NODES[group]}: 0 booted, 4 stopped, 5 operational, "
+        f"NMT state of node {table.wsp_nodes[group]}: 0 booted, 4 stopped, 5 operational, "
         "127 pre-operational, 65535 never heard",
     )
-    for node in signals.RIG_NODES:
+    for node in table.rig_nodes:
         if signals.group_of(node) == group:
             leading = signals.in_leading_group(node)
             address = _NODE_STATES.get(leading, _FIRST_NODE_STATE + leading - 1)
@@ -300,15 +301,15 @@ _OF_MAGNETS = (
 def _reference_speed(group: int) -> Measured:
     """Return the place of the reference speed of the unit of a further group."""
     leading = next(row for row in _MEASURED if row.signal == "wsp_reference_speed")
-    place = signals.BY_NAME[leading.signal].places[0]
+    place = signals.first_place(leading.signal)
     name = signals.reference_speed_name(group)
     return Measured(leading.address, name, place.kind, place.scale)
 
 
-def _values(table: Iterable[Measured], group: int) -> Iterator[Register]:
+def _values(table: Table, measured: Iterable[Measured], group: int) -> Iterator[Register]:
     """Yield the rows of measured values of a group; the leading one has those of the vehicle."""
-    for first_address, name, kind, scale in table:
-        signal = signals.BY_NAME[name]
+    for first_address, name, kind, scale in measured:
+        signal = table.by_name[name]
         wraps = False
         parameter = ""
         if not kind and signal.places:
@@ -317,7 +318,7 @@ def _values(table: Iterable[Measured], group: int) -> Iterator[Register]:
             scale = place.scale
             wraps = place.wraps
             parameter = place.of
-        axles = signals.axles_of(group)
+        axles = table.axles_of(group)
         if signal.axles == 1:
             of_group = group == 0 or name == signals.reference_speed_name(group)
             axles = range(1, 2) if of_group else range(0)
@@ -338,11 +339,11 @@ def _values(table: Iterable[Measured], group: int) -> Iterator[Register]:
             yield row._replace(address=row.address + (axle - axles[0]) * row.width)
 
 
-def _motors_and_magnets(group: int) -> Iterator[Register]:
+def _motors_and_magnets(table: Table, group: int) -> Iterator[Register]:
     """Yield the rows of the motors and magnets of a group; none where the vehicle has none."""
-    if signals.HAS_DYNAMIC_BRAKE:
-        yield from _values(_OF_MOTORS, group)
-        for place, axle in enumerate(signals.axles_of(group)):
+    if table.kind.dynamic_brake:
+        yield from _values(table, _OF_MOTORS, group)
+        for place, axle in enumerate(table.axles_of(group)):
             yield Register(
                 _MOTOR_STATE + REGISTERS_OF_GROUP * group + place,
                 motor_state_name(axle),
@@ -351,8 +352,8 @@ def _motors_and_magnets(group: int) -> Iterator[Register]:
                 "3 it is released, 4 it has failed",
                 axle=axle,
             )
-    if signals.HAS_MAGNETIC_TRACK_BRAKE:
-        yield from _values(_OF_MAGNETS, group)
+    if table.kind.magnetic_track_brake:
+        yield from _values(table, _OF_MAGNETS, group)
 
 
 def motor_state_name(axle: int) -> str:
@@ -360,20 +361,26 @@ def motor_state_name(axle: int) -> str:
     return f"motor_state_{axle}"
 
 
-def _words() -> Iterator[Register]:
-    """Yield all registers of the PLC, the leading group first."""
-    yield from _COMMANDS_AND_STATES
-    yield from _node_states(0)
-    yield from _values(_MEASURED, 0)
-    yield from _HEALTH
-    yield from _motors_and_magnets(0)
-    for group in range(1, signals.GROUPS):
-        yield from _node_states(group)
-        yield from _values((_reference_speed(group), *_MEASURED), group)
-        yield from _motors_and_magnets(group)
+@functools.cache
+def words(table: Table) -> tuple[Register, ...]:
+    """Return all registers of the PLC of a vehicle, the leading group first."""
+    found = [
+        *COMMANDS_AND_STATES,
+        *_node_states(table, 0),
+        *_values(table, _MEASURED, 0),
+        *_HEALTH,
+        *_motors_and_magnets(table, 0),
+    ]
+    for group in range(1, table.kind.groups):
+        found += _node_states(table, group)
+        found += _values(table, (_reference_speed(group), *_MEASURED), group)
+        found += _motors_and_magnets(table, group)
+    return tuple(found)
 
 
-WORDS: tuple[Register, ...] = tuple(_words())
+def drive_units(table: Table) -> dict[int, int]:
+    """Return the unit of each drive, by the number of its node."""
+    return {node: FIRST_DRIVE_UNIT + at for at, node in enumerate(table.drive_nodes)}
 
 
 class _DriveObject(NamedTuple):
@@ -480,16 +487,20 @@ its count is the lowest of its kind.
 """
 
 
-def table(drives: Mapping[int, ObjectDictionary]) -> list[Line]:
-    """Return all rows of all units as text; `drives` are the dictionaries of the drives by node."""
-    lines: list[Line] = []
+def lines(table: Table, drives: Mapping[int, ObjectDictionary]) -> list[Line]:
+    """Return all rows of all units of a vehicle as text.
+
+    `drives` are the dictionaries of the drives by node.
+    """
+    found: list[Line] = []
     for row in BITS:
         first_reference = _COILS if row.access == WRITE else _DISCRETE_INPUTS
-        lines.append(_line(PLC_UNIT, "bits", row, first_reference))
-    lines += _register_lines(PLC_UNIT, WORDS)
+        found.append(_line(PLC_UNIT, "bits", row, first_reference))
+    found += _register_lines(PLC_UNIT, words(table))
+    units = drive_units(table)
     for node, dictionary in drives.items():
-        lines += _register_lines(DRIVE_UNITS[node], drive_registers(dictionary))
-    return lines
+        found += _register_lines(units[node], drive_registers(dictionary))
+    return found
 
 
 def _register_lines(unit: int, rows: Iterable[Register]) -> Iterator[Line]:
@@ -519,23 +530,30 @@ def _line(unit: int, space: str, row: Register, first_reference: int) -> Line:
     )
 
 
-def markdown(drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()) -> str:
-    """Return the map as a document. `scenarios`: names in the order of their numbers."""
-    lines = [_INTRODUCTION]
+def markdown(
+    table: Table, drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()
+) -> str:
+    """Return the map of a vehicle as a document.
+
+    `scenarios`: names in the order of their numbers.
+    """
+    parts = [_INTRODUCTION]
     heads = Line._fields[1:]
-    for unit, rows in itertools.groupby(table(drives), key=lambda line: int(line.unit)):
+    all_lines = lines(table, drives)
+    for unit, rows in itertools.groupby(all_lines, key=lambda line: int(line.unit)):
         device = "the rig" if unit == PLC_UNIT else f"roller drive {unit - FIRST_DRIVE_UNIT + 1}"
-        lines += [f"## Unit {unit}: {device}", ""]
+        parts += [f"## Unit {unit}: {device}", ""]
         # the unit is in the heading
-        lines += _markdown_table(heads, (line[1:] for line in rows))
-        lines.append("")
+        parts += _markdown_table(heads, (line[1:] for line in rows))
+        parts.append("")
     if scenarios:
-        lines += ["## Scenarios, register 0 of unit 1", ""]
-        lines += _markdown_table(("number", "scenario"), enumerate(scenarios))
-    lines += ["", "## Faults, register 20 of unit 1", ""]
-    faults = [(kind.number, kind.name, kind.text) for kind in CATALOGUE]
-    lines += _markdown_table(("number", "fault", "what it does"), faults)
-    return "\n".join(lines) + "\n"
+        parts += ["## Scenarios, register 0 of unit 1", ""]
+        parts += _markdown_table(("number", "scenario"), enumerate(scenarios))
+    parts += ["", "## Faults, register 20 of unit 1", ""]
+    kinds = catalogue.of(table.kind).values()
+    faults = [(kind.number, kind.name, kind.text) for kind in kinds]
+    parts += _markdown_table(("number", "fault", "what it does"), faults)
+    return "\n".join(parts) + "\n"
 
 
 def _markdown_table(heads: tuple[str, ...], rows: Iterable[tuple[object, ...]]) -> Iterator[str]:
@@ -546,18 +564,21 @@ def _markdown_table(heads: tuple[str, ...], rows: Iterable[tuple[object, ...]]) 
 
 
 def write(
-    folder: Path, drives: Mapping[int, ObjectDictionary], scenarios: tuple[str, ...] = ()
+    folder: Path,
+    table: Table,
+    drives: Mapping[int, ObjectDictionary],
+    scenarios: tuple[str, ...] = (),
 ) -> list[Path]:
-    """Write `modbus.md` and `modbus.csv` into a folder, and return the two files."""
+    """Write `modbus.md` and `modbus.csv` of a vehicle into a folder, and return the two files."""
     output_files.make_folder(folder)
     document = folder / "modbus.md"
     sheet = folder / "modbus.csv"
-    output_files.write_text(document, markdown(drives, scenarios))
+    output_files.write_text(document, markdown(table, drives, scenarios))
     with (
         output_files.replaced(sheet) as new,
         new.open("w", encoding="utf-8", newline="") as file,
     ):
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(Line._fields)
-        writer.writerows(table(drives))
+        writer.writerows(lines(table, drives))
     return [document, sheet]

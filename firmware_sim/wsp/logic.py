@@ -22,20 +22,21 @@ not reach the speed of the vehicle in a run-up is no anchor; a vehicle that can 
 b_max needs a larger b_max.
 """
 
-import itertools
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from rollerrig.configs import store, table
-from rollerrig.configs.vehicle import AXLES_OF_GROUP, UNIT_AXLES
+from rollerrig.configs.vehicle import AXLES_OF_GROUP
 from rollerrig.firmware_sim.wsp import reference_speed as reference
 from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event
+from rollerrig.rig.compiled import state_type
 from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.compiled.state_type import Width
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, VENT_MAGNET
-from rollerrig.wsp_interface.signals import BY_NAME
 
-REFERENCE_SCALE_M_S = BY_NAME["wsp_reference_speed"].places[0].scale
+REFERENCE_SCALE_M_S = signals.scale("wsp_reference_speed")
 
 _A = "assumption"
 _M = "recollection of typical units, to be checked against UIC 541-05"
@@ -116,6 +117,11 @@ class State(NamedTuple):
     vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
     hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
 
+    @property
+    def axles(self) -> int:
+        """The number of axles of the group."""
+        return self.speed_m_s.size
+
 
 # fields with one value for the whole unit; the others have one value an axle
 PER_UNIT = (
@@ -128,18 +134,16 @@ PER_UNIT = (
     "runner",
     "run_ups",
 )
-
-
-def places(axles: int) -> tuple[slice, ...]:
-    """Return where the fields of a unit for so many axles lie in its buffer."""
-    widths = tuple(1 if name in PER_UNIT else axles for name in State._fields)
-    ends = itertools.accumulate(widths)
-    return tuple(slice(end - width, end) for width, end in zip(widths, ends, strict=True))
-
-
-# of a unit with the most axles
-PLACES = places(UNIT_AXLES)
-SIZE = PLACES[-1].stop
+# where the fields lie in the buffer of a unit
+PLACES = state_type.one_after_another(
+    {name: Width(0, 1) if name in PER_UNIT else Width(1) for name in State._fields},
+    AXLES_OF_GROUP,
+)
+state_type.register(State, PLACES, counted="speed_m_s")
+# kernel: the state of a unit in its buffer, for the number of axles of its group
+state_at = state_type.state_in(PLACES)
+# number of values of a unit with the most axles
+SIZE = PLACES[State._fields[-1]].of(AXLES_OF_GROUP).stop
 
 
 class Unit(NamedTuple):
@@ -151,14 +155,14 @@ class Unit(NamedTuple):
     params: Any
 
 
-def new_unit(params: Any, axles: int = UNIT_AXLES) -> Unit:
+def new_unit(params: Any, axles: int = AXLES_OF_GROUP) -> Unit:
     """Return a unit for a group of 2 or 4 axles that has just been switched on."""
-    return Unit(views(np.zeros(places(axles)[-1].stop), axles), params)
+    return Unit(views(np.zeros(SIZE), axles), params)
 
 
-def views(buffer: np.ndarray, axles: int = UNIT_AXLES) -> State:
-    """Return the state of a unit for so many axles in its float64 buffer."""
-    return State(*(buffer[place] for place in places(axles)))
+def views(buffer: np.ndarray, axles: int = AXLES_OF_GROUP) -> State:
+    """Return the state of a unit for so many axles in its float64 buffer, shape (SIZE,)."""
+    return State(*(buffer[place.of(axles)] for place in PLACES.values()))
 
 
 def buffer_of(unit: Unit) -> np.ndarray:
@@ -194,7 +198,7 @@ def cycle(unit, inputs):
     reference.finish_run_up(state, params)
     state.cycles[0] += 1.0
     magnets = 0
-    for j in range(state.speed_m_s.size):
+    for j in range(state.axles):
         event = event_of(state, j, params)
         magnets |= act(state, j, event, params) << (BITS_PER_AXLE * j)
     counts = round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)
@@ -218,7 +222,7 @@ def permitted_share(unit, j):
 def stuck(unit):
     """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
     bits = 0
-    for j in range(unit.state.speed_m_s.size):
+    for j in range(unit.state.axles):
         bits |= int(reference.implausible(unit.state, j, unit.params)) << j
     return bits
 

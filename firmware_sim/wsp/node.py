@@ -32,18 +32,17 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
-from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, GROUPS, HAS_DYNAMIC_BRAKE, UNIT_AXLES
+from rollerrig.configs.vehicle import AXLES_OF_GROUP, COACH, Kind
 from rollerrig.firmware_sim.cia301.nmt import STATE_AFTER, Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import rig_objects as rig
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import NMT, SYNC
 from rollerrig.wsp_interface.magnets import ALL_OFF
-from rollerrig.wsp_interface.signals import DEFAULT_ADDRESS, WSP_NODES
+from rollerrig.wsp_interface.signals import DEFAULT_ADDRESS
 
 log = logging.getLogger(__name__)
-
-LEADING_GROUP = rig.unit_frames(0)
 
 SENSOR_STUCK = 0xFF01  # error code, CiA 301 Table 26: device specific
 
@@ -93,14 +92,19 @@ class Serving(Protocol):
 
 
 class Reference:
-    """The reference WSP of `logic`."""
+    """The reference WSP of `logic`.
 
-    def __init__(self, params: logic.Params, frames: rig.UnitFrames = LEADING_GROUP) -> None:
-        """Compile the cycle. `frames` are those of the group of axles that the unit protects."""
+    `frames` are those of the group of axles that it protects. `dynamic_brake`: whether the vehicle
+    has one, whose motors the unit releases.
+    """
+
+    def __init__(self, params: logic.Params, frames: rig.UnitFrames, dynamic_brake: bool) -> None:
+        """Compile the cycle."""
         self._params: Any = params  # its fields are made from a table
         self._axles = len(frames.speeds.names)
+        self._dynamic_brake = dynamic_brake
         self.hears: tuple[rig.Layout, ...] = (frames.speeds,)
-        warm(params)
+        warm(params, dynamic_brake)
 
     def begin(self) -> None:
         self._wsp = logic.new_unit(self._params, self._axles)
@@ -116,7 +120,7 @@ class Reference:
         return int(logic.stuck(self._wsp))
 
     def permitted_shares(self) -> tuple[float, ...] | None:
-        if not HAS_DYNAMIC_BRAKE:
+        if not self._dynamic_brake:
             return None
         return tuple(logic.permitted_share(self._wsp, axle) for axle in range(self._axles))
 
@@ -133,6 +137,7 @@ class Reference:
 class Unit:
     """One WSP unit on an open bus. `run` returns when the bus ends or after `stop`.
 
+    `frames`: those of the group of axles that it protects.
     `lockstep_s`: period of SYNC in lockstep, in simulated s; 0 in real time. In lockstep nothing
     depends on the wall clock.
     """
@@ -141,12 +146,11 @@ class Unit:
         self,
         bus: can.BusABC,
         wsp: Wsp,
+        frames: rig.UnitFrames,
         lockstep_s: float = 0.0,
-        frames: rig.UnitFrames = LEADING_GROUP,
     ) -> None:
-        """Switch on; the bus is not touched before `run`. `frames`: those of its group of axles."""
+        """Switch on; the bus is not touched before `run`."""
         self._frames = frames
-        self._node = WSP_NODES[frames.group]
         self.state = State.INITIALISING
         self.answers = 0
         self._bus = bus
@@ -224,7 +228,7 @@ class Unit:
         self._heartbeat()
 
     def _on_nmt(self, message: can.Message) -> None:
-        if len(message.data) != 2 or message.data[1] not in (0, self._node):
+        if len(message.data) != 2 or message.data[1] not in (0, self._frames.node):
             return
         command = message.data[0]
         if command in (Command.RESET_NODE, Command.RESET_COMMUNICATION):
@@ -333,12 +337,12 @@ class Unit:
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
-def warm(params: logic.Params) -> None:
+def warm(params: logic.Params, dynamic_brake: bool = False) -> None:
     """Compile the cycle, or load it from the cache of numba, before the rig waits for an answer."""
-    unit = logic.new_unit(params)
-    logic.cycle(unit, np.zeros(UNIT_AXLES, dtype=np.int64))
+    unit = logic.new_unit(params, AXLES_OF_GROUP)
+    logic.cycle(unit, np.zeros(AXLES_OF_GROUP, dtype=np.int64))
     logic.stuck(unit)
-    if HAS_DYNAMIC_BRAKE:
+    if dynamic_brake:
         logic.permitted_share(unit, 0)
 
 
@@ -348,28 +352,31 @@ def main(
     priority: int = 0,
     lockstep_s: float = 0.0,
     group: int = 1,
+    kind: Kind = COACH,
 ) -> int:
     """Run the reference WSP on a bus until the bus ends, or SIGINT or SIGTERM comes. Returns 0.
 
-    `group` is the group of axles that the unit protects, 1 the leading one. With a `priority` above
-    0 it requests SCHED_FIFO and locked memory, and continues if they are refused. Raises
-    ConfigError for a wrong `config` (name or TOML path) or group, BusError if the bus cannot be
-    opened.
+    `group` is the group of axles that the unit protects, 1 the leading one, of a vehicle of this
+    `kind`. With a `priority` above 0 it requests SCHED_FIFO and locked memory, and continues if
+    they are refused. Raises ConfigError for a wrong `config` (name or TOML path) or group, BusError
+    if the bus cannot be opened.
     """
-    frames = frames_of_group(group)
-    wsp = Reference(logic.load(config), frames)
-    return serve(lambda bus: Unit(bus, wsp, lockstep_s, frames), bus_address, priority, lockstep_s)
+    frames = frames_of_group(kind, group)
+    wsp = Reference(logic.load(config), frames, kind.dynamic_brake)
+    return serve(lambda bus: Unit(bus, wsp, frames, lockstep_s), bus_address, priority, lockstep_s)
 
 
-def frames_of_group(group: int) -> rig.UnitFrames:
-    """Return the frames of the unit of a group, 1 the leading one. Raises ConfigError."""
-    if not 1 <= group <= GROUPS:
+def frames_of_group(kind: Kind, group: int) -> rig.UnitFrames:
+    """Return the frames of the unit of a group of a vehicle, 1 the leading one.
+
+    Raises ConfigError.
+    """
+    if not 1 <= group <= kind.groups:
         raise ConfigError(
-            f"--group {group}: a vehicle with {AXLES} axles has {GROUPS} group(s) of up to four "
-            f"axles; for another vehicle set the environment variable {AXLES_VARIABLE}, for example "
-            f"{AXLES_VARIABLE}=8"
+            f"--group {group}: a vehicle with {kind.axles} axles has {kind.groups} group(s) of up to "
+            "four axles; for another vehicle give the number of its axles, for example --axles 8"
         )
-    return rig.unit_frames(group - 1)
+    return rig.unit_frames(signals.table(kind), group - 1)
 
 
 def serve(

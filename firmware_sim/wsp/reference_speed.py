@@ -9,9 +9,9 @@ learns the deceleration from the loss of speed since the last anchor. Source and
 
 from rollerrig.firmware_sim.wsp.phases import Phase
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.wsp_interface.signals import BY_NAME
+from rollerrig.wsp_interface import signals
 
-SPEED_SCALE_RAD_S = BY_NAME["measured_speed"].places[0].scale
+SPEED_SCALE_RAD_S = signals.scale("measured_speed")
 NOBODY = -1.0
 
 
@@ -24,7 +24,7 @@ def passed(cycles, duration_s, params):
 @kernel
 def measure(state, speeds_raw, params):
     """Compute circumferential speeds in m/s and their filtered slopes in m/s2 from the counts."""
-    for j in range(state.speed_m_s.size):
+    for j in range(state.axles):
         v = abs(speeds_raw[j]) * SPEED_SCALE_RAD_S * 0.5 * params.wheel_diameter_m[j]
         if state.cycles[0] == 0.0:
             state.lagged_m_s[j] = v
@@ -34,7 +34,7 @@ def measure(state, speeds_raw, params):
         falls = state.acceleration_m_s2[j] < -params.fall_m_s2
         state.falling[j] = state.falling[j] + 1.0 if falls else 0.0
     doubt(state, speeds_raw)
-    for j in range(state.speed_m_s.size):
+    for j in range(state.axles):
         if implausible(state, j, params) and not implausible(state, j ^ 1, params):
             state.speed_m_s[j] = state.speed_m_s[j ^ 1]  # [W6]
             state.acceleration_m_s2[j] = state.acceleration_m_s2[j ^ 1]
@@ -44,9 +44,9 @@ def measure(state, speeds_raw, params):
 def doubt(state, speeds_raw):
     """Count the cycles in which only the counts of other axles have changed [W6]."""
     changed = 0
-    for j in range(state.speed_m_s.size):
+    for j in range(state.axles):
         changed += speeds_raw[j] != state.raw[j]
-    for j in range(state.speed_m_s.size):
+    for j in range(state.axles):
         if speeds_raw[j] != state.raw[j] or speeds_raw[j] == 0:
             # the speed of a locked wheel is constantly zero, and that is plausible
             state.same[j] = 0.0
@@ -65,7 +65,7 @@ def implausible(state, j, params):
 def protecting(state, params):
     """Whether any axle is not in FILL, or has slowed down too fast for a while."""
     busy = 0
-    for j in range(state.speed_m_s.size):
+    for j in range(state.axles):
         busy += int(state.phase[j]) != Phase.FILL
         busy += passed(state.falling[j], params.confirm_s, params)
     return busy > 0
@@ -75,7 +75,7 @@ def protecting(state, params):
 def advance(state, params):
     """Advance the reference speed by a cycle."""
     fastest = 0.0
-    for j in range(state.speed_m_s.size):
+    for j in range(state.axles):
         if not implausible(state, j, params):
             fastest = max(fastest, state.speed_m_s[j])
     if state.cycles[0] == 0.0:
@@ -111,11 +111,7 @@ def choose_runner(state, params):
     if state.runner[0] != NOBODY and implausible(state, int(state.runner[0]), params):
         state.runner[0] = NOBODY
     if state.runner[0] == NOBODY and passed(state.anchor_age[0], wait_s, params):
-        chosen = (
-            state.speed_m_s.size
-            - 1
-            - int(state.run_ups[0]) % min(params.run_up_axles, state.speed_m_s.size)
-        )
+        chosen = state.axles - 1 - int(state.run_ups[0]) % min(params.run_up_axles, state.axles)
         if not implausible(state, chosen, params):
             state.runner[0] = chosen
         state.run_ups[0] += 1.0

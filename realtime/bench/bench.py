@@ -19,7 +19,6 @@ import pyarrow as pa
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import write_text, writing
 from rollerrig.configs.processes import interruption
-from rollerrig.configs.vehicle import AXLES, GROUPS
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.wsp import logic
@@ -55,9 +54,10 @@ _EXCEPTIONS_RECORDED = 20
 def check(plan: Scenario, given: Options) -> None:
     """Refuse what cannot be run, before a file is written. Raises ConfigError."""
     options.check(given, plan["modbus"]["enabled"])
-    if GROUPS > 1 and given.pacing == "free" and plan["bus"]["arbitration"]:
+    vehicle = plan.kind
+    if vehicle.groups > 1 and given.pacing == "free" and plan["bus"]["arbitration"]:
         raise ConfigError(
-            f"{plan.name}: bus.arbitration with --pacing free and {AXLES} axles: how long the "
+            f"{plan.name}: bus.arbitration with --pacing free and {vehicle.axles} axles: how long the "
             "frames of several units wait is known on the bus only; use --pacing lockstep, or "
             "bus.arbitration=false"
         )
@@ -73,12 +73,12 @@ def check(plan: Scenario, given: Options) -> None:
         from rollerrig.firmware_sim.fmu import fmu_file
 
         period_s = plan["bus"]["sync_period_s"]
-        fmus = fmu_file.check_all(given.fmus, given.unit_map, period_s)
-        if GROUPS > 1 and fmus[0].terminal:
+        fmus = fmu_file.check_all(given.fmus, given.unit_map, period_s, vehicle.unit_axles)
+        if vehicle.groups > 1 and fmus[0].terminal:
             raise ConfigError(
                 f"{plan.name}: {fmus[0].path.name} has a CAN port and is the unit of the leading "
-                f"group of axles, and a vehicle with {AXLES} axles has {GROUPS} groups, each "
-                "with a unit; allowed are an FMU without a CAN port (the bench starts one "
+                f"group of axles, and a vehicle with {vehicle.axles} axles has {vehicle.groups} "
+                "groups, each with a unit; allowed are an FMU without a CAN port (the bench starts one "
                 "instance for each group), --wsp reference, external and none"
             )
     if plan["modbus"]["enabled"]:
@@ -132,7 +132,7 @@ class Bench:
         """Start the recorder and run the pacing. Raises RollerrigError."""
         parts = self.parts
         given = parts.options
-        parts.processes.start_recorder(*parts.rings, parts.identity())
+        parts.processes.start_recorder(parts.plan.kind, *parts.rings, parts.identity())
         parts.report_scenario()
         tick_data.warm_up(parts.data, given.pacing, given.unit)
         if given.prepare_free and compile_progress.has_compiled():
@@ -234,7 +234,7 @@ class Bench:
             recorded: channels.Columns | pa.Table = channels.Columns(out)
         except ConfigError as error:  # the recorder did not get as far; there is a summary anyway
             parts.event(Code.RECORD_UNREADABLE, reason=str(error))
-            recorded = channels.schema().empty_table()
+            recorded = channels.schema(parts.plan.table.columns).empty_table()
         result = summary.of(recorded, counters, parts.plan.resolved, self._all_events())
         result["events"] = [event._asdict() for event in parts.events]
         try:

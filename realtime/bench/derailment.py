@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from rollerrig.rig.multibody import coach_state
-from rollerrig.rig.state import AXLES, SIZE, SLOTS
+from rollerrig.rig.state import SIZE, slots
 from rollerrig.wsp_interface.events import Code, OnEvent
 
 SIDES = ("left", "right")
@@ -19,20 +19,22 @@ SIDES = ("left", "right")
 _LACK_PA = 5e3
 # a flat that is longer than the last reported one by this is reported
 _NEW_FLAT_M = 2e-3
-_RESERVOIR = SLOTS["reservoir_pressure"].start
-_DEMAND = SLOTS["brake_demand"].start
 
 
 class Watch:
-    """Looks at the state of the plant from time to time; calls `on_event` and `stop()`."""
+    """Looks at the state of the plant from time to time; calls `on_event` and `stop()`.
 
-    def __init__(self, on_event: OnEvent, stop: Callable[[], None]) -> None:
+    The vehicle has so many `axles`.
+    """
+
+    def __init__(self, axles: int, on_event: OnEvent, stop: Callable[[], None]) -> None:
+        self._slots = slots(axles)
         self._on_event = on_event
         self._stop = stop
         self._derailed = np.zeros(coach_state.WHEELS, dtype=bool)
         self._exhausted = False
-        self._flat_m = [0.0] * AXLES
-        self._box_kg = [0.0] * AXLES
+        self._flat_m = [0.0] * axles
+        self._box_kg = [0.0] * axles
 
     def look(self, buffer: np.ndarray) -> None:
         """Report what is new; `buffer` is laid out as in `rig.state`."""
@@ -45,23 +47,23 @@ class Watch:
 
     def _look_at_air(self, buffer: np.ndarray) -> None:
         # the reservoir is 0 where the air of the scenario is never exhausted
-        reservoir_Pa = buffer.item(_RESERVOIR)
-        demand_Pa = buffer.item(_DEMAND)
+        reservoir_Pa = buffer.item(self._slots["reservoir_pressure"].start)
+        demand_Pa = buffer.item(self._slots["brake_demand"].start)
         if not self._exhausted and 0.0 < reservoir_Pa < demand_Pa - _LACK_PA:
             self._exhausted = True
             self._on_event(Code.AIR_EXHAUSTED, reservoir_Pa=reservoir_Pa, demand_Pa=demand_Pa)
 
     def _look_at_sand(self, buffer: np.ndarray) -> None:
         before_kg = self._box_kg
-        self._box_kg = buffer[SLOTS["sand_box"]].tolist()
-        for j in range(AXLES):
-            if self._box_kg[j] <= 0.0 < before_kg[j]:
+        self._box_kg = buffer[self._slots["sand_box"]].tolist()
+        for j, box_kg in enumerate(self._box_kg):
+            if box_kg <= 0.0 < before_kg[j]:
                 self._on_event(Code.SAND_EMPTY, axle=j + 1)
 
     def _look_at_flats(self, buffer: np.ndarray) -> None:
-        stands = buffer[SLOTS["standing"]][0] != 0.0
-        turns = buffer[SLOTS["wheel_speed"]] > 0.0
-        for j, flat_m in enumerate(buffer[SLOTS["flat_length"]].tolist()):
+        stands = buffer[self._slots["standing"]][0] != 0.0
+        turns = buffer[self._slots["wheel_speed"]] > 0.0
+        for j, flat_m in enumerate(buffer[self._slots["flat_length"]].tolist()):
             is_new = flat_m > self._flat_m[j] + _NEW_FLAT_M
             if is_new and (turns[j] or stands):
                 self._flat_m[j] = flat_m

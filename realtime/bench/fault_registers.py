@@ -9,7 +9,8 @@ from functools import partial
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.firmware_sim.faults.catalogue import BY_NUMBER, LASTS
+from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.firmware_sim.faults.catalogue import LASTS
 from rollerrig.firmware_sim.faults.panel import Panel
 from rollerrig.firmware_sim.modbus.pdu import ExcCodes, RefusedError
 from rollerrig.firmware_sim.modbus.unit import Reader, Writer
@@ -28,6 +29,8 @@ class FaultRegisters:
     def __init__(self, faults: Panel, on_event: OnEvent) -> None:
         self.faults = faults
         self.on_event = on_event
+        kinds = catalogue.of(faults.vehicle).values()
+        self._kinds = {kind.number: kind for kind in kinds}
         self.selected = {"fault": 0, "fault_target": 0, "fault_duration": 0}
 
     def readers(self) -> dict[str, Reader]:
@@ -49,7 +52,7 @@ class FaultRegisters:
         return writers
 
     def _select(self, name: str, raw: int, check_only: bool) -> None:
-        if name == "fault" and raw not in BY_NUMBER:
+        if name == "fault" and raw not in self._kinds:
             raise RefusedError(ExcCodes.ILLEGAL_VALUE)
         if not check_only:
             self.selected[name] = raw
@@ -57,7 +60,7 @@ class FaultRegisters:
     def _inject(self, raw: int, check_only: bool) -> None:
         if not raw or check_only:
             return
-        kind = BY_NUMBER[self.selected["fault"]]
+        kind = self._kinds[self.selected["fault"]]
         duration_s = self.selected["fault_duration"] * DURATION_UNIT_S
         values: dict[str, Any] = {"for_s": duration_s or LASTS}
         target = self.selected["fault_target"]

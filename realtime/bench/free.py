@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError, UnitError
-from rollerrig.configs.vehicle import GROUPS, axles_of_group
+from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.firmware_sim.faults import panel
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import derailment, tick_data
 from rollerrig.realtime.bench.parts import ENDED_BY, Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import ring, tick
-from rollerrig.realtime.loop.tick import AXLES, DONE, STOP, TICK, TickData
+from rollerrig.realtime.loop.tick import DONE, STOP, TICK, TickData
 from rollerrig.wsp_interface import braking, events, magnets, signals
 from rollerrig.wsp_interface.events import Code, Event
 
 # an outside unit: axle speeds in 0.01 rad/s and cylinder pressures in mbar, int64 of shape
-# (2 AXLES,), to the byte of magnets (wsp_interface.magnets)
+# (2 axles,), to the byte of magnets (wsp_interface.magnets)
 UnitCall = Callable[[np.ndarray], int]
 # "reference", "none", a reference unit with other parameters, or an outside unit
 Unit = str | logic.Params | UnitCall
@@ -56,20 +56,19 @@ class Stop:
             panel.Site(data.commands.values[tick.FAULTS : tick.MOTORS], lambda: None)
         )
         self._call: UnitCall | None = unit if callable(unit) else None
-        if self._call and GROUPS > 1:
+        kind = plan.kind
+        if self._call and kind.groups > 1:
             raise ConfigError(
                 f"an outside unit in a stop that is only computed has one group of axles, but the "
-                f"vehicle has {AXLES} axles in {GROUPS} groups; allowed are up to four axles, or "
+                f"vehicle has {kind.axles} axles in {kind.groups} groups; allowed are up to four axles, or "
                 "--pacing lockstep with a unit for each group"
             )
-        self.reference_units: tuple[logic.Unit, ...] = ()
+        self.reference_units: tick.Units | None = None
         if unit == "reference":
             unit = logic.load(plan["wsp_config"])
         if isinstance(unit, logic.Params):
-            self.reference_units = tuple(
-                logic.new_unit(unit, axles_of_group(group)) for group in range(GROUPS)
-            )
-        self._inputs = np.zeros(2 * AXLES, dtype=np.int64)
+            self.reference_units = tick.Units(np.zeros((kind.groups, logic.SIZE)), unit)
+        self._inputs = np.zeros(2 * MOST_AXLES, dtype=np.int64)
         self._ticks = None if self.reference_units else tick.Ticks(data)
 
     def _record(self, code: Code, /, **fields: Any) -> None:
@@ -91,7 +90,7 @@ class Stop:
     def run(self) -> None:
         """Run a stop in memory to its end, with the events of a recorded run. Raises UnitError."""
         control = self.data.control
-        watch = derailment.Watch(self._record, self._derail)
+        watch = derailment.Watch(self.plan.kind.axles, self._record, self._derail)
         while not control[DONE] and not control[STOP]:
             next_look = control[TICK] + _TICKS_BETWEEN_LOOKS
             while control[TICK] < next_look and not control[DONE]:
@@ -120,23 +119,25 @@ class Stop:
 
     def _call_unit(self, call: UnitCall) -> None:
         """Let an outside unit set the magnets from what it would receive with a SYNC."""
-        for at, name in ((0, "measured_speed"), (AXLES, "cylinder_pressure")):
-            place = signals.BY_NAME[name].places[0]
-            values = self.data.row[signals.span(name)]
-            self._inputs[at : at + AXLES] = [signals.count(value, place) for value in values]
-        byte = call(self._inputs)
+        table = self.plan.table
+        inputs = []
+        for name in ("measured_speed", "cylinder_pressure"):
+            place = table.by_name[name].places[0]
+            inputs += [signals.count(value, place) for value in self.data.row[table.span(name)]]
+        byte = call(np.array(inputs))
         if not math.isfinite(byte):
             time_s = int(self.data.control[TICK]) / self.plan["loop"]["tick_hz"]
             raise UnitError(
                 f"the unit has failed at {time_s:.3f} s: it returns {byte}; allowed is the byte of "
                 "the magnets, 0 to 255"
             )
-        self.data.commands.values[:AXLES] = magnets.unpack(int(byte))
+        axles = table.kind.axles
+        self.data.commands.values[:axles] = magnets.unpack(int(byte), axles)
 
 
 def remembered(plan: Scenario, unit: Unit = "reference") -> tuple[Stop, ring.Memory]:
     """Return a stop, and the memory in which its samples are collected."""
-    memory = ring.Memory(most_samples(plan), len(signals.COLUMNS))
+    memory = ring.Memory(most_samples(plan), plan.table)
     return Stop(plan, tick_data.build(plan, memory), unit), memory
 
 
@@ -155,7 +156,7 @@ def check(plan: Scenario) -> None:
 
 
 def simulate(plan: Scenario, unit: Unit = "reference") -> np.ndarray:
-    """Run a scenario to its end; return its samples, shape (samples, columns).
+    """Run a scenario to its end; return its samples, rows of all signals (n, signals.WIDTH).
 
     Raises ConfigError, UnitError.
     """
@@ -165,9 +166,9 @@ def simulate(plan: Scenario, unit: Unit = "reference") -> np.ndarray:
     return memory.written
 
 
-def channels(rows: np.ndarray) -> dict[str, np.ndarray]:
-    """Return samples (n, columns) by the names of the table of signals."""
-    return dict(zip(signals.COLUMNS, rows.T, strict=True))
+def channels(rows: np.ndarray, table: signals.Table) -> dict[str, np.ndarray]:
+    """Return the channels of a vehicle, (n,) each, from rows of all signals (n, signals.WIDTH)."""
+    return dict(zip(table.columns, rows.T[table.kept], strict=True))
 
 
 def moving(rows: np.ndarray, slowest_m_s: float = braking.STANDS_M_S) -> np.ndarray:

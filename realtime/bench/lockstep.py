@@ -32,7 +32,7 @@ _HARNESS_RULE = (
 
 
 def _unit_rule(seat: UnitSeat) -> str:
-    brake_io = signals.nodes(signals.BRAKE_NODE)[seat.frames.group]
+    brake_io = signals.in_group(signals.BRAKE_NODE, seat.frames.group)
     can_id = seat.frames.magnets_id
     return f"a unit answers every SYNC with RPDO1 of node {brake_io} ({can_id:X}h), changed or not"
 
@@ -115,8 +115,7 @@ async def _await_answers(parts: Parts, bus: RigBus) -> None:
     if parts.options.unit != "none" and awaited:
         patience = _PATIENCE if bus.own_unit else 1
         for seat in awaited:
-            node = signals.WSP_NODES[seat.frames.group]
-            name = "WSP unit" if len(bus.seats) == 1 else f"WSP unit (node {node})"
+            name = "WSP unit" if len(bus.seats) == 1 else f"WSP unit (node {seat.frames.node})"
             await _await_answer(parts, bus, seat.partner, name, patience, _unit_rule(seat))
     else:
         await asyncio.sleep(0)

@@ -16,15 +16,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
-from rollerrig.configs.vehicle import (
-    AXLES,
-    AXLES_OF_GROUP,
-    AXLES_VARIABLE,
-    EQUIPMENT,
-    EQUIPMENT_VARIABLE,
-    GROUPS,
-    axles_of_group,
-)
+from rollerrig.configs.vehicle import COACH, MOST_AXLES
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import Counters
@@ -75,19 +67,17 @@ ENDED_BY = {
 # columns of the row of all signals
 _TIME = signals.column("time")
 _VEHICLE_SPEED = signals.column("vehicle_speed")
-_SLIDING = signals.span("sliding")
-_VALVE = signals.span("valve")
 _REFERENCE = signals.column("wsp_reference_speed")
 _BRAKE_DEMAND = signals.column("brake_demand")
 
 
-def _sample(row: np.ndarray, faults: list[str]) -> Sample:
+def _sample(row: np.ndarray, table: signals.Table, faults: list[str]) -> Sample:
     """Return what the diagnosis needs of a row of all signals, and of the faults of each axle."""
     return Sample(
         time_s=row.item(_TIME),
         speed_m_s=row.item(_VEHICLE_SPEED),
-        sliding_m_s=row[_SLIDING].tolist(),
-        valves=row[_VALVE].tolist(),
+        sliding_m_s=row[table.span("sliding")].tolist(),
+        valves=row[table.span("valve")].tolist(),
         reference_m_s=row.item(_REFERENCE),
         brake_demand_Pa=row.item(_BRAKE_DEMAND),
         faults=faults,
@@ -105,6 +95,7 @@ class Parts:
         self, plan: Scenario, options: Options, on_progress: Callable[[Progress], None]
     ) -> None:
         self.plan = plan
+        self.table = plan.table
         self.options = options
         self.on_progress = on_progress
         self.events = Events()
@@ -140,12 +131,14 @@ class Parts:
         self.set_points = SetPoints(self.event)
         # what the nodes on the bus required last
         self._demand_of_node_Pa = math.nan
-        self._friction_of_node = np.zeros(AXLES)
-        self.derailment = derailment.Watch(self.event, lambda: self.stop(Code.RUN_DERAILED))
-        self.diagnosis = Diagnosis(self.event)
+        self._friction_of_node = np.zeros(MOST_AXLES)
+        self.derailment = derailment.Watch(
+            self.table.kind.axles, self.event, lambda: self.stop(Code.RUN_DERAILED)
+        )
+        self.diagnosis = Diagnosis(self.table.kind, self.event)
         self.processes = Processes(options, self.event)
 
-        self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(signals.COLUMNS))
+        self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(self.table.columns))
         self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
         self.event_ring = Ring(ring.place("events"), np.int64, _EVENTS, ring.EVENT_WORDS)
         self.rings = (self.rows, self.frames, self.event_ring)
@@ -189,7 +182,7 @@ class Parts:
             Progress(
                 time_s=float(self.row[signals.column("time")]),
                 speed_m_s=float(self.row[signals.column("vehicle_speed")]),
-                sliding_m_s=float(self.row[signals.span("sliding")].max()),
+                sliding_m_s=float(self.row[self.table.span("sliding")].max()),
                 missed=int(self.data.control[MISSED]),
                 message=message,
             )
@@ -253,11 +246,11 @@ class Parts:
         if self.options.unit == "none" or self.plan["sealed"]:
             return
         mailbox.fetch(self.data.published, self.row)
-        self.diagnosis.look(_sample(self.row, self.faults.explanations))
+        self.diagnosis.look(_sample(self.row, self.table, self.faults.explanations))
 
     def _check_master(self, bus: rig_bus.RigBus) -> None:
         """Record an event if no master on the bus has enabled the drives."""
-        off = [node for node in signals.DRIVE_NODES if not bus.nodes[node].device.enabled]
+        off = [node for node in self.table.drive_nodes if not bus.nodes[node].device.enabled]
         if off:
             self.event(Code.DRIVES_WITHOUT_MASTER, nodes=off)
 
@@ -400,7 +393,7 @@ class Parts:
         self.data.control[DONE] = 1
 
     def _inject(self, text: str) -> None:
-        fault = catalogue.parse(text, "fault")
+        fault = catalogue.parse(text, self.table.kind, "fault")
         at_s = max(fault.at_s, self.faults.now_s)
         self.faults.inject(fault.kind.name, at_s=at_s, for_s=fault.for_s, **fault.values)
 
@@ -409,11 +402,11 @@ class Parts:
         name, *aims = text.split() or [""]
         if not aims:
             if name:  # an empty text lifts all faults
-                catalogue.kind_of(name, f"fault '{text}'")
+                catalogue.kind_of(name, self.table.kind, f"fault '{text}'")
             self.faults.clear(name)
             return
         given = {aim.partition("=")[0] for aim in aims}
-        values = catalogue.parse(text, "fault").values
+        values = catalogue.parse(text, self.table.kind, "fault").values
         self.faults.clear(name, **{key: value for key, value in values.items() if key in given})
 
     # --- waiting for the unit and the harness ---
@@ -428,7 +421,7 @@ class Parts:
         elif self.options.own_unit:
             self._start_own_unit()
         elif self.options.unit == "external":
-            self._report_waiting(f"a WSP unit's heartbeat ({_heartbeat_ids()})")
+            self._report_waiting(f"a WSP unit's heartbeat ({self._heartbeat_ids()})")
         if self.options.unit != "none":
             await self._await_heartbeats(bus)
         if self.options.harness:
@@ -451,6 +444,7 @@ class Parts:
             loop_core,
             self.plan["bus"]["sync_period_s"],
             self.plan["bus"]["bitrate"],
+            self.table.kind,
         )
 
     async def _await_heartbeats(self, bus: rig_bus.RigBus) -> None:
@@ -476,13 +470,13 @@ class Parts:
                 is_there,
                 lambda: (
                     f"no WSP unit on {self.place}: no heartbeat on "
-                    f"{_heartbeat_ids(_groups_without_unit(bus), described=GROUPS > 1)}"
+                    f"{self._heartbeat_ids(_groups_without_unit(bus), described=True)}"
                 ),
                 lambda: self._remedy_without_unit(_groups_without_unit(bus)),
             )
         except _AbsentError as error:
             if self.options.harness:  # for the program that has started this bench
-                silent = _heartbeat_ids(_groups_without_unit(bus), described=GROUPS > 1)
+                silent = self._heartbeat_ids(_groups_without_unit(bus), described=True)
                 waited_s = self.options.unit_wait_s
                 absent = {"no_heartbeat": silent, "waited_s": waited_s, "error": str(error)}
                 self.report(json.dumps(absent))
@@ -506,18 +500,35 @@ class Parts:
         """Return what helps if no unit of some groups has appeared, as the end of a message."""
         if not self.options.command:
             command = f"rollerrig wsp --bus {shlex.quote(self.place)}"
-            if GROUPS == 1:
+            kind = self.table.kind
+            if kind != COACH:
+                command += f" --axles {kind.axles}"
+            if kind.dynamic_brake:
+                command += " --dynamic-brake"
+            if kind.groups == 1:
                 return f"start one ('{command}') or wait longer with --wait"
-            # a unit outside the command line of a scenario needs the vehicle of this process
-            variables = f"{AXLES_VARIABLE}={AXLES}"
-            if EQUIPMENT:
-                variables += f" {EQUIPMENT_VARIABLE}={','.join(sorted(EQUIPMENT))}"
-            starts = [f"'{variables} {command} --group {group + 1}'" for group in groups]
+            starts = [f"'{command} --group {group + 1}'" for group in groups]
             return f"start a unit for each ({', '.join(starts)}) or wait longer with --wait"
         return (
             f"correct the unit '{self.options.command}', or wait longer with --wait"
             f"{self.processes.unit_words()}"
         )
+
+    def _heartbeat_ids(self, groups: Iterable[int] | None = None, described: bool = False) -> str:
+        """Return the identifiers of the heartbeats of units, as in "720h and 740h".
+
+        They are those of some groups, or of all. `described`: with the group and its axles, as in
+        "740h (group 2, axles 5 to 6)", where the vehicle has several.
+        """
+        words = []
+        number = self.table.kind.groups
+        for group in range(number) if groups is None else groups:
+            word = f"{unit_frames(self.table, group).heartbeat_id:X}h"
+            if described and number > 1:
+                axles = self.table.axles_of(group)
+                word += f" (group {group + 1}, axles {axles[0]} to {axles[-1]})"
+            words.append(word)
+        return " and ".join(words)
 
     def _report_waiting(self, awaited: str) -> None:
         self.report(f"waiting for {awaited} on {self.place} ...")
@@ -552,20 +563,4 @@ class _AbsentError(UnitError):
 def _groups_without_unit(bus: rig_bus.RigBus) -> list[int]:
     """Return the groups (from 0) whose unit has sent no heartbeat; all groups if each has."""
     silent = [group for group, unit in enumerate(bus.master.units) if unit.state is None]
-    return silent or list(range(GROUPS))
-
-
-def _heartbeat_ids(groups: Iterable[int] = range(GROUPS), described: bool = False) -> str:
-    """Return the identifiers of the heartbeats of the units of groups, as in "720h and 740h".
-
-    `described`: with the group and its axles, as in "740h (group 2, axles 5 to 6)".
-    """
-    words = []
-    for group in groups:
-        word = f"{unit_frames(group).heartbeat_id:X}h"
-        if described:
-            first = AXLES_OF_GROUP * group + 1
-            last = first + axles_of_group(group) - 1
-            word += f" (group {group + 1}, axles {first} to {last})"
-        words.append(word)
-    return " and ".join(words)
+    return silent or list(range(len(bus.master.units)))

@@ -18,9 +18,9 @@ from rollerrig.firmware_sim.modbus import unit as modbus_unit
 from rollerrig.firmware_sim.modbus.access import tls_context
 from rollerrig.firmware_sim.modbus.map import (
     BITS,
+    COMMANDS_AND_STATES,
     NO_DEMAND,
     UNHEARD,
-    WORDS,
     MotorState,
     Register,
     State,
@@ -45,7 +45,7 @@ from rollerrig.realtime.loop.held_rig import (
     has_settled,
 )
 from rollerrig.realtime.loop.tick import DONE, HELD, HOLD, STOP, TICK, WORST_NS
-from rollerrig.wsp_interface import events, signals
+from rollerrig.wsp_interface import events, own_bench, signals
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
 from rollerrig.wsp_interface.events import Code
 
@@ -59,7 +59,7 @@ _HIGHEST_DEMAND_Pa = 1e6
 
 
 def _register(name: str) -> Register:
-    return next(row for row in WORDS if row.name == name)
+    return next(row for row in COMMANDS_AND_STATES if row.name == name)
 
 
 _SPEED = _register("speed_set_point")
@@ -72,8 +72,10 @@ class Plc:
     def __init__(self, rig: Parts, bus: RigBus) -> None:
         self.rig = rig
         self.bus = bus
+        self.table = rig.plan.table
         self.demand = rig.modbus_demand
-        self.scenarios = scenario.names()
+        # a rig keeps its vehicle
+        self.scenarios = own_bench.scenarios_of(self.table.kind)
         self.fault_registers = FaultRegisters(rig.faults, rig.event)
         self.server: Server | None = None
         self.line: SerialLine | None = None
@@ -167,7 +169,7 @@ class Plc:
 
     def units(self) -> dict[int, Unit]:
         """Return the register image of every unit: the PLC and the drives."""
-        rows = (*BITS, *WORDS)
+        rows = (*BITS, *map.words(self.table))
         rated_Nm = self.rig.plan["drive"]["rated_torque_Nm"]
         measured = modbus_unit.signal_readers(rows, self.bus.row, {"rated_torque_Nm": rated_Nm})
         readers = measured | self._states() | self._health() | self.fault_registers.readers()
@@ -180,7 +182,7 @@ class Plc:
             "brake_demand_set_point": self._set_demand,
         }
         found = {map.PLC_UNIT: Unit(rows, readers, writers | self.fault_registers.writers())}
-        for node, unit in map.DRIVE_UNITS.items():
+        for node, unit in map.drive_units(self.table).items():
             found[unit] = modbus_unit.drive(self.bus.nodes[node])
         return found
 
@@ -203,12 +205,12 @@ class Plc:
             "speed_set_point": lambda: round(rig.speed_m_s / _SPEED.scale),
             "brake_demand_set_point": self._demand_count,
         }
-        for group, node in enumerate(signals.WSP_NODES):
+        for group, node in enumerate(self.table.wsp_nodes):
             readers[map.unit_state_name(group)] = _nmt_state(master, node)
-        for node in signals.RIG_NODES:
+        for node in self.table.rig_nodes:
             readers[f"node_{node}_state"] = _nmt_state(master, node)
-        if signals.HAS_DYNAMIC_BRAKE:
-            for axle in range(1, signals.AXLES + 1):
+        if self.table.kind.dynamic_brake:
+            for axle in self.table.axles:
                 readers[map.motor_state_name(axle)] = partial(self._motor_state, axle)
         return readers
 
@@ -304,7 +306,7 @@ class Plc:
         self.demand.emergency_stop = bool(raw)
         self.rig.event(Code.EMERGENCY_STOP_SET if raw else Code.EMERGENCY_STOP_RESET)
         self.roll()
-        for node in signals.DRIVE_NODES:
+        for node in self.table.drive_nodes:
             self.bus.nodes[node].device.emergency_stop(self.demand.emergency_stop)
         self.bus.post()
 

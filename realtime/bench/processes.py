@@ -15,7 +15,7 @@ from typing import Any
 from rollerrig.configs.errors import ConfigError, RollerrigError, UnitError
 from rollerrig.configs.output_files import create, writing
 from rollerrig.configs.processes import children
-from rollerrig.configs.vehicle import GROUPS
+from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.bench.options import (
     Options,
     send_arguments,
@@ -37,7 +37,6 @@ _LINES_OF_COMMAND = 5
 # how long a unit may take to exit after its bus is gone
 _UNIT_S = 2.0
 _KILL_S = 5.0
-_ALL_GROUPS = frozenset(range(GROUPS))
 # up to this status a recorder exits as any program; above it is the number of an OS error
 _LAST_COMMON_STATUS = 2
 
@@ -60,16 +59,16 @@ class Processes:
         self._exited: set[int] = set()
 
     def start_recorder(
-        self, rows: Ring, frames: Ring, events: Ring, identity: Mapping[str, Any]
+        self, kind: Kind, rows: Ring, frames: Ring, events: Ring, identity: Mapping[str, Any]
     ) -> None:
-        """Start the recorder and the live view; wait for neither."""
+        """Start the recorder and the live view of a kind of vehicle; wait for neither."""
         self.recorder = record(
-            self.options.out, rows, frames, events, identity, self.options.recorder
+            self.options.out, kind, rows, frames, events, identity, self.options.recorder
         )
         if self.options.live:
             from rollerrig.realtime.telemetry import live
 
-            self.live = live.start(self.options.out, rows, events, self.options.unit)
+            self.live = live.start(self.options.out, kind, rows, events, self.options.unit)
 
     async def await_viewer(self, rows: Ring, given_up: Callable[[], object]) -> None:
         """With --hold, wait for a viewer of the live view, its exit, or until `given_up()`."""
@@ -96,11 +95,12 @@ class Processes:
         loop_core: int,
         sync_period_s: float,
         bitrate: int,
+        kind: Kind,
     ) -> None:
         """Start the units of the bench on the bus at an address, of `bitrate` in bit/s.
 
-        Each group of axles has a unit. It requests a real-time `priority` where that is above 0,
-        and leaves the core of the loop (-1: any core).
+        Each group of axles has a unit; `kind` is that of the vehicle. A unit requests a real-time
+        `priority` where that is above 0, and leaves the core of the loop (-1: any core).
         """
         options = self.options
         words = ["--bus", place, "--config", config, "--priority", str(priority)]
@@ -116,9 +116,9 @@ class Processes:
 
         log_path = options.out / run_folder.UNIT_LOG
         with writing(options.out), create(log_path) as log:
-            for group in range(1, GROUPS + 1):
-                of_group = [*words, "--group", str(group)] if group > 1 else words
-                if group == 1 and options.waiting_unit:
+            for group in range(kind.groups):
+                of_group = [*words, *unit_choice.vehicle_options(kind, group)]
+                if group == 0 and options.waiting_unit:
                     send_arguments(options.waiting_unit, [*of_group, "--log", str(log_path)])
                     self.units.append(options.waiting_unit)
                     continue
@@ -240,16 +240,19 @@ class Processes:
         self._exited.add(process.pid)
         return process
 
-    def freeze(self, on: bool, groups: frozenset[int] = _ALL_GROUPS) -> bool:
+    def freeze(self, on: bool, groups: frozenset[int] | None = None) -> bool:
         """Stop the processes of the bench's units, or let them continue; False: there are none.
 
-        `groups` (from 0) are those of the units. A program of the user is not stopped: it may
-        consist of several processes.
+        `groups` (from 0) are those of the units, None all. A program of the user is not stopped: it
+        may consist of several processes.
         """
         if self.options.command:
             return False
-        of_groups = [unit for group, unit in enumerate(self.units) if group in groups]
-        running = [unit for unit in of_groups if _runs(unit)]
+        running = []
+        for group, unit in enumerate(self.units):
+            is_meant = groups is None or group in groups
+            if is_meant and _runs(unit):
+                running.append(unit)
         for unit in running:
             unit.send_signal(signal.SIGSTOP if on else signal.SIGCONT)
         return bool(running)
@@ -301,6 +304,7 @@ async def _wait_for_exit(process: Process | None, patience_s: float) -> None:
 
 def record(
     run_dir: Path,
+    kind: Kind,
     rows: Ring,
     frames: Ring,
     events: Ring,
@@ -309,11 +313,14 @@ def record(
 ) -> Process:
     """Let a recorder record three rings into a folder: the `waiting` one, or a new one.
 
-    `counters` (pacing, seed, unit ...) go into the summary of a killed run.
+    `kind` is that of the vehicle. `counters` (pacing, seed, unit ...) go into the summary of a
+    killed run.
     """
     process = waiting or start_recorder()
     words = [
         str(run_dir),
+        "--kind",
+        json.dumps(kind),
         "--rows",
         str(rows.path),
         "--frames",

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.errors import BusError, PortInUseError
-from rollerrig.configs.vehicle import GROUPS, HAS_MAGNETIC_TRACK_BRAKE
+from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.firmware_sim import (
     bench_node,
     encoder406,
@@ -98,7 +98,7 @@ async def open_bus(
         return hub, _hub_address(scenario, port)
     if not place.startswith("socketcand:"):
         hub = await buses.open_hub(place, clock_ns, bitrate, on_lost, on_event, wall)
-        await _refuse_foreign_nodes(hub, place)
+        await _refuse_foreign_nodes(hub, place, scenario.table)
         return hub, place
     host, port, name = plugin.parse_address(place)
     hub = Hub(clock_ns, bitrate, name, on_event=on_event)
@@ -137,7 +137,7 @@ async def _listen(
     return port
 
 
-async def _refuse_foreign_nodes(hub: Hub, place: str) -> None:
+async def _refuse_foreign_nodes(hub: Hub, place: str, table: signals.Table) -> None:
     """Listen before the rig sends. Raises BusError when a node has a number of the rig."""
     heard: set[int] = set()
 
@@ -150,7 +150,7 @@ async def _refuse_foreign_nodes(hub: Hub, place: str) -> None:
     port.close()
     for can_id in sorted(heard):
         node = can_id & NODE_MASK
-        if can_id & ~NODE_MASK in _SENT_BY_NODES and node in signals.RIG_NODES:
+        if can_id & ~NODE_MASK in _SENT_BY_NODES and node in table.rig_nodes:
             await hub.close()
             raise BusError(
                 f"bus {place}: a node {node} sends there already ({can_id:X}h), and the rig has a "
@@ -235,6 +235,7 @@ class RigBus:
         refresh: Callable[[np.ndarray], Any] = lambda row: None,
     ) -> None:
         bus = scenario["bus"]
+        table = scenario.table
         self.hub = hub
         self.row = row
         self.clock_ns = clock_ns
@@ -247,7 +248,8 @@ class RigBus:
         self._on_command: Callable[[np.ndarray], None] = lambda command: None
 
         # the units, that of the leading group first
-        self.seats = tuple(UnitSeat(unit_frames(group)) for group in range(GROUPS))
+        groups = range(table.kind.groups)
+        self.seats = tuple(UnitSeat(unit_frames(table, group)) for group in groups)
         self._seats_by_id: dict[int, UnitSeat] = {}
         for seat in self.seats:
             self._seats_by_id[seat.frames.magnets_id] = seat
@@ -269,7 +271,7 @@ class RigBus:
         self.nodes = _build_nodes(scenario, row, self.command, self.post)
         self._numbers = {id(node): number for number, node in self.nodes.items()}
         friction = self.command[tick.FRICTION : tick.SAND]
-        self.bench_node = bench_node.build(row, friction, self.post, pacing)
+        self.bench_node = bench_node.build(table, row, friction, self.post, pacing)
         self.harness: bench_node.BenchNode = self.bench_node.device
 
         self.rack = Rack()
@@ -288,7 +290,8 @@ class RigBus:
 
     def post(self) -> None:
         """Pass on what the bus requires of the rig."""
-        self.command[tick.REFERENCE : tick.FRICTION] = self.master.reference_speeds_m_s
+        speeds_m_s = self.master.reference_speeds_m_s
+        self.command[tick.REFERENCE : tick.REFERENCE + len(speeds_m_s)] = speeds_m_s
         self._on_command(self.command)
 
     def start_wire(self, timed: bool) -> None:
@@ -532,12 +535,13 @@ def _heartbeat_ms(scenario: Scenario) -> int:
     return round(1000.0 * scenario["bus"]["heartbeat_s"])
 
 
-def _node_numbers(scenario: Scenario) -> tuple[int, ...]:
-    numbers = tuple(signals.RIG_NODES)
+def _further_nodes(scenario: Scenario) -> tuple[int, ...]:
+    """Return the nodes of the rig besides those that every rig has."""
+    numbers: tuple[int, ...] = ()
     if scenario.params.sanders.axles:
-        numbers += signals.nodes(signals.SANDER_NODE)
-    if scenario.params.dynamic is not None:
-        numbers += signals.nodes(signals.TRACTION_NODE)
+        numbers += scenario.table.nodes(signals.SANDER_NODE)
+    if scenario.kind.dynamic_brake:
+        numbers += scenario.table.nodes(signals.TRACTION_NODE)
     return numbers
 
 
@@ -548,10 +552,11 @@ def _build_master(scenario: Scenario, pacing: str) -> NmtMaster:
     if pacing == "wall":
         silent_after = silent_after_syncs(bus["sync_period_s"])
     return NmtMaster(
+        scenario.table,
         master=bus["master"],
         heartbeat_ms=_heartbeat_ms(scenario),
         unit_lost_after_ms=unit_lost_after_ms(bus["sync_period_s"]),
-        nodes=_node_numbers(scenario),
+        further_nodes=_further_nodes(scenario),
         unit_silent_after=silent_after,
     )
 
@@ -561,6 +566,7 @@ def _build_nodes(
 ) -> dict[int, Node]:
     """Return the nodes of the rig by number. They read `row`, write `command` and call `post()`."""
     bus, motors = scenario["bus"], scenario["drive"]
+    table = scenario.table
     parameters = {
         "teeth": float(scenario["sensor"]["teeth"]),
         "heartbeat_ms": float(_heartbeat_ms(scenario)),
@@ -575,8 +581,8 @@ def _build_nodes(
         return Path(bus["store"], f"node_{number:03d}.json") if bus["store"] else None
 
     nodes: dict[int, Node] = {}
-    drive_commands = command[tick.DRIVES : tick.FAULTS].reshape(len(signals.DRIVE_NODES), -1)
-    for axle, number in enumerate(signals.DRIVE_NODES, start=1):
+    drive_commands = command[tick.DRIVES : tick.FAULTS].reshape(MOST_AXLES, -1)
+    for axle, number in enumerate(table.drive_nodes, start=1):
         nodes[number] = drive.build(
             number,
             axle,
@@ -587,22 +593,26 @@ def _build_nodes(
             scenario["rig"]["drives"],
             store(number),
         )
-    for group, number in enumerate(signals.nodes(signals.SPEED_NODE)):
-        nodes[number] = encoder406.build(row, parameters, store(number), group)
-    for group, number in enumerate(signals.nodes(signals.BRAKE_NODE)):
+    for group, number in enumerate(table.nodes(signals.SPEED_NODE)):
+        nodes[number] = encoder406.build(table, row, parameters, store(number), group)
+    for group, number in enumerate(table.nodes(signals.BRAKE_NODE)):
         commands = command[: io401.COMMANDS]
-        track_brake = command[tick.TRACK_BRAKE :] if HAS_MAGNETIC_TRACK_BRAKE else None
+        track_brake = command[tick.TRACK_BRAKE :]
         nodes[number] = io401.build(
-            row, commands, parameters, post, store(number), group, track_brake
+            table, row, commands, parameters, post, store(number), group, track_brake
         )
     if scenario.params.sanders.axles:
-        for group, number in enumerate(signals.nodes(signals.SANDER_NODE)):
+        for group, number in enumerate(table.nodes(signals.SANDER_NODE)):
             commands = command[tick.SAND : tick.DRIVES]
-            nodes[number] = sander401.build(row, commands, post, store(number), parameters, group)
-    if scenario.params.dynamic is not None:
-        for group, number in enumerate(signals.nodes(signals.TRACTION_NODE)):
+            nodes[number] = sander401.build(
+                table, row, commands, post, store(number), parameters, group
+            )
+    if scenario.kind.dynamic_brake:
+        for group, number in enumerate(table.nodes(signals.TRACTION_NODE)):
             commands = command[tick.MOTORS : tick.TRACK_BRAKE]
-            nodes[number] = traction401.build(row, commands, post, store(number), parameters, group)
+            nodes[number] = traction401.build(
+                table, row, commands, post, store(number), parameters, group
+            )
     return nodes
 
 
@@ -612,8 +622,9 @@ def check_stored(scenario: Scenario) -> None:
     Raises ConfigError.
     """
     if scenario["bus"]["store"]:
-        row = np.zeros(len(signals.COLUMNS))
-        identifiers.check(_build_nodes(scenario, row, tick.first_command(), lambda: None))
+        row = np.zeros(signals.WIDTH)
+        nodes = _build_nodes(scenario, row, tick.first_command(), lambda: None)
+        identifiers.check(scenario.table, nodes)
 
 
 def _is_sync(frame: Frame) -> bool:

@@ -20,16 +20,18 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
 from rollerrig.configs.vehicle import (
     COACH_AXLES,
-    EQUIPMENT,
+    DYNAMIC_BRAKE,
     EQUIPMENT_KEYS,
+    MAGNETIC_TRACK_BRAKE,
+    Kind,
     check_axles,
-    check_equipment,
+    kind_of,
 )
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import seal
 from rollerrig.rig import dynamic_params
 from rollerrig.rig import params as physics
-from rollerrig.wsp_interface.signals import AXLES
+from rollerrig.wsp_interface import signals
 
 # value of bus.socketcand_port where nobody has chosen a port
 AUTOMATIC_PORT = -1
@@ -175,6 +177,16 @@ class Scenario:
     def __getitem__(self, key: str) -> Any:
         return self.resolved[key]
 
+    @property
+    def kind(self) -> Kind:
+        """The kind of its vehicle."""
+        return kind_of(self.resolved, self.name)
+
+    @property
+    def table(self) -> signals.Table:
+        """The signals of its vehicle."""
+        return signals.table(self.kind)
+
 
 def load(
     name: str,
@@ -198,17 +210,8 @@ def load(
 
 
 def names() -> list[str]:
-    """Return the names of the packaged scenarios whose vehicles this process simulates."""
-    found: list[str] = []
-    for name in store.names("scenarios"):
-        content, path = store.load("scenarios", name)
-        vehicle_set = content.get("vehicle", COACH)
-        vehicle, _ = store.load("vehicles", vehicle_set, path)
-        layers: list[Layer] = [("", vehicle), ("", content)]
-        has_axles = vehicle["vehicle"].get("axles", COACH_AXLES) == AXLES
-        if has_axles and _equipment(layers)[0] == EQUIPMENT:
-            found.append(name)
-    return found
+    """Return the names of the packaged scenarios."""
+    return store.names("scenarios")
 
 
 def read(
@@ -247,8 +250,10 @@ def read(
         layers.append((str(at), store.parse(at)))
     layers.append((sources.settings, single_rest))
     layers.append(("the running rig", tables or {}))
-    _check_vehicle(layers)  # the kinds of faults depend on the vehicle
-    plain_faults = [catalogue.plain(catalogue.parse(text, sources.faults)) for text in faults]
+    vehicle = _kind(layers)
+    plain_faults = [
+        catalogue.plain(catalogue.parse(text, vehicle, sources.faults)) for text in faults
+    ]
     layers.append((sources.faults, {"fault": plain_faults}))
 
     table.read(_rows_of(single_head), single_head, sources.settings)
@@ -265,19 +270,20 @@ def _rows_of(given: Mapping[str, Any]) -> list[table.Row]:
 
 def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     """Merge layers of tables, check them, and return the scenario with its parameters."""
-    _check_vehicle(layers)
     merged = _merge(head, layers)
     checked: dict[str, Any] = dict(physics.check(merged.sections, name))
     _check_held_speed(checked, name)
     for section in ("loop", "bus", "modbus"):
         given = merged.sections[section]
         checked[section] = table.read(SECTIONS[section], given, f"{name} [{section}]")
-    acting, hidden_faults = _with_sealed(checked, merged.head.get("sealed", ""))
+    acting, hidden_faults = _with_sealed(checked, merged.head.get("sealed", ""), merged.kind)
     ratios = _ratios(checked, name)
 
     steps, demand = _demand(merged.demand, merged.programme_from)
     traction = _steps(TRACTION, merged.traction, f"{merged.programme_from} [[traction]]")
-    friction, friction_rows = _friction(merged.friction, checked["adhesion"], merged.programme_from)
+    friction, friction_rows = _friction(
+        merged.friction, checked["adhesion"], merged.programme_from, merged.kind.axles
+    )
     resolved = {
         **merged.head,
         **checked,
@@ -325,6 +331,7 @@ class Merged:
     traction: list[dict[str, Any]]
     faults: tuple[catalogue.Fault, ...]
     programme_from: str
+    kind: Kind
     # what gave the initial adhesion that acts, and the one that no longer does
     initial_adhesion_from: str = ""
     replaced: ReplacedAdhesion | None = None
@@ -340,6 +347,7 @@ def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
         traction=[],
         faults=(),
         programme_from=layers[0][0],
+        kind=_kind(layers),
     )
     for where, layer in layers:
         for key, content in layer.items():
@@ -350,37 +358,23 @@ def _merge(head: dict[str, Any], layers: list[Layer]) -> Merged:
     return merged
 
 
-def _equipment(layers: list[Layer]) -> tuple[frozenset[str], str]:
-    """Return the equipment of the vehicle, and the layer that gives it last."""
-    found: set[str] = set()
-    given_by = "default"
-    for where, layer in layers:
-        for name, key in EQUIPMENT_KEYS.items():
-            section = layer.get(name)
-            if not isinstance(section, Mapping) or key not in section:
-                continue
-            given_by = where
-            found.discard(name)
-            if section[key]:
-                found.add(name)
-    return frozenset(found), given_by
+def _kind(layers: list[Layer]) -> Kind:
+    """Return the kind of the vehicle, on which the bounds of other keys depend.
 
-
-def _check_vehicle(layers: list[Layer]) -> None:
-    """Check that this process simulates the vehicle: bounds of other keys depend on its axles.
-
-    Raises ConfigError, OtherVehicleError.
+    Raises ConfigError.
     """
     axles: Any = COACH_AXLES
-    given_by = "default"
+    equipped = dict.fromkeys(EQUIPMENT_KEYS, False)
     for where, layer in layers:
         vehicle = layer.get("vehicle")
         if isinstance(vehicle, Mapping) and "axles" in vehicle:
             axles = vehicle["axles"]
-            given_by = where
-    equipment, equipped_by = _equipment(layers)
-    check_axles(axles, f"{given_by} [vehicle] axles", equipment)
-    check_equipment(equipment, equipped_by)
+            check_axles(axles, f"{where} [vehicle] axles")
+        for name, key in EQUIPMENT_KEYS.items():
+            section = layer.get(name)
+            if isinstance(section, Mapping) and key in section:
+                equipped[name] = bool(section[key])
+    return Kind(axles, equipped[DYNAMIC_BRAKE], equipped[MAGNETIC_TRACK_BRAKE])
 
 
 def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
@@ -400,7 +394,7 @@ def _merge_key(merged: Merged, where: str, key: str, content: Any) -> None:
         merged.programme_from = where
     elif key == "fault":
         _require(isinstance(content, list), where, key, content, "[[fault]] with two brackets")
-        merged.faults += catalogue.all_of(content, where)
+        merged.faults += catalogue.all_of(content, merged.kind, where)
     elif key in heads:
         merged.head |= table.read([heads[key]], {key: content}, where)
     else:
@@ -483,7 +477,7 @@ def _check_held_speed(checked: dict[str, Any], name: str) -> None:
 
 
 def _with_sealed(
-    checked: dict[str, Any], text: str
+    checked: dict[str, Any], text: str, kind: Kind
 ) -> tuple[dict[str, Any], tuple[catalogue.Fault, ...]]:
     """Return the sections as they act, and the hidden faults, of a scenario that hides effects.
 
@@ -495,7 +489,7 @@ def _with_sealed(
     mechanisms = table.read(
         physics.ROWS["mechanisms"], checked["mechanisms"] | content.get("mechanisms", {}), "sealed"
     )
-    faults = catalogue.all_of(content.get("fault", []), "sealed")
+    faults = catalogue.all_of(content.get("fault", []), kind, "sealed")
     hidden = tuple(dataclasses.replace(fault, reported=False) for fault in faults)
     return checked | {"mechanisms": mechanisms}, hidden
 
@@ -568,7 +562,7 @@ def _check_blending(
 
 
 def _friction(
-    rows: list[dict[str, Any]], adhesion: dict[str, float], where: str
+    rows: list[dict[str, Any]], adhesion: dict[str, float], where: str, axles_of_vehicle: int
 ) -> tuple[physics.Friction, list[dict[str, Any]]]:
     """Return the programme of friction, for the plant and as plain data. Raises ConfigError."""
     steps: list[dict[str, Any]] = []
@@ -576,8 +570,8 @@ def _friction(
     for place, row in enumerate(rows, start=1):
         at = f"{where} [[friction]] {place}"
         given = dict(row)
-        axles = given.pop("axles", list(range(1, AXLES + 1)))
-        _check_axles(axles, at)
+        axles = given.pop("axles", list(range(1, axles_of_vehicle + 1)))
+        _check_axles(axles, at, axles_of_vehicle)
         if ("from_s" in given) == ("from_m" in given):
             raise ConfigError(f"{at}: give from_s (time) or from_m (place), one of them")
         table.known(given, [row.name for row in FRICTION], lambda key, at=at: at)
@@ -604,11 +598,11 @@ def _friction(
     return friction, steps
 
 
-def _check_axles(axles: Any, at: str) -> None:
+def _check_axles(axles: Any, at: str, most: int) -> None:
     """Raise ConfigError unless this is a list of numbers of axles."""
     is_list = isinstance(axles, list) and len(axles) > 0
-    if not is_list or not all(type(axle) is int and 1 <= axle <= AXLES for axle in axles):
-        raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {AXLES}")
+    if not is_list or not all(type(axle) is int and 1 <= axle <= most for axle in axles):
+        raise ConfigError(f"{at}: axles = {axles!r}; a list of axle numbers from 1 to {most}")
 
 
 # --- writing ---

@@ -33,7 +33,8 @@ def build(
     plant = Plant(plan.params, speed_m_s)
     rollers = Plant(plan.rollers, speed_m_s) if plan.rollers else plant
     tick_hz = plan["loop"]["tick_hz"]
-    width = len(signals.COLUMNS)
+    width = signals.WIDTH
+    kind = plan.kind
     commands = mailbox.mailbox(tick.COMMANDS)
     commands.values[:] = tick.first_command()
     commands.second[:] = commands.values
@@ -49,7 +50,8 @@ def build(
         command=commands.values.copy(),
         published=mailbox.mailbox(width),
         row=np.zeros(width),
-        gather=tick.gather(),
+        kept=plan.table.kept,
+        gather=tick.gather(kind),
         ring_header=ring.header,
         ring_rows=ring.rows,
         virtual=int(plan.rollers is not None),
@@ -57,13 +59,13 @@ def build(
         roller_state=rollers.state,
         roller_buffer=rollers.buffer,
         roller_delay=rollers.delay,
-        gather_rollers=tick.gather(tick.OF_ROLLERS if plan.rollers else ()),
+        gather_rollers=tick.gather(kind, tick.OF_ROLLERS if plan.rollers else ()),
         record_ticks=plan.record_ticks,
         end_tick=round(plan["duration_max_s"] * tick_hz),
         stand_ticks=round(plan["stand_s"] * tick_hz),
         hold=held_rig.steady(speed_m_s),
         answer=np.array(wire_delay.answer_ticks(plan) or _IMMEDIATE_ANSWER),
-        pulses=pole_wheel.memory(seed),
+        pulses=pole_wheel.memory(seed, kind.axles),
         sensor=_sensor(plan),
     )
     tick.publish(data)

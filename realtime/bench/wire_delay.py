@@ -17,7 +17,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.frames import S_NS, Frame
 from rollerrig.wsp_interface.bus.hub import Hub
-from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, REFERENCE_SPEED_ID
 
 # a ratio of times that is whole but for rounding errors
 _ROUNDING = 1e-9
@@ -46,7 +46,7 @@ def _rehearse(plan: Scenario, cycles: int) -> list[int | None]:
     bus = rig_bus.RigBus(
         hub,
         dataclasses.replace(plan, resolved=resolved),
-        np.zeros(len(signals.COLUMNS)),
+        np.zeros(signals.WIDTH),
         lambda row: None,
         events.ignore,
         now_ns,
@@ -67,7 +67,7 @@ def _rehearse(plan: Scenario, cycles: int) -> list[int | None]:
             hub.advance(now_ns())
             if not has_sent and not hub.wire:
                 has_sent = True
-                unit.send(Frame(REFERENCE_SPEED.can_id, bytes(2)))
+                unit.send(Frame(REFERENCE_SPEED_ID, bytes(2)))
                 unit.send(Frame(MAGNETS_ID, bytes(1)))
             now_tick += 1
         delays.append(None if answered_at is None else answered_at - begin)

@@ -1,11 +1,10 @@
 """`rollerrig bench campaign`: how many stops a campaign does, on one worker, on two, and on Dask.
 
-All figures come from stops of the packaged plan `low_adhesion`. A process with another number of
-axles (`ROLLERRIG_AXLES`) takes the scenario of SCENARIOS instead of that of the plan. The rate is
-per minute of processor time, so that other programs do not affect it. The ratio of two workers to
-one is of wall time, and needs a machine that is otherwise idle. Dask's overhead is the wall time of
-a worker that receives one stop at a time, relative to the time of its stops. All of these have the
-step of the scenario (0.1 ms).
+All figures come from stops of the packaged plan `low_adhesion`. With `--axles N` they have the
+scenario of SCENARIOS instead of that of the plan. The rate is per minute of processor time, so that
+other programs do not affect it. The ratio of two workers to one is of wall time, and needs a
+machine that is otherwise idle. Dask's overhead is the wall time of a worker that receives one stop
+at a time, relative to the time of its stops. All of these have the step of the scenario (0.1 ms).
 
 Some stops then run with longer steps, alternately with the same stops at 0.1 ms. The factors are
 ratios of processor time, and the deviations are those of the stopping distance. With `--beside
@@ -26,7 +25,7 @@ from rich.table import Table
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
-from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, COACH_AXLES
+from rollerrig.configs.vehicle import COACH_AXLES
 from rollerrig.realtime.benchmarks import figures, older_checkout
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign
@@ -58,13 +57,14 @@ _MANY_STOPS = 10_000
 
 def run(given: argparse.Namespace, say: Say) -> Result:
     """Measure the same stops in four ways."""
-    if AXLES not in SCENARIOS:
+    if given.axles not in SCENARIOS:
         raise ConfigError(
-            f"bench campaign has no scenario with {AXLES} axles; allowed are "
-            f"{', '.join(map(str, SCENARIOS))} ({AXLES_VARIABLE})"
+            f"--axles {given.axles}: bench campaign has no scenario with so many axles; allowed are "
+            f"{', '.join(map(str, SCENARIOS))}"
         )
     older_checkout.check(given.beside)
-    plan = campaign.load(PLAN, runs=RUNS, chunk=CHUNK, scenario=SCENARIOS[AXLES], step_s=0.0)
+    scenario = SCENARIOS[given.axles]
+    plan = campaign.load(PLAN, runs=RUNS, chunk=CHUNK, scenario=scenario, step_s=0.0)
     # loads and compiles what the first stop needs
     campaign.run_chunk(plan._replace(points=plan.points[:1]), 0)
 
@@ -73,7 +73,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     cpu_s = spent["cpu_s"]
 
     say(f"{COMPARED} stops with longer steps, alternately with 0.1 ms ...")
-    with older_checkout.chunks(given.beside, PLAN, plan) as older_chunk_s:
+    with older_checkout.chunks(given.beside, PLAN, plan, given.axles) as older_chunk_s:
         steps = longer_steps(plan, older_chunk_s)
 
     say(f"{ROUNDS} times {RUNS} stops on one worker, then on two ...")
@@ -90,7 +90,7 @@ def run(given: argparse.Namespace, say: Say) -> Result:
         "stops_per_minute_and_core": 60.0 * len(rows) / cpu_s,
         "wall_share": cpu_s / spent["wall_s"],
         "stop_mean_s": sum(row["stop_time_s"] or 0.0 for row in rows) / len(rows),
-        "axles": AXLES,
+        "axles": given.axles,
         "steps": steps,
         "one_worker": one,
         "two_workers": two,
@@ -113,9 +113,9 @@ def run(given: argparse.Namespace, say: Say) -> Result:
     }
 
 
-def section() -> str:
+def section(given: argparse.Namespace) -> str:
     """Return the heading of the figures on a page: each number of axles has a section."""
-    return "campaign" if AXLES == COACH_AXLES else f"campaign with {AXLES} axles"
+    return "campaign" if given.axles == COACH_AXLES else f"campaign with {given.axles} axles"
 
 
 def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None) -> Result:

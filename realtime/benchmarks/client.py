@@ -24,15 +24,17 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.wsp_interface import magnets, rig_objects, signals
 from rollerrig.wsp_interface.bus import socketcand
 from rollerrig.wsp_interface.bus.connection_set import SDO_REPLY, SDO_REQUEST, SYNC, TPDO
 from rollerrig.wsp_interface.bus.frames import Frame
 
-# identifiers: axle speeds, magnets, all TPDOs of the rig
-SPEEDS = rig_objects.SPEEDS.can_id
+# identifiers: axle speeds, magnets, all TPDOs of the rig; the benches have the coach
+SPEEDS = rig_objects.SPEEDS_ID
 MAGNETS = rig_objects.MAGNETS_ID
-TPDOS = frozenset(first + node for first in TPDO for node in signals.RIG_NODES)
+_NODES = signals.table(COACH).rig_nodes
+TPDOS = frozenset(first + node for first in TPDO for node in _NODES)
 # a frame that the hub's echo returns with another identifier
 ECHO_CALL = 0x7F0
 ECHO_ANSWER = 0x7F1
@@ -45,7 +47,7 @@ _BOOT_UP = b"\x00"
 _OPERATIONAL = b"\x05"
 # a heartbeat goes out every so many SYNCs
 _SYNCS_PER_HEARTBEAT = 5
-_HOLD_ALL = magnets.pack([magnets.HOLDING] * signals.AXLES)
+_HOLD_ALL = magnets.pack([magnets.HOLDING] * COACH.axles)
 # round trips in one block, and blocks of each kind
 BLOCK = 25
 _BLOCKS = 60

@@ -20,11 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from rich.console import Group
 
-from rollerrig.configs.vehicle import AXLES
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.rig.lanes.layout import rigs_of
 from rollerrig.wsp_interface import braking
 
 DRY = "dry_stop"
@@ -141,16 +141,16 @@ def _measure(name: str) -> dict[str, float]:
     plan = scenario.load(name)
     rows = free.simulate(plan)
     again = free.simulate(plan)
-    distance_m = _distance_m(free.channels(rows))
+    distance_m = _distance_m(free.channels(rows, plan.table))
 
     half = scenario.load(name, settings=(f"loop.step_s={0.5 * plan['loop']['step_s']!r}",))
-    half_m = _distance_m(free.channels(free.simulate(half)))
+    half_m = _distance_m(free.channels(free.simulate(half), half.table))
 
-    jobs = [(place, plan) for place in range(stops_in_lanes.RIGS)]
+    jobs = [(place, plan) for place in range(rigs_of(plan.kind.axles))]
     four_m = [_distance_m(finished.channels) for finished in stops_in_lanes.together(jobs)]
     return {
         "distance_m": distance_m,
-        "energy": abs(energy_missing(plan, free.channels(free.moving(rows)))),
+        "energy": abs(energy_missing(plan, free.channels(free.moving(rows), plan.table))),
         "differ": float(np.sum(~np.isclose(rows, again, rtol=0.0, atol=0.0, equal_nan=True))),
         "step": abs(half_m / distance_m - 1.0),
         "four": max(abs(other_m / distance_m - 1.0) for other_m in four_m),
@@ -172,7 +172,7 @@ def energy_missing(plan: scenario.Scenario, channels: dict[str, np.ndarray]) -> 
     time_s = channels["time_s"]
     speed_m_s = channels["vehicle_speed_m_s"]
     rotation_rad_s = []
-    for axle in range(1, AXLES + 1):
+    for axle in range(1, plan.kind.axles + 1):
         rim_m_s = channels[f"wheel_circumferential_speed_{axle}_m_s"]
         rotation_rad_s.append(rim_m_s / vehicle["wheel_radius_m"])
 

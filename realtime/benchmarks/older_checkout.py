@@ -30,6 +30,9 @@ for line in sys.stdin:
     print(time.process_time() - begun_s, flush=True)
 """
 
+# an older process has vehicles with one number of axles, which this variable sets
+_AXLES = "ROLLERRIG_AXLES"
+
 # the program that prints from where the command is imported
 _WHERE = "from rollerrig.realtime import cli; print(cli.__file__)"
 
@@ -45,11 +48,12 @@ def check(folder: Path | None) -> None:
 
 @contextlib.contextmanager
 def chunks(
-    folder: Path | None, name: str, plan: campaign.Plan
+    folder: Path | None, name: str, plan: campaign.Plan, axles: int
 ) -> Iterator[Callable[[int], float] | None]:
     """Yield a function from the number of a chunk to the processor time in s of a checkout.
 
-    `name` is that of the plan. Yields None without a folder. Raises ConfigError if its stops fail.
+    `name` is that of the plan, `axles` is the number of its vehicle. Yields None without a folder.
+    Raises ConfigError if its stops fail.
     """
     if folder is None:
         yield None
@@ -58,6 +62,7 @@ def chunks(
     words = [name, json.dumps(heads), str(folder), str(import_folder(folder))]
     program = subprocess.Popen(
         [children.interpreter(), "-P", "-c", _OLDER, *words],
+        env=os.environ | {_AXLES: str(axles)},
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

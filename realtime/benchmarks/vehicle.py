@@ -21,7 +21,6 @@ from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.loop.tick import TICK
 from rollerrig.rig.compiled import kernel_cache
-from rollerrig.wsp_interface import signals
 
 SCENARIO = "velim_a1"
 STOP_S = 45.0
@@ -97,7 +96,7 @@ def _stop(plan: scenario.Scenario, ticks: int) -> dict[str, float]:
             f"the rig stopped after {done} of {ticks} ticks, so there is nothing to time; "
             "the scenario of this benchmark must slide longer"
         )
-    sliding = memory.written[:, signals.span("sliding")] > _SLIDING_M_S
+    sliding = memory.written[:, plan.table.span("sliding")] > _SLIDING_M_S
     share = float(sliding.mean()) if sliding.size else 0.0
     return {"wall_s": wall_s, "cpu_s": cpu_s, "sliding_share": share}
 

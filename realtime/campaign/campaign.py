@@ -13,7 +13,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,9 +23,10 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from rollerrig.configs import store, table, unpacking, user_files
-from rollerrig.configs.errors import ConfigError, OtherVehicleError, RollerrigError
+from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.table import choice, integer
+from rollerrig.configs.vehicle import Kind
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import bench_runs, design, speed_steps, spreading, stops_in_lanes
@@ -153,8 +154,6 @@ def _check_step(plan: Plan, path: Path) -> None:
     if _long_step_s(plan) is not None:
         try:
             _with_long_step(plan, plan.first)
-        except OtherVehicleError:
-            raise
         except ConfigError as error:
             raise ConfigError(
                 f"{path}: step_s = {plan.head[STEP]:g}: {error}; or set step_s = 0 for the step of "
@@ -169,9 +168,6 @@ def _check_values(plan: Plan, path: Path) -> None:
         for run in runs:
             try:
                 resolve(plan, run)
-            except OtherVehicleError:
-                # the caller starts a process that simulates this vehicle
-                raise
             except ConfigError as error:
                 raise ConfigError(
                     f"{path}: {axis}: run {run} draws a value that the scenario does not allow: "
@@ -340,22 +336,23 @@ def _compute(
     plan: Plan, rows: dict[int, Row], resolved: Callable[[int], scenario.Scenario]
 ) -> None:
     """Write the results of runs into their rows, by number; `resolved` gives their scenarios."""
-
-    def jobs() -> Iterator[tuple[int, scenario.Scenario]]:
-        for number, row in rows.items():
-            try:
-                yield number, resolved(number)
-            except RollerrigError as error:
-                row["error"] = str(error)
+    jobs: dict[Kind, list[tuple[int, scenario.Scenario]]] = {}
+    for number, row in rows.items():
+        try:
+            found = resolved(number)
+            jobs.setdefault(found.kind, []).append((number, found))
+        except RollerrigError as error:
+            row["error"] = str(error)
 
     unit = _unit(plan.head["unit"])
-    read = dict.fromkeys((*summary.CHANNELS, *speed_steps.CHANNELS))
-    for finished in stops_in_lanes.together(jobs(), unit, list(read)):
-        row = rows[finished.tag]
-        _fill(row, summarize(finished, plan.head["unit"]))
-        row[STEP] = finished.plan["loop"][STEP]
-        if plan.steps is not None:
-            row |= speed_steps.decelerations(finished.channels, plan.steps)
+    for kind, of_kind in jobs.items():
+        read = dict.fromkeys((*summary.channels_of(kind), *speed_steps.CHANNELS))
+        for finished in stops_in_lanes.together(of_kind, unit, list(read)):
+            row = rows[finished.tag]
+            _fill(row, summarize(finished, plan.head["unit"]))
+            row[STEP] = finished.plan["loop"][STEP]
+            if plan.steps is not None:
+                row |= speed_steps.decelerations(finished.channels, plan.steps)
 
 
 class Again(NamedTuple):

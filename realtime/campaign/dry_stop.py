@@ -15,7 +15,6 @@ from rollerrig.configs import store
 from rollerrig.realtime.bench import free, scenario, tick_data
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.tick import DONE
-from rollerrig.wsp_interface import signals
 
 # distances in m by the text of the scenario
 _computed: dict[str, float] = {}
@@ -57,7 +56,7 @@ def _compute(dry: dict[str, Any], braked_from_s: float) -> float:
     """Return the distance from a time to standstill in m; NaN without a standstill."""
     plan = scenario.read(dry, Path("dry.toml"))
     # nobody reads the samples, so the memory holds only one of them
-    memory = ring.Memory(1, len(signals.COLUMNS))
+    memory = ring.Memory(1, plan.table)
     stop = free.Stop(plan, tick_data.build(plan, memory), "none")
     control = stop.data.control
     state = stop.data.state

@@ -15,10 +15,22 @@ import numpy as np
 
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.rig.compiled.generated import tuple_builder
+from rollerrig.rig.dynamic_params import DynamicBrake
+from rollerrig.rig.mechanisms.applied import Wheels
 from rollerrig.rig.params import Friction, Params
+from rollerrig.rig.track_brake_params import MagneticTrackBrake
 
 # arrays of whole numbers: the class and the field
-_WHOLE = {(Friction, "by_place"), (Friction, "axles")}
+_WHOLE = {
+    (Friction, "by_place"),
+    (Friction, "axles"),
+    (DynamicBrake, "driven"),
+    (DynamicBrake, "blends_with"),
+    (MagneticTrackBrake, "fitted"),
+}
+# arrays with more than one row, one row after another in the tape: the class, the field, and the
+# number of rows
+_ROWS_OF = {(Wheels, "table"): 4}
 # how compiled code reads a number of each kind at a place of the tape
 _READ = {float: "tape[{}]", int: "int(tape[{}])", bool: "tape[{}] != 0.0"}
 
@@ -31,12 +43,15 @@ def _expressions(kind: Any, places: Iterator[int], names: dict[str, Any]) -> lis
             found.append(_READ[hint].format(next(places)))
         elif hint is np.ndarray:
             tape = "whole" if (kind, field) in _WHOLE else "tape"
-            found.append(f"{tape}[int(tape[{next(places)}]) : int(tape[{next(places)}])]")
+            array = f"{tape}[int(tape[{next(places)}]) : int(tape[{next(places)}])]"
+            if (kind, field) in _ROWS_OF:
+                array += f".reshape(({_ROWS_OF[kind, field]}, -1))"
+            found.append(array)
         elif hasattr(hint, "_fields"):
             names[hint.__name__] = hint
             found.append(f"{hint.__name__}({', '.join(_expressions(hint, places, names))})")
         else:
-            # equipment that vehicles in lanes do not have
+            # the coach in 3D does not run in lanes
             found.append("None")
     return found
 
@@ -99,7 +114,7 @@ def _append(
             group = wholes if is_whole else arrays
             begin = sum(array.size for array in group) + (0 if is_whole else _NUMBERS)
             numbers += (begin, begin + value.size)
-            group.append(value.astype(np.int64) if is_whole else value)
+            group.append(value.astype(np.int64) if is_whole else value.ravel())
         elif hasattr(value, "_fields"):
             _append(value, numbers, arrays, wholes)
         elif value is not None:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import UnitError
+from rollerrig.configs.vehicle import Kind
 from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, tick_data
@@ -20,7 +21,7 @@ from rollerrig.realtime.campaign.ticks_in_lanes import Rows
 from rollerrig.realtime.loop.ring import Memory
 from rollerrig.realtime.loop.tick import DONE
 from rollerrig.rig.lanes import layout, rail_cleaning
-from rollerrig.rig.lanes.layout import RIGS
+from rollerrig.rig.lanes.layout import rigs_of
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Event
 
@@ -42,15 +43,13 @@ class Finished(NamedTuple):
 
 
 class _Placed(NamedTuple):
-    """A stop, the tag by which its caller knows it, and its memory.
+    """A stop, the tag by which its caller knows it, and its parameters.
 
-    samples: (columns, n).
     tapes: the parameters of the plant. unit_tape: those of the units, empty without a unit.
     """
 
     tag: Any
     stop: free.Stop
-    samples: np.ndarray
     tapes: packed.Tapes
     unit_tape: np.ndarray
 
@@ -58,13 +57,14 @@ class _Placed(NamedTuple):
 def together(
     jobs: Iterable[tuple[Any, Scenario]],
     unit: free.Unit = "reference",
-    columns: Sequence[str] = signals.COLUMNS,
+    columns: Sequence[str] | None = None,
 ) -> Iterator[Finished]:
-    """Run many scenarios, RIGS at a time if possible; yield each that is done.
+    """Run many scenarios, several at a time if possible; yield each that is done.
 
-    `jobs` are (tag, scenario). `columns` are the channels that the caller needs, at least. The
-    results come in the order in which the stops are done. A result does not depend on the stops in
-    the other places. It differs from that of `free.simulate` by rounding.
+    `jobs` are (tag, scenario). `columns` are the channels that the caller needs, at least; None:
+    all that the vehicle has. Vehicles with the same number of axles run together. The results come
+    in the order in which the stops are done. A result does not depend on the stops in the other
+    places. It differs from that of `free.simulate` by rounding.
     """
     parameters = functools.cache(logic.load)
 
@@ -73,33 +73,36 @@ def together(
         return parameters(plan["wsp_config"]) if unit == "reference" else unit
 
     is_compiled = unit in ("reference", "none") or isinstance(unit, logic.Params)
-    fitting: list[tuple[Any, Scenario]] = []
+    fitting: dict[Kind, list[tuple[Any, Scenario]]] = {}
     for tag, plan in jobs:
         if is_compiled and fits(plan):
-            fitting.append((tag, plan))
+            fitting.setdefault(plan.kind, []).append((tag, plan))
         else:
             yield _alone(tag, plan, unit)
 
-    stops = (_placed(tag, plan, unit_of(plan), len(columns)) for tag, plan in fitting)
-    for placed, written in _run(stops, [signals.COLUMNS.index(name) for name in columns]):
-        channels = dict(zip(columns, placed.samples[:, :written], strict=True))
-        # these stops have no events: they have no faults, and a planar vehicle cannot derail
-        yield Finished(
-            placed.tag, placed.stop.plan, channels, placed.stop.events, placed.stop.ended
-        )
+    for kind, together_jobs in fitting.items():
+        table = signals.table(kind)
+        names = table.columns if columns is None else columns
+        kept = [int(table.kept[table.columns.index(name)]) for name in names]
+        stops = (_placed(tag, plan, unit_of(plan)) for tag, plan in together_jobs)
+        for placed, samples in _run(kind, stops, kept):
+            channels = dict(zip(names, samples, strict=True))
+            # these stops have no events: they have no faults, and a planar vehicle cannot derail
+            yield Finished(
+                placed.tag, placed.stop.plan, channels, placed.stop.events, placed.stop.ended
+            )
 
 
-def _placed(tag: Any, plan: Scenario, unit: free.Unit, columns: int) -> _Placed:
-    """Return a stop that has not begun, with memory for samples of so many columns."""
-    no_ring = Memory(1, 1)
+def _placed(tag: Any, plan: Scenario, unit: free.Unit) -> _Placed:
+    """Return a stop that has not begun."""
+    no_ring = Memory(1, plan.table)
     stop = free.Stop(plan, tick_data.build(plan, no_ring), unit)
     units = stop.reference_units
     return _Placed(
         tag=tag,
         stop=stop,
-        samples=np.empty((columns, free.most_samples(plan))),
         tapes=packed.tapes(stop.data.params),
-        unit_tape=packed.unit_tape(units[0].params) if units else np.zeros(0),
+        unit_tape=packed.unit_tape(units.params) if units else np.zeros(0),
     )
 
 
@@ -116,7 +119,9 @@ def _alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
 
 def finished(tag: Any, stop: free.Stop, memory: Memory) -> Finished:
     """Return what a stop that is done has left."""
-    return Finished(tag, stop.plan, free.channels(memory.written), stop.events, stop.ended)
+    return Finished(
+        tag, stop.plan, free.channels(memory.written, stop.plan.table), stop.events, stop.ended
+    )
 
 
 def fits(plan: Scenario) -> bool:
@@ -129,27 +134,28 @@ def fits(plan: Scenario) -> bool:
     )
 
 
-def _run(stops: Iterable[_Placed], kept: list[int]) -> Iterator[tuple[_Placed, int]]:
-    """Run stops RIGS at a time; yield each that is done, with the number of its samples.
+def _run(
+    kind: Kind, stops: Iterable[_Placed], kept: list[int]
+) -> Iterator[tuple[_Placed, np.ndarray]]:
+    """Run stops of one kind of vehicle; yield each that is done, with its samples (columns, n).
 
     All must fit (`fits`). `kept` are the columns of the row of all signals that a sample has.
     """
     waiting = iter(stops)
-    placed = dict(enumerate(itertools.islice(waiting, RIGS)))
+    rigs = rigs_of(kind.axles)
+    placed = dict(enumerate(itertools.islice(waiting, rigs)))
     if not placed:
         return
-    rows = _memory(placed.values(), kept)
+    rows = _memory(kind, placed.values(), kept)
     for rig, stop in placed.items():
         _place(stop, rig, rows)
 
     while placed:
-        # an empty place has the samples of another one, and does not run
-        samples = [placed[rig if rig in placed else min(placed)].samples for rig in range(RIGS)]
-        ticks_in_lanes.run_ticks(rows, tuple(samples), _MOST_STEPS)
+        ticks_in_lanes.run_ticks(rows, _MOST_STEPS)
         for rig, stop in list(placed.items()):
             if not rows.control[rig, DONE]:
                 continue
-            yield stop, int(rows.written[rig])
+            yield stop, rows.samples[rig, :, : rows.written[rig]].copy()
             following = next(waiting, None)
             if following is None:
                 del placed[rig]
@@ -160,30 +166,33 @@ def _run(stops: Iterable[_Placed], kept: list[int]) -> Iterator[tuple[_Placed, i
                 _place(following, rig, rows)
 
 
-def _memory(stops: Iterable[_Placed], kept: list[int]) -> Rows:
+def _memory(kind: Kind, stops: Iterable[_Placed], kept: list[int]) -> Rows:
     """Return memory with room for some stops; `kept` as for `_run`."""
     sizes = [_sizes(placed) for placed in stops]
-    return ticks_in_lanes.rows(kept, *(max(size) for size in zip(*sizes, strict=True)))
+    return ticks_in_lanes.rows(kind, kept, *(max(size) for size in zip(*sizes, strict=True)))
 
 
-def _sizes(placed: _Placed) -> tuple[int, int, int, int]:
-    """Return the sizes of the tapes and of the dead time of a stop, as `rows` takes them."""
+def _sizes(placed: _Placed) -> tuple[int, int, int, int, int]:
+    """Return the sizes of the tapes, of the dead time and of the samples, as `rows` takes them."""
     return (
         placed.tapes.tape.size,
         placed.tapes.whole.size,
         placed.unit_tape.size,
         placed.stop.data.delay.shape[0],
+        free.most_samples(placed.stop.plan),
     )
 
 
 def _with_room(rows: Rows, placed: _Placed) -> Rows:
     """Return the memory, or a larger one with the same stops, with room for a further stop."""
-    fields = ("tape", "whole", "unit_tape", "delay")
+    # the field, and the axis that grows
+    fields = {"tape": 1, "whole": 1, "unit_tape": 1, "delay": 1, "samples": 2}
     given = {field: getattr(rows, field) for field in fields}
-    for field, size in zip(fields, _sizes(placed), strict=True):
-        missing = size - given[field].shape[1]
+    for (field, axis), size in zip(fields.items(), _sizes(placed), strict=True):
+        missing = size - given[field].shape[axis]
         if missing > 0:
-            padding = [(0, 0), (0, missing), (0, 0)][: given[field].ndim]
+            padding = [(0, 0)] * given[field].ndim
+            padding[axis] = (0, missing)
             given[field] = np.pad(given[field], padding)
     return rows._replace(**given)
 

@@ -12,22 +12,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import GROUPS, axles_of_group
+from rollerrig.configs.vehicle import MOST_AXLES, Kind
 from rollerrig.firmware_sim import pole_wheel, rig_control
 from rollerrig.firmware_sim.pole_wheel import Sensor
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.campaign import packed
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.mailbox import Mailbox
-from rollerrig.realtime.loop.tick import AXLES, DONE, STANDING_TICKS, TICK, TickData
+from rollerrig.realtime.loop.tick import DONE, STANDING_TICKS, TICK, TickData
 from rollerrig.rig import brake, heat, plant
-from rollerrig.rig.compiled.generated import buffer_viewer, tuple_builder
+from rollerrig.rig.compiled.generated import tuple_builder
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.compiled.record_type import as_record
 from rollerrig.rig.compiled.state_type import state_in
 from rollerrig.rig.lanes import layout, quiet_tick, rail_cleaning, step
-from rollerrig.rig.lanes.layout import RIGS
-from rollerrig.rig.state import SLOTS
+from rollerrig.rig.lanes.layout import rigs_of
+from rollerrig.rig.state import PLACES, SIZE
+from rollerrig.wsp_interface import signals
 
 # columns of `Rows.clock`
 RUNS = 0  # 0: the place is empty
@@ -52,7 +53,8 @@ _SPEED_MARGIN_M_S = 1.0
 class Rows(NamedTuple):
     """The memory of all stops; the first axis has a row for each.
 
-    The stops do not wait for one another: each has its tick, and its number of steps in a tick.
+    All vehicles have the same number of axles. The stops do not wait for one another: each has its
+    tick, and its number of steps in a tick.
     """
 
     tape: np.ndarray  # parameters of the plant, as in `packed`
@@ -66,18 +68,17 @@ class Rows(NamedTuple):
     row: np.ndarray  # the row of all signals
     pulses: np.ndarray  # (rigs, n, axles): memory of the speed sensors
     sensor: np.ndarray  # parameters of the sensors
+    samples: np.ndarray  # (rigs, columns, n): a sample has the columns `kept`
     written: np.ndarray  # int64, number of samples so far
     kept: np.ndarray  # int64, the columns of the row of all signals that a sample has
     clock: np.ndarray  # int64, with the columns above
-    gather: np.ndarray  # (columns of a row,): as in `TickData`
-    inputs: np.ndarray  # int64 (2 AXLES,): scratch, what the units receive
+    gather: np.ndarray  # int64 (n, 2): as in `TickData`
+    inputs: np.ndarray  # int64 (2 MOST_AXLES,): scratch, what the units receive
     lanes: np.ndarray  # of `rig.lanes.layout`
 
 
-# kernels: the state of a plant, of a unit, and of the unit of the last group, in their buffers
-see_state = state_in({**SLOTS, "coach": None})
-see_unit = buffer_viewer(logic.State, logic.PLACES)
-see_last_unit = buffer_viewer(logic.State, logic.places(axles_of_group(GROUPS - 1)))
+# kernel: the state of a plant without a coach in 3D, in its buffer
+see_state = state_in({**PLACES, "coach": None})
 # kernel: the parameters of the speed sensors
 _see_sensor = tuple_builder(
     Sensor,
@@ -90,84 +91,92 @@ _see_sensor = tuple_builder(
 
 
 def rows(
-    kept: Sequence[int], tape_size: int, whole_size: int, unit_size: int, delay_ticks: int
+    kind: Kind,
+    kept: Sequence[int],
+    tape_size: int,
+    whole_size: int,
+    unit_size: int,
+    delay_ticks: int,
+    samples: int,
 ) -> Rows:
-    """Return memory for RIGS stops, none of which runs.
+    """Return memory for stops, none of which runs.
 
+    kind : that of the vehicles; the number of axles is the same for all, equipment may be less
     kept : the columns of the row of all signals that a sample has
     tape_size, whole_size, unit_size : the largest sizes of the tapes in `packed`
     delay_ticks : the most ticks of dead time, and one
+    samples : the most samples of a stop
     """
+    rigs = rigs_of(kind.axles)
+    gather = tick.gather(kind)
     return Rows(
-        tape=np.zeros((RIGS, tape_size)),
-        whole=np.zeros((RIGS, whole_size), dtype=np.int64),
-        unit_tape=np.zeros((RIGS, unit_size)),
-        units=np.zeros((RIGS, GROUPS, logic.SIZE)),
-        buffer=np.zeros((RIGS, plant.SIZE)),
-        delay=np.zeros((RIGS, delay_ticks, AXLES)),
-        control=np.zeros((RIGS, tick.SLOTS_OF_CONTROL), dtype=np.int64),
-        command=np.zeros((RIGS, tick.COMMANDS)),
-        row=np.zeros((RIGS, tick.gather().size)),
-        pulses=np.zeros((RIGS, pole_wheel.MEMORY, AXLES)),
-        sensor=np.zeros((RIGS, len(Sensor._fields))),
-        written=np.zeros(RIGS, dtype=np.int64),
+        tape=np.zeros((rigs, tape_size)),
+        whole=np.zeros((rigs, whole_size), dtype=np.int64),
+        unit_tape=np.zeros((rigs, unit_size)),
+        units=np.zeros((rigs, kind.groups, logic.SIZE)),
+        buffer=np.zeros((rigs, SIZE)),
+        delay=np.zeros((rigs, delay_ticks, kind.axles)),
+        control=np.zeros((rigs, tick.SLOTS_OF_CONTROL), dtype=np.int64),
+        command=np.zeros((rigs, tick.COMMANDS)),
+        row=np.zeros((rigs, signals.WIDTH)),
+        pulses=np.zeros((rigs, pole_wheel.MEMORY, kind.axles)),
+        sensor=np.zeros((rigs, len(Sensor._fields))),
+        samples=np.zeros((rigs, len(kept), samples)),
+        written=np.zeros(rigs, dtype=np.int64),
         kept=np.array(kept, dtype=np.int64),
-        clock=np.zeros((RIGS, COLUMNS_OF_CLOCK), dtype=np.int64),
-        gather=tick.gather(),
-        inputs=np.zeros(2 * AXLES, dtype=np.int64),
+        clock=np.zeros((rigs, COLUMNS_OF_CLOCK), dtype=np.int64),
+        gather=gather,
+        inputs=np.zeros(2 * MOST_AXLES, dtype=np.int64),
         lanes=np.zeros(layout.SIZE),
     )
 
 
 @kernel
-def run_ticks(rows, samples, most):
-    """Run ticks until one of the running stops is done.
-
-    Parameters
-    ----------
-    rows : `Rows`
-    samples : the memory of the samples of each stop, float64 (columns, n)
-    most : the largest number of steps in this call
-    """
+def run_ticks(rows, most):
+    """Run ticks until one of the running stops is done, or `most` steps; `rows` is `Rows`."""
     clock = rows.clock
+    rigs = len(clock)
+    axles = rows.delay.shape[2]
     for _ in range(most):
-        for rig in range(RIGS):
+        for rig in range(rigs):
             if clock[rig, RUNS] * clock[rig, CLEANS] != 0 and clock[rig, LEFT] == 0:
-                rail_cleaning.write_energy(rows.lanes)
+                rail_cleaning.write_energy(rows.lanes, rigs * axles)
                 break
         done = 0
-        for rig in range(RIGS):
+        for rig in range(rigs):
             if clock[rig, RUNS] == 0 or clock[rig, LEFT] > 0:
                 continue
             if clock[rig, QUIET] > 0:
-                quiet(rows.lanes, clock, rig)
+                quiet(rows.lanes, clock[rig], rig * axles, axles)
             else:
-                done += busy(rows, samples[rig], rig)
+                done += busy(rows, rig)
         if done != 0:
             return
-        step.step(rows.lanes)
-        for rig in range(RIGS):
+        step.step(rows.lanes, rigs, axles)
+        for rig in range(rigs):
             clock[rig, LEFT] -= 1
 
 
 @kernel
-def quiet(lanes, clock, rig):
-    """End the tick of a stop, and begin a quiet one, in which only the rig control acts."""
-    quiet_tick.end(lanes, rig)
-    clock[rig, STOOD] += lanes[layout.MOVING + rig * AXLES] == 0.0
-    hold_surface_speed(lanes, rig)
-    if clock[rig, CLEANS] != 0:
-        rail_cleaning.clean(lanes, rig)
-    clock[rig, PASSED] += 1
-    clock[rig, QUIET] -= 1
-    clock[rig, LEFT] = clock[rig, SUBSTEPS]
+def quiet(lanes, clock, first, axles):
+    """End the tick of a stop, and begin a quiet one, in which only the rig control acts.
+
+    `clock` is that of the stop, `first` its first lane.
+    """
+    quiet_tick.end(lanes, first, axles)
+    clock[STOOD] += lanes[layout.MOVING + first] == 0.0
+    hold_surface_speed(lanes, first, axles)
+    if clock[CLEANS] != 0:
+        rail_cleaning.clean(lanes, first, axles)
+    clock[PASSED] += 1
+    clock[QUIET] -= 1
+    clock[LEFT] = clock[SUBSTEPS]
 
 
 @kernel
-def hold_surface_speed(w, rig):
+def hold_surface_speed(w, first, axles):
     """Do what `rig_control.hold_surface_speed` does, in lanes; nothing on a track."""
-    first = rig * AXLES
-    for j in range(first, first + AXLES):
+    for j in range(first, first + axles):
         demand_Nm, observer = rig_control.held(
             w[layout.ROLLER + j],
             w[layout.OBSERVER + j],
@@ -188,13 +197,13 @@ def hold_surface_speed(w, rig):
 
 
 @kernel_inlined
-def data_of(rows, samples, rig):
+def data_of(rows, rig):
     """Return the tick data of a stop."""
     params = as_record(packed.params(rows.tape[rig], rows.whole[rig]))
     buffer = rows.buffer[rig]
-    state = see_state(buffer)
+    state = see_state(buffer, params.axles)
     delay = rows.delay[rig, : params.brake.dead_time_ticks + 1]
-    nothing = rows.gather[:0]
+    nothing = rows.kept[:0]
     # commands act when they are written, and nobody else reads the row of all signals
     commands = Mailbox(nothing, rows.command[rig], rows.command[rig])
     published = Mailbox(nothing, rows.row[rig], rows.row[rig])
@@ -209,15 +218,16 @@ def data_of(rows, samples, rig):
         rows.command[rig],
         published,
         rows.row[rig],
+        rows.kept,
         rows.gather,
         nothing,
-        samples,
+        rows.samples[rig],
         0,
         params,
         state,
         buffer,
         delay,
-        nothing,
+        rows.gather[:0],
         clock[RECORD_TICKS],
         clock[END_TICK],
         clock[STAND_TICKS],
@@ -229,19 +239,19 @@ def data_of(rows, samples, rig):
 
 
 @kernel
-def busy(rows, samples, rig):
+def busy(rows, rig):
     """End the tick of a stop whose steps are done, and begin a busy one.
 
     Returns 1 if the stop is done now, else 0.
     """
-    m = as_record(data_of(rows, samples, rig))
+    m = as_record(data_of(rows, rig))
     clock = rows.clock[rig]
     if clock[BEGUN] != 0:
         after(m, clock, rows.lanes, rig)
         clock[BEGUN] = 0
         if m.control[DONE] != 0:
             return 1
-    target_Pa = before(m, rows, samples, rig)
+    target_Pa = before(m, rows, rig)
     layout.scatter(rows.lanes, rig, m.state, target_Pa)
     clock[QUIET] = quiet_ticks(m, clock, target_Pa)
     clock[BEGUN] = 1
@@ -250,25 +260,22 @@ def busy(rows, samples, rig):
 
 
 @kernel_inlined
-def before(m, rows, samples, rig):
+def before(m, rows, rig):
     """Do what precedes the physics of a tick; return the demanded pressure in Pa."""
     now = m.control[TICK]
     sync_ticks = rows.clock[rig, SYNC_TICKS]
     if sync_ticks != 0 and now % sync_ticks == 0:
         tick.write_unit_inputs(m, rows.inputs)
         params = packed.unit_params(rows.unit_tape[rig])
-        for group in range(GROUPS - 1):
-            unit = logic.Unit(see_unit(rows.units[rig, group]), params)
-            tick.run_unit_cycle(m, unit, group, rows.inputs)
-        last = logic.Unit(see_last_unit(rows.units[rig, GROUPS - 1]), params)
-        tick.run_unit_cycle(m, last, GROUPS - 1, rows.inputs)
+        tick.run_unit_cycles(m, rows.units[rig], params, rows.inputs)
     if now % m.record_ticks == 0:
         at = rows.written[rig]
         for i in range(rows.kept.size):
-            samples[i, at] = m.row[rows.kept[i]]
+            rows.samples[rig, i, at] = m.row[rows.kept[i]]
         rows.written[rig] = at + 1
     tick.obey(m)
-    return plant.prepare(m.state, m.delay, m.command[:AXLES], m.command[tick.DEMAND], now, m.params)
+    magnets = m.command[tick.MAGNETS : tick.DEMAND]
+    return plant.prepare(m.state, m.delay, magnets, m.command[tick.DEMAND], now, m.params)
 
 
 @kernel_inlined
@@ -284,7 +291,7 @@ def after(m, clock, lanes, rig):
     begun = m.control[TICK]
     now = begun + clock[PASSED]
     for passed in range(max(begun + 1, now - m.delay.shape[0]), now + 1):
-        for j in range(AXLES):
+        for j in range(params.axles):
             m.delay[passed % m.delay.shape[0], j] = m.command[tick.MAGNETS + j]
     m.control[STANDING_TICKS] += clock[STOOD]
     clock[PASSED] = 0
@@ -299,11 +306,11 @@ def after(m, clock, lanes, rig):
         plant.observe(m.state, params)
         tick.write_row(m)
     else:
-        for axle in range(AXLES):
+        for axle in range(params.axles):
             plant.watch_lock(m.state, axle, params)
             if clock[CLEANS] != 0:
                 # otherwise the observation has it
-                m.state.dissipated_energy[axle] = lanes[layout.ENERGY + rig * AXLES + axle]
+                m.state.dissipated_energy[axle] = lanes[layout.ENERGY + rig * params.axles + axle]
     tick.count(m, now)
 
 
@@ -330,7 +337,7 @@ def quiet_ticks(m, clock, target_Pa):
     slot = (now + 1) % depth
     for ahead in range(1, most + 1):
         slot = 0 if slot + 1 == depth else slot + 1
-        for j in range(AXLES):
+        for j in range(m.params.axles):
             # magnets of this tick, or earlier ones that have not passed the dead time
             magnets = m.command[tick.MAGNETS + j] if ahead >= depth else m.delay[slot, j]
             if brake.valve_of(magnets) != m.state.valve[j]:
@@ -350,7 +357,7 @@ def friction_may_change(m):
     reach_m = (m.state.vehicle_speed[0] + _SPEED_MARGIN_M_S) * m.record_ticks * m.params.tick_s
     for i in range(plan.start.size):
         if plan.by_place[i] != 0:
-            first = position_m - m.params.axle_position_m[AXLES - 1]
+            first = position_m - m.params.axle_position_m[-1]
             last = position_m - m.params.axle_position_m[0] + reach_m
         else:
             first = m.state.time[0]

@@ -13,8 +13,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, COACH_AXLES
-from rollerrig.realtime.commands import clone, output
+from rollerrig.realtime.commands import clone, output, wsp
 
 
 class Benchmark(NamedTuple):
@@ -127,6 +126,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="DIR",
         help="campaign, start: the checkout of an older commit, whose code does the same alternately",
     )
+    wsp.axles_argument(parser, "campaign: ")
     parser.add_argument(
         "--runs",
         type=int,
@@ -217,8 +217,6 @@ def call(given: argparse.Namespace) -> int:
 
     console = output.console()
     command = " ".join(["rollerrig", *sys.argv[1:]])
-    if AXLES != COACH_AXLES:
-        command = f"{AXLES_VARIABLE}={AXLES} {command}"
     results = {}
     # a name that is given twice runs once
     for name in dict.fromkeys(given.name):
@@ -231,7 +229,7 @@ def call(given: argparse.Namespace) -> int:
             console.print(table)
             console.print("\n".join(lines))
         if given.markdown:
-            heading = module.section() if hasattr(module, "section") else name
+            heading = module.section(given) if hasattr(module, "section") else name
             figures.put(given.markdown, heading, command, table, lines)
     if given.json:
         print(json.dumps(results))

@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
+from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.commands import output, wsp
 
 # exit statuses
@@ -109,6 +110,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="S",
         help="with an FMU: the SYNC period, which is the length of its steps (default: 0.01)",
     )
+    wsp.axles_argument(parser, "with an FMU: ")
     parser.add_argument(
         "--port",
         type=int,
@@ -126,7 +128,8 @@ def call(options: argparse.Namespace) -> int:
     if options.write_map:
         return _write_map(options)
     if options.fmu:
-        findings = check_fmu(options.fmu, options.unit_map, options.step)
+        unit_axles = Kind(options.axles).unit_axles
+        findings = check_fmu(options.fmu, options.unit_map, options.step, unit_axles)
         return show(options, findings, f"{options.fmu.name}: whether it fits the rig")
     if not 0 <= options.port <= _HIGHEST_PORT:
         raise ConfigError(
@@ -145,7 +148,8 @@ def _write_map(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--write-map {options.write_map}: exists; remove it, or give another file"
         )
-    unknown = map_skeleton.write(options.fmu, options.write_map)
+    unit_axles = Kind(options.axles).unit_axles
+    unknown = map_skeleton.write(options.fmu, options.write_map, unit_axles)
     todo = "check its names and factors"
     if unknown:
         todo = f"{unknown} names were not recognised (?): fill them in, and check the factors"
@@ -186,11 +190,11 @@ def show(
     return PASS if possible else USAGE
 
 
-def check_fmu(path: Path, unit_map: Path | None, period_s: float) -> list[Finding]:
+def check_fmu(path: Path, unit_map: Path | None, period_s: float, unit_axles: int) -> list[Finding]:
     """Return the content of an FMU and whether it fits. Raises ConfigError if it is unreadable."""
     from rollerrig.firmware_sim.fmu import fmu_file
 
-    _, examined = fmu_file.examine(path, unit_map, period_s)
+    _, examined = fmu_file.examine(path, unit_map, period_s, unit_axles)
     findings = []
     for row in examined:
         if row.fits:

@@ -40,8 +40,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenario",
         metavar="NAME",
-        help="scenario of a vehicle with motors, magnets or another number of axles: the desk shows "
-        "benches of such vehicles (default: four axles and friction brakes only)",
+        help="scenario that the page offers first, with its vehicle (default: velim_a1)",
     )
     wsp.allow_argument(parser, "a user of the page")
     parser.add_argument(
@@ -61,7 +60,7 @@ def call(options: argparse.Namespace) -> int:
     if options.scenario:
         from rollerrig.realtime.bench import scenario
 
-        # a vehicle of another kind starts the command again for it
+        # an error in it is reported before the page is served
         scenario.load(options.scenario)
 
     if not options.folder.is_dir():
@@ -99,6 +98,7 @@ def call(options: argparse.Namespace) -> int:
     shared = desk.Desk(options.folder.resolve(), options.own, allowed, options.allow_folder)
     if options.scenario:
         shared.prepared["scenario"] = options.scenario
+        shared.show_vehicle_of(options.scenario)
     with contextlib.suppress(KeyboardInterrupt):
         server.serve(
             shared,

@@ -20,8 +20,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--scenario",
         default="velim_a1",
         metavar="NAME",
-        help="scenario of the rig; the units of the objects depend on its rated torques and pole "
-        "wheels (default: velim_a1)",
+        help="scenario of the rig; nodes and registers are those of its vehicle, and the units of the "
+        "objects depend on its rated torques and pole wheels (default: velim_a1)",
     )
     parser.add_argument(
         "--set",
@@ -37,16 +37,17 @@ def call(options: argparse.Namespace) -> int:
     from rollerrig.configs.output_files import writing
     from rollerrig.firmware_sim.modbus import map
     from rollerrig.realtime.bench import scenario
-    from rollerrig.wsp_interface import descriptions, signals
+    from rollerrig.wsp_interface import descriptions, own_bench
 
     plan = scenario.load(options.scenario, settings=tuple(options.set))
+    table = plan.table
     nodes = dictionaries(plan)
-    drives = {node.node_id: node for node in nodes if node.node_id in signals.DRIVE_NODES}
+    drives = {node.node_id: node for node in nodes if node.node_id in table.drive_nodes}
 
     with writing(options.out):
         paths = [
-            *descriptions.write(options.out, nodes, plan["bus"]["sync_period_s"]),
-            *map.write(options.out, drives, tuple(scenario.names())),
+            *descriptions.write(options.out, table, nodes, plan["bus"]["sync_period_s"]),
+            *map.write(options.out, table, drives, own_bench.scenarios_of(table.kind)),
         ]
 
     result = {"folder": str(options.out), "files": [path.name for path in paths]}
@@ -73,7 +74,7 @@ def dictionaries(plan: Any) -> list[Any]:
     bus = rig_bus.RigBus(
         hub=Hub(lambda: 0),
         scenario=plan,
-        row=np.zeros(len(signals.COLUMNS)),
+        row=np.zeros(signals.WIDTH),
         on_command=lambda row: None,
         on_event=events.ignore,
         clock_ns=lambda: 0,

@@ -80,8 +80,9 @@ def _show_faults(options: argparse.Namespace) -> int:
     entries = []
     rows = []
     for fault in catalogue.CATALOGUE:
-        entries.append({"name": fault.name, "title": fault.text, "modbus_number": fault.number})
-        rows.append((str(fault.number), fault.name, fault.text))
+        title = _with_equipment(fault.text, fault.equipment)
+        entries.append({"name": fault.name, "title": title, "modbus_number": fault.number})
+        rows.append((str(fault.number), fault.name, title))
     # register 20 of the rig takes the number
     head = ("Modbus number", "name", "title")
     return output.show(options, {"faults": entries}, (None, head, rows))
@@ -112,15 +113,18 @@ def names_and_titles(kind: str) -> list[tuple[str, str]]:
     if kind == "faults":
         from rollerrig.firmware_sim.faults import catalogue
 
-        return [(fault.name, fault.text) for fault in catalogue.CATALOGUE]
+        return [
+            (fault.name, _with_equipment(fault.text, fault.equipment))
+            for fault in catalogue.CATALOGUE
+        ]
 
     if kind == "signals":
         from rollerrig.wsp_interface import signals
 
         rows = []
-        for signal in signals.SIGNALS:
+        for signal in signals.ALL_SIGNALS:
             title = f"{signal.text} ({signal.unit})" if signal.unit else signal.text
-            rows.append((signal.name, title))
+            rows.append((signal.name, _with_equipment(title, signal.equipment)))
         return rows
 
     if kind == "datasets":
@@ -131,6 +135,11 @@ def names_and_titles(kind: str) -> list[tuple[str, str]]:
 
     names = [*store.names(kind), *store.names_of_vehicles(kind)]
     return [(name, _title(store.find(kind, name))) for name in names]
+
+
+def _with_equipment(title: str, equipment: str) -> str:
+    """Return a title with the equipment that a vehicle needs; "" is none."""
+    return f"{title}; only with [{equipment}]" if equipment else title
 
 
 def _title(path: Path) -> str:

@@ -60,13 +60,13 @@ def compare(options: argparse.Namespace) -> int:
     from rollerrig.realtime.record import records
     from rollerrig.realtime.telemetry import viewer
 
-    tolerances = comparison.tolerances(options.tolerance)
     if len(options.run) < 2:
         raise ConfigError(
             "compare needs at least two run folders, as in: rollerrig compare runs/a runs/b"
         )
 
     runs = [records.load(folder) for folder in options.run]
+    tolerances = comparison.tolerances(options.tolerance, runs[0].signal_table)
     differences = comparison.differences(runs, tolerances)
     warnings = records.not_valid(options.run)
     failed = [difference for difference in differences if difference.failed]

@@ -11,13 +11,15 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rollerrig.configs.errors import ConfigError, OtherVehicleError
+from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import check_no_link, make_folder, writing
 from rollerrig.configs.processes import children, interruption
 from rollerrig.realtime.commands import output, wsp
 from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
+    from rollerrig.configs.vehicle import Kind
+    from rollerrig.firmware_sim.faults.catalogue import Fault
     from rollerrig.realtime.bench.scenario import Scenario
     from rollerrig.wsp_interface.harness_client import Event
     from rollerrig.wsp_interface.sequences.play import Outcome
@@ -189,30 +191,20 @@ def _warnings(outcomes: "list[Outcome]") -> list[str]:
 
 
 def load(names: list[str]) -> "list[Sequence]":
-    """Return the sequences of names, files and folders; without names, the packaged ones.
+    """Return the sequences of names, files and folders; without names, those of the coach.
 
-    Checks all of them. Raises ConfigError with the errors of all sequences, and OtherVehicleError
-    if all of them are for a vehicle that this process does not simulate.
+    Checks all of them. Raises ConfigError with the errors of all sequences.
     """
     from rollerrig.firmware_sim.faults import catalogue
     from rollerrig.wsp_interface.sequences import sequence as sequence_file
 
     sequences: list[Sequence] = []
     errors: list[str] = []
-    # errors of the sequences whose vehicle this process does not simulate, by their names
-    of_others: dict[str, OtherVehicleError] = {}
     for path in _find(names):
         try:
-            check_fault = partial(catalogue.parse, source="the fault")
-            sequences.append(sequence_file.load(path, check_fault))
+            sequences.append(sequence_file.load(path, _fault))
         except ConfigError as error:
-            # a sequence of another vehicle may have axles or faults that are unknown here
-            try:
-                _check_vehicle(path)
-            except OtherVehicleError as other:
-                of_others[path.stem] = other
-            else:
-                errors.append(str(error))
+            errors.append(str(error))
 
     # each sequence needs a different name, because the folder of its run has this name
     loaded_names = [sequence.name for sequence in sequences]
@@ -220,56 +212,26 @@ def load(names: list[str]) -> "list[Sequence]":
         if loaded_names.count(name) > 1:
             errors.append(f"two sequences have the name '{name}'; rename one of them")
 
-    of_this_vehicle: list[str] = []
     for sequence in sequences:
         try:
             of_bench = scenario_of(sequence)
-            of_this_vehicle.append(sequence.name)
             for step in sequence.steps:
                 for text in step.faults:
-                    fault = catalogue.parse(text, source="the fault")
+                    fault = _fault(text, of_bench.kind)
                     catalogue.check_equipped(fault, of_bench.resolved, f"line {step.line} [[step]]")
-        except OtherVehicleError as other:
-            of_others[sequence.name] = other
         except ConfigError as error:
             errors.append(f"{sequence.path} [start]: {error}")
 
-    for name, other in of_others.items():
-        if of_this_vehicle:
-            raise ConfigError(
-                f"no sequence was played: {of_this_vehicle[0]} and {name} are for vehicles with "
-                "different axles or equipment, and one command plays those of one vehicle; use one "
-                "command for each vehicle"
-            )
-        # the command line starts itself again for this vehicle
-        raise other
     if errors:
         raise ConfigError("no sequence was played:\n  " + "\n  ".join(errors))
     return sequences
 
 
-def _check_vehicle(path: Path) -> None:
-    """Raise OtherVehicleError if this process does not simulate the vehicle of a sequence.
+def _fault(text: str, kind: "Kind") -> "Fault":
+    """Return the fault of a step, on a kind of vehicle. Raises ConfigError."""
+    from rollerrig.firmware_sim.faults import catalogue
 
-    Any other mistake in the file is not reported here.
-    """
-    from rollerrig.configs import store
-    from rollerrig.realtime.bench import scenario
-    from rollerrig.wsp_interface import own_bench
-
-    try:
-        content = store.parse(path)
-        start = content.get("start", {})
-        tables = start.get("tables", {}) if isinstance(start, dict) else {}
-        data = own_bench.scenario_of(
-            name=str(content.get("scenario", "")),
-            tables=tables if isinstance(tables, dict) else {},
-        )
-        scenario.read(data, Path(path.name))
-    except OtherVehicleError:
-        raise
-    except ConfigError:
-        return
+    return catalogue.parse(text, kind, source="the fault")
 
 
 def _find(names: list[str]) -> list[Path]:
@@ -309,7 +271,7 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
     Raises ConfigError.
     """
     from rollerrig.firmware_sim.fmu import fmu_file
-    from rollerrig.wsp_interface import unit_choice
+    from rollerrig.wsp_interface import signals, unit_choice
     from rollerrig.wsp_interface.unit_map import mapping
 
     fmus = unit_choice.fmus_of(options.wsp)
@@ -343,9 +305,11 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
         started = set()
         for sequence in sequences:
             unit = options.wsp or sequence.allowed_unit(allowed)
-            started.add((unit, scenario_of(sequence)["bus"]["sync_period_s"]))
-        for unit, period_s in sorted(started):
-            fmu_file.check_all(unit_choice.fmus_of(unit), options.unit_map, period_s)
+            period_s = scenario_of(sequence)["bus"]["sync_period_s"]
+            started.add((unit, period_s, sequence.kind.unit_axles))
+        for unit, period_s, unit_axles in sorted(started):
+            fmus_of_unit = unit_choice.fmus_of(unit)
+            fmu_file.check_all(fmus_of_unit, options.unit_map, period_s, unit_axles)
 
     if is_external and not options.bus and not options.unit:
         raise ConfigError(
@@ -355,7 +319,8 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
     if options.unit:
         unit_choice.command_words(options.unit, "")
     if maps_external_unit:
-        mapping.load(options.unit_map)
+        for kind in sorted({sequence.kind for sequence in sequences}):
+            mapping.load(options.unit_map, signals.table(kind))
 
     with writing(options.out):
         make_folder(options.out)
@@ -505,7 +470,7 @@ def _play_on_new_bench(
     sequence: "Sequence", options: argparse.Namespace, folder: Path
 ) -> "Outcome":
     from rollerrig.realtime.campaign import dry_stop
-    from rollerrig.wsp_interface import own_bench, unit_choice
+    from rollerrig.wsp_interface import own_bench, signals, unit_choice
     from rollerrig.wsp_interface.sequences import play as player
     from rollerrig.wsp_interface.unit_map import gateway
 
@@ -514,7 +479,8 @@ def _play_on_new_bench(
     if options.unit_map:
         if options.wsp == "external":
             # the gateway starts before the unit, which may send immediately
-            companions.append(gateway.companion(options.unit_map))
+            vehicle = signals.table(sequence.kind)
+            companions.append(gateway.companion(options.unit_map, vehicle))
         else:
             run_arguments = ("--unit-map", str(options.unit_map))
     if options.unit:

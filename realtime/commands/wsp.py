@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import ALLOWED_AXLES, COACH_AXLES, Kind
 from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.signals import DEFAULT_ADDRESS
 
@@ -32,6 +33,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default=1,
         metavar="N",
         help="group of four axles that the unit protects, on a vehicle with more axles (default: 1)",
+    )
+    axles_argument(parser)
+    parser.add_argument(
+        "--dynamic-brake",
+        action="store_true",
+        help="the vehicle has a dynamic brake: release the motors of sliding axles",
     )
     parser.add_argument(
         "--priority",
@@ -88,6 +95,18 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "(default: not checked)",
     )
     parser.add_argument("--log", type=Path, help=argparse.SUPPRESS)
+
+
+def axles_argument(parser: argparse.ArgumentParser, begin: str = "") -> None:
+    """Declare --axles, which several verbs have; `begin` is the beginning of its help."""
+    parser.add_argument(
+        "--axles",
+        type=int,
+        choices=ALLOWED_AXLES,
+        default=COACH_AXLES,
+        metavar="N",
+        help=f"{begin}number of axles of the vehicle (default: {COACH_AXLES})",
+    )
 
 
 def map_argument(parser: argparse.ArgumentParser) -> None:
@@ -192,7 +211,13 @@ def call(options: argparse.Namespace) -> int:
         priority=options.priority,
         lockstep_s=options.lockstep,
         group=options.group,
+        kind=_kind(options),
     )
+
+
+def _kind(options: argparse.Namespace) -> Kind:
+    """Return the kind of the vehicle, as far as a unit has to know it."""
+    return Kind(options.axles, options.dynamic_brake)
 
 
 def _redirect_output(path: Path) -> None:
@@ -213,7 +238,9 @@ def _run_fmus(options: argparse.Namespace) -> int:
     """Run one or several FMUs as WSP unit: through their CAN ports, or one by its signals."""
     from rollerrig.firmware_sim.fmu import can_unit, fmu_file, signal_unit
 
-    fmus = fmu_file.check_all(tuple(options.fmu), options.unit_map, options.step)
+    kind = _kind(options)
+    paths = tuple(options.fmu)
+    fmus = fmu_file.check_all(paths, options.unit_map, options.step, kind.unit_axles)
     first = fmus[0]
     if first.terminal:
         return can_unit.main(
@@ -231,6 +258,7 @@ def _run_fmus(options: argparse.Namespace) -> int:
         lockstep_s=options.lockstep,
         patience_s=options.step_wait,
         group=options.group,
+        kind=kind,
     )
 
 

@@ -220,20 +220,30 @@ def _rounded(step_s: float) -> float:
     return float(f"{step_s:.3g}")
 
 
+def axles_of(vehicle: str) -> int:
+    """Return the number of axles of a packaged vehicle. Raises ConfigError."""
+    sections = dataset.base_sections(vehicle, {}, f"--vehicle {vehicle}")
+    return int(sections["vehicle"]["axles"])
+
+
 def wheel_radius_m(vehicle: str) -> float:
     """Return the radius of the wheels of a packaged vehicle. Raises ConfigError."""
     sections = dataset.base_sections(vehicle, {}, f"--vehicle {vehicle}")
     return float(sections["vehicle"]["wheel_radius_m"])
 
 
-def check_key(kind: str, key: str) -> None:
-    """Raise ConfigError unless a kind of data has a channel with this key."""
+def check_key(kind: str, key: str, axles: int) -> None:
+    """Raise ConfigError unless a kind of data of a vehicle has a channel with this key."""
     if kind == "recorder":
         allowed = "time_s, wheel_speed_1_m_s, bogie_speed_1_m_s, reference_speed_m_s, brake_demand"
         is_known = key == "time_s" or recording.is_key(key)
     else:
-        keys = dataset.CURVE_CHANNELS if kind == "creep_curve" else ("time_s", *dataset.CHANNELS)
-        allowed = ", ".join(name for name in keys if "_2_" not in name and "_3_" not in name)
+        keys: tuple[str, ...] = dataset.CURVE_CHANNELS
+        if kind != "creep_curve":
+            keys = ("time_s", *dataset.channels_of(axles))
+        # of the axles, the first and the last
+        left_out = [f"_{axle}_" for axle in range(2, axles)]
+        allowed = ", ".join(name for name in keys if not any(part in name for part in left_out))
         is_known = key in keys
     if not is_known:
         raise ConfigError(f"--map {key}=...: {kind} has no channel {key}; allowed: {allowed}")

@@ -21,7 +21,6 @@ from rollerrig.realtime.datasets import run_sensors
 from rollerrig.realtime.record import records
 from rollerrig.rig import params
 from rollerrig.rig.identify.data.runs import Run
-from rollerrig.wsp_interface.signals import AXLES
 
 # keys of [contact] that a dataset has
 _CONTACT = ("young_Pa", "shear_Pa", "poisson", "lateral_radius_m", "roller_radius_m")
@@ -141,7 +140,7 @@ def _write_csv(path: Path, run: Run, rounded: bool) -> None:
             continue
         stems = [quantity.name]
         if values.ndim > 1:
-            stems = [f"{quantity.name}_{axle}" for axle in range(1, AXLES + 1)]
+            stems = [f"{quantity.name}_{axle}" for axle in range(1, run.axles + 1)]
         for stem in stems:
             names.append(f"{stem}_{quantity.unit}")
             formats.append(f"%.{quantity.digits}f" if rounded else "%.17g")

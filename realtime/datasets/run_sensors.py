@@ -29,7 +29,6 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.record import records, run_folder
 from rollerrig.rig import params
 from rollerrig.rig.identify.data.runs import Run
-from rollerrig.wsp_interface.signals import AXLES
 
 SAMPLE_TIME_S = 0.01  # of a dataset
 SLOWEST_SAMPLE_S = 0.05  # samples further apart cannot be explained
@@ -67,7 +66,7 @@ def of_run(recorded: records.Run, slowest_m_s: float, longest_s: float = np.inf)
     end = _end(recorded, slowest_m_s, longest_s)
 
     def of_all_axles(name: str, unit: str) -> np.ndarray:
-        columns = [f"{name}_{axle}_{unit}" for axle in range(1, AXLES + 1)]
+        columns = [f"{name}_{axle}_{unit}" for axle in recorded.signal_table.axles]
         return np.column_stack([recorded.column(column)[:end] for column in columns])
 
     surface_m_s = None
@@ -163,7 +162,7 @@ def noisy(run: Run, noise: Mapping[str, float], rng: np.random.Generator) -> Run
 
 
 def _load(vehicle: params.Vehicle, run: records.Run, end: int) -> np.ndarray:
-    """Return the loads in N, shape (end, AXLES) [G2]."""
+    """Return the loads in N, shape (end, axles) [G2]."""
     step_s = float(np.median(np.diff(run.column("time_s"))))
     keep = np.exp(-step_s / vehicle.pitch_time_constant_s)
     half_new = 0.5 * (1.0 - keep)
@@ -197,7 +196,7 @@ def _averaged(run: Run, plan: Mapping[str, Any]) -> Run:
     def averaged(values: np.ndarray) -> np.ndarray:
         if values.ndim == 1:
             return mean(values, late_s.mean(axis=1))
-        return np.column_stack([mean(values[:, j], late_s[:, j]) for j in range(AXLES)])
+        return np.column_stack([mean(values[:, j], late_s[:, j]) for j in range(run.axles)])
 
     # the sensor gives a new value once in a window and holds it in between
     step_s = float(np.median(np.diff(time_s)))

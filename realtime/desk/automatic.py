@@ -35,10 +35,10 @@ def _sequences(desk: Desk) -> None:
     """The controls that play sequences."""
     ui.label("Sequences").classes("desk-title")
     names = ui.select(
-        store.names("sequences"),
+        [*store.names("sequences"), *store.names_of_vehicles("sequences")],
         multiple=True,
         value=["emergency_120"],
-        label="sequences (none: the whole library)",
+        label="sequences (none: all of the coach)",
     )
     names.classes("w-full").props("use-chips").mark("sequences")
     unit = ui.select(["", *desk.units], value="", label="WSP unit (empty: as in the sequence)")

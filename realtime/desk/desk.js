@@ -3,8 +3,8 @@
 // The page requests new rows only after it has drawn the last ones. A browser that is suspended
 // requests nothing, and the server stores nothing for it.
 //
-// `live.py` calls `begin` and `show`. A row is an array with one number a column; a missing number
-// is null.
+// `live.py` calls `begin` for each vehicle that the desk shows, and `show`. A row is an array with one
+// number a column; a missing number is null.
 
 // pauses between two requests for rows
 const PAUSE_MS = 100;
@@ -112,8 +112,9 @@ window.desk = {
   angles: [], // of the drawn wheels, rad
   lastFrame: 0, // time of the last picture of the wheels, ms
 
-  // Starts to draw. `settings` has the keys that `live.py` writes.
+  // Draws a vehicle from now on. `settings` has the keys that `live.py` writes.
   begin(settings) {
+    const isFirst = this.settings === null;
     this.settings = settings;
     this.axles = settings.axles.length;
     this.angles = Array(this.axles).fill(0);
@@ -121,7 +122,15 @@ window.desk = {
     settings.columns.forEach((name, index) => {
       this.columnIndex[name] = index;
     });
-    this.drawVehicle();
+    this.bench = "";
+    this.next = 0;
+    this.rows = [];
+    this.newest = null;
+    this.marks = [];
+    // the page has new switches, too
+    this.axle = 0;
+    this.whole = false;
+    if (!isFirst) return;
     this.update();
     requestAnimationFrame((now) => this.turnWheels(now));
   },
@@ -145,7 +154,7 @@ window.desk = {
       if (visible) {
         await this.fetchRows();
         const begin = performance.now();
-        this.draw();
+        if (this.placeVehicle()) this.draw();
         const drawing = performance.now() - begin;
         // a slow browser spends at most a third of its time on drawing
         pause = this.whole ? PAUSE_WHOLE_RUN_MS : Math.max(PAUSE_MS - drawing, 2 * drawing);
@@ -166,6 +175,8 @@ window.desk = {
     const response = await fetch(`/desk/rows?${query}`);
     if (!response.ok) throw new Error(response.status);
     const reply = await response.json();
+    // the page will soon get the settings of this vehicle
+    if (reply.vehicle !== this.settings.vehicle) return;
 
     if (reply.bench !== this.bench) {
       this.rows = [];
@@ -359,13 +370,21 @@ window.desk = {
     }
   },
 
+  // Returns whether the page has the place of this vehicle, and draws the vehicle there once.
+  placeVehicle() {
+    const place = document.getElementById("desk-rig");
+    if (place?.dataset.vehicle !== this.settings.vehicle) return false;
+    if (!place.firstChild) this.drawVehicle(place);
+    return true;
+  },
+
   // Draws the vehicle on its bogies, with its wheels on rollers.
-  drawVehicle() {
+  drawVehicle(place) {
     const bogies = bogiePlaces(this.axles / 2);
     const width = pictureWidth(bogies.length);
     const height = HEIGHT + (this.settings.motors ? HEIGHT_OF_MOTOR_TEXT : 0);
     const pictures = bogies.map((x, index) => this.bogiePicture(x, index));
-    document.getElementById("desk-rig").innerHTML = `
+    place.innerHTML = `
       <svg viewBox="0 0 ${width} ${height}" width="100%" height="${height * PX_FOR_EACH_UNIT}">
         <rect x="30" y="6" width="${width - 60}" height="40" rx="9" class="desk-coach"/>
         ${pictures.join("")}

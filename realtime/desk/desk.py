@@ -10,6 +10,7 @@ loops of benches have claimed.
 """
 
 import asyncio
+import contextlib
 import itertools
 import math
 import os
@@ -21,8 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rollerrig.configs.errors import BusError, ConfigError, OtherVehicleError, RollerrigError
-from rollerrig.configs.vehicle import AXLES, AXLES_VARIABLE, EQUIPMENT, EQUIPMENT_VARIABLE
+from rollerrig.configs.errors import BusError, ConfigError, RollerrigError
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.modbus.map import State
 from rollerrig.realtime.bench import scenario as scenarios
 from rollerrig.realtime.desk import reader
@@ -30,7 +31,7 @@ from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.loop import cores
 from rollerrig.realtime.telemetry import viewer
-from rollerrig.wsp_interface import unit_choice
+from rollerrig.wsp_interface import signals, unit_choice
 from rollerrig.wsp_interface.events import Code, Event
 from rollerrig.wsp_interface.unit_choice import AllowList
 
@@ -95,6 +96,8 @@ class Desk:
         self.programs: list[Program] = []
         # what the last bench was prepared with, for every page: values of fields by their names
         self.prepared: dict[str, str] = {}
+        # the signals of the vehicle of that scenario
+        self._prepared_table = signals.table(COACH)
         # the friction mu_cd that was commanded here, by axle; 0: as in the scenario
         self.frictions: dict[int, float] = {}
         self._viewer: Any = None
@@ -246,6 +249,11 @@ class Desk:
 
     # -- commands of an operator
 
+    @property
+    def table(self) -> signals.Table:
+        """The signals of the vehicle that the page shows: that of its bench, or of a scenario."""
+        return self.bench.table if self.bench else self._prepared_table
+
     def held(self) -> bool:
         """Whether the bench is held, so that it waits for its start."""
         return bool(self.doors and self.doors.state is State.HELD)
@@ -301,7 +309,7 @@ class Desk:
         self._check_scenario(scenario)
         given = [f"{key}={value}" for key, value in settings.items() if value]
         given += _settings_of(more)
-        self._check_vehicle(scenario, tuple(given))
+        self.show_vehicle_of(scenario, tuple(given))
         # the bench inherits the cores of the desk
         cores.restore(self._cores_before)
         self._left_cores = set()
@@ -339,31 +347,15 @@ class Desk:
             f"{folders}; to allow another folder, start the desk with --allow-folder DIR"
         )
 
-    def _check_vehicle(self, scenario: str, settings: tuple[str, ...]) -> None:
-        """Raise ConfigError if the page does not show the vehicle of a scenario.
+    def show_vehicle_of(self, scenario: str, settings: tuple[str, ...] = ()) -> None:
+        """Let the page show the vehicle of a scenario while there is no bench.
 
-        Any other error in the scenario is that of the bench, which reports it.
+        Any error in the scenario is that of the bench, which reports it.
         """
         file = self.folder / scenario
         name = str(file) if file.is_file() else scenario
-        try:
-            scenarios.load(name, settings=settings)
-        except OtherVehicleError as error:
-            vehicle = _kind_of_vehicle(error.environment)
-            remedy = "start a desk for it: " + shlex.join(
-                ["rollerrig", "desk", "--scenario", scenario]
-            )
-            if settings:
-                remedy += (
-                    "; if one of the further values chooses the vehicle, write it into a scenario "
-                    "file and give this file"
-                )
-            raise ConfigError(
-                f"scenario {scenario}: its vehicle has {vehicle}, and this desk shows vehicles with "
-                f"{_kind_of_vehicle({})}; {remedy}"
-            ) from None
-        except ConfigError:
-            return
+        with contextlib.suppress(ConfigError):
+            self._prepared_table = scenarios.load(name, settings=settings).table
 
     def start(self, words: list[str]) -> Program:
         """Start a `rollerrig` command line. Raises ConfigError if it cannot start."""
@@ -460,11 +452,3 @@ def _settings_of(text: str) -> list[str]:
             f"further values: {text!r} cannot be read ({error}); close each quotation mark, as in "
             "adhesion.mu_cd=0.05"
         ) from None
-
-
-def _kind_of_vehicle(environment: Mapping[str, str]) -> str:
-    """Return the kind of vehicle of a process with these variables, else of this process."""
-    axles = environment.get(AXLES_VARIABLE, str(AXLES))
-    words = environment.get(EQUIPMENT_VARIABLE, ",".join(sorted(EQUIPMENT)))
-    equipment = words.replace(",", " and ").replace("_", " ") or "friction brakes only"
-    return f"{axles} axles and {equipment}"

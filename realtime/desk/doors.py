@@ -10,19 +10,18 @@ command, the error contains the reason that the bench gives.
 import asyncio
 import contextlib
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.exceptions import ModbusException
 
 from rollerrig.configs.errors import BusError
-from rollerrig.firmware_sim.modbus.map import BIT, BITS, NO_DEMAND, PLC_UNIT, WORDS, Register, State
+from rollerrig.firmware_sim.modbus.map import BIT, BITS, NO_DEMAND, PLC_UNIT, Register, State, words
 from rollerrig.realtime.desk.reader import Bench
 from rollerrig.wsp_interface import harness_client, signals
 from rollerrig.wsp_interface.events import Code
 
-_REGISTERS = {row.name: row for row in (*BITS, *WORDS)}
 _FIRST_UNREAD_WORD = 404  # from here on the page shows only the states of further nodes
 _REFUSAL_EVENT_S = 1.0  # how long to wait for the event with the reason of a refusal
 _POLL_S = 0.1
@@ -36,7 +35,7 @@ _EXCEPTION_MEANING = {
 }
 
 
-def _blocks(rows: tuple[Register, ...]) -> list[list[Register]]:
+def _blocks(rows: Iterable[Register]) -> list[list[Register]]:
     """Group registers into blocks of adjacent addresses: one request can read one block."""
     blocks: list[list[Register]] = []
     next_address = -1
@@ -54,10 +53,6 @@ def _is_read(row: Register) -> bool:
     return row.address < _FIRST_UNREAD_WORD or row.name.startswith("node_")
 
 
-_WORDS_READ = tuple(row for row in WORDS if _is_read(row))
-_BLOCKS = _blocks(BITS) + _blocks(_WORDS_READ)
-
-
 class Doors:
     """The Modbus and the CAN connection of the desk to one bench.
 
@@ -68,6 +63,9 @@ class Doors:
 
     def __init__(self, bench: Bench) -> None:
         self.bench = bench
+        all_words = words(bench.table)
+        self._registers = {row.name: row for row in (*BITS, *all_words)}
+        self._blocks = _blocks(BITS) + _blocks(filter(_is_read, all_words))
         self.values: dict[str, float] = {}
         self.no_modbus_because = "the bench has not opened it yet"
         self.unanswered = False
@@ -91,7 +89,7 @@ class Doors:
             host, port = self.bench.modbus
             try:
                 client = await self._connected(host, port)
-                for block in _BLOCKS:
+                for block in self._blocks:
                     values |= await _read(client, block)
             except (ModbusException, OSError) as error:
                 values = {}
@@ -122,7 +120,7 @@ class Doors:
 
         Raises BusError if there is no Modbus or if the bench refuses.
         """
-        row = _REGISTERS[name]
+        row = self._registers[name]
         if self.no_modbus_because:
             raise BusError(f"{name} cannot be written over Modbus: {self.no_modbus_because}")
         raw = NO_DEMAND if math.isnan(value) else round(value / row.scale)

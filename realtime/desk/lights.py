@@ -12,9 +12,9 @@ import numpy as np
 
 from rollerrig.firmware_sim.modbus.map import UNHEARD, State
 from rollerrig.realtime.desk.doors import Doors
-from rollerrig.realtime.desk.reader import COLUMNS, Bench
+from rollerrig.realtime.desk.reader import Bench
 from rollerrig.realtime.loop import ring
-from rollerrig.wsp_interface.signals import BRAKE_NODE, DRIVE_NODES, SPEED_NODE, WSP_NODE, nodes
+from rollerrig.wsp_interface.signals import BRAKE_NODE, SPEED_NODE, WSP_NODE
 
 GREEN, YELLOW, RED, GREY = "green", "yellow", "red", "grey"
 NAMES = ("loop", "bus", "unit", "drives", "brake I/O", "Modbus", "recorder", "disk")
@@ -24,9 +24,6 @@ _FULL_PERCENT = 80.0  # assumption: a bus is planned with less load than this
 _SILENT_S = 3.0
 _LITTLE_SPACE_MB = 1000.0
 _RECENT_SAMPLES = 100  # over which the latest tick is looked for
-
-_MISSED_COLUMN = COLUMNS.index("ticks_missed")
-_LATENESS_COLUMN = COLUMNS.index("tick_lateness_us")
 
 # NMT states as a heartbeat has them (CiA 301)
 _OPERATIONAL = 5
@@ -56,8 +53,8 @@ def line(bench: Bench | None, doors: Doors | None, folder: Path) -> list[Light]:
         _loop(bench, doors),
         _bus(bench, registers),
         _unit(bench, registers),
-        _drives(registers, doors),
-        _nodes("brake I/O", (*nodes(SPEED_NODE), *nodes(BRAKE_NODE)), registers, doors),
+        _drives(bench, registers, doors),
+        _nodes("brake I/O", _speed_and_brake_nodes(bench), registers, doors),
         _modbus(bench, doors),
         _recorder(bench),
         _disk(folder),
@@ -81,8 +78,10 @@ def _loop(bench: Bench, doors: Doors) -> Light:
         return Light("loop", RED, f"no sample for {silent_s:.0f} s")
 
     last_minute = np.array(bench.since(0))
-    missed = float(np.ptp(last_minute[:, _MISSED_COLUMN]))
-    latest_us = float(last_minute[-_RECENT_SAMPLES:, _LATENESS_COLUMN].max())
+    names = bench.columns.names
+    missed = float(np.ptp(last_minute[:, names.index("ticks_missed")]))
+    lateness_us = last_minute[-_RECENT_SAMPLES:, names.index("tick_lateness_us")]
+    latest_us = float(lateness_us.max())
     if missed > 0.0:
         why = f"{missed:.0f} deadlines missed in the last minute, latest cycle {latest_us:.0f} us"
         return Light("loop", YELLOW, why)
@@ -119,10 +118,15 @@ def _unit(bench: Bench, registers: dict[str, float]) -> Light:
     return Light("unit", colour, f"{name} is {_STATES.get(state, state)}, beats")
 
 
-def _drives(registers: dict[str, float], doors: Doors) -> Light:
+def _speed_and_brake_nodes(bench: Bench) -> tuple[int, ...]:
+    """The nodes of the speed units and of the brake I/O of all groups of axles."""
+    return (*bench.table.nodes(SPEED_NODE), *bench.table.nodes(BRAKE_NODE))
+
+
+def _drives(bench: Bench, registers: dict[str, float], doors: Doors) -> Light:
     if registers and registers["emergency_stop"]:
         return Light("drives", RED, "emergency stop: quick stop, then switched off")
-    return _nodes("drives", DRIVE_NODES, registers, doors)
+    return _nodes("drives", bench.table.drive_nodes, registers, doors)
 
 
 def _nodes(name: str, numbers: tuple[int, ...], registers: dict[str, float], doors: Doors) -> Light:

@@ -10,11 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from nicegui import json, ui
 
-from rollerrig.realtime.desk import reader
+from rollerrig.realtime.desk import reader, vehicle
 from rollerrig.realtime.desk.desk import Desk
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import Table
 
 # fault marks in the plots
 _MOST_MARKS = 40
@@ -61,87 +62,11 @@ class _Figure(NamedTuple):
     label: str
 
 
-def _columns(name: str) -> tuple[str, ...]:
-    return tuple(signals.columns(signals.BY_NAME[name]))
-
-
 # height of the lane of a valve in pixels
 _LANE_PX = 21
 
 _DOTS = (1.0, 2.0)
 _DASHES = (6.0, 3.0)
-# the reference speeds of the units of all groups
-_OF_UNITS = tuple(
-    _Line(_columns(name), "WSP reference", colours.REFERENCE, _DASHES)
-    for name in signals.REFERENCE_SPEEDS
-)
-_PLOTS: tuple[_Plot, ...] = (
-    _Plot(
-        "Speeds",
-        "km/h",
-        3.6,
-        10.0,
-        (
-            _Line(_columns("vehicle_speed"), "vehicle", colours.VEHICLE, (), 2.5),
-            _Line(_columns("wheel_circumferential_speed"), ""),
-            _Line(reader.MEASURED, "measured by the sensors", dashes=_DOTS, width=1.0),
-            *_OF_UNITS,
-        ),
-    ),
-    _Plot("Sliding", "m/s", 1.0, 1.0, (_Line(_columns("sliding"), ""),)),
-    _Plot(
-        "Adhesion used",
-        "",
-        1.0,
-        0.05,
-        (
-            _Line(_columns("adhesion_degraded"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
-            _Line(_columns("adhesion_recovered"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
-            _Line(_columns("adhesion"), "", width=2.0),
-        ),
-    ),
-    _Plot(
-        "Brake cylinder pressures",
-        "bar",
-        1e-5,
-        1.0,
-        (
-            _Line(_columns("cylinder_pressure"), ""),
-            _Line(_columns("brake_demand"), "demand", colours.REFERENCE, _DASHES),
-        ),
-    ),
-)
-# further plots of vehicles with motors or magnets
-if signals.HAS_DYNAMIC_BRAKE:
-    _PLOTS += (
-        _Plot(
-            "Motors: torque, positive when they brake",
-            "kN m",
-            1e-3,
-            1.0,
-            (
-                _Line(_columns("dynamic_torque"), "", width=2.0),
-                _Line(_columns("dynamic_torque_demand"), "demand", dashes=_DOTS, width=0.8),
-            ),
-        ),
-        _Plot(
-            "Motors: share that slide control permits",
-            "%",
-            100.0,
-            100.0,
-            (_Line(_columns("dynamic_share"), ""),),
-        ),
-    )
-if signals.HAS_MAGNETIC_TRACK_BRAKE:
-    _PLOTS += (
-        _Plot(
-            "Magnets: force, half a bogie for each axle",
-            "kN",
-            1e-3,
-            1.0,
-            (_Line(_columns("track_brake_force"), ""),),
-        ),
-    )
 # deadline misses and the latest cycle are at the light of the loop
 _FIGURES = (
     _Figure("time", "", "simulated time"),
@@ -153,16 +78,98 @@ _FIGURES = (
 )
 
 
+def plots_of(columns: reader.Columns) -> list[_Plot]:
+    """The plots of a vehicle."""
+
+    def of(name: str) -> tuple[str, ...]:
+        return signals.columns(columns.table.by_name[name])
+
+    kind = columns.table.kind
+    # the reference speeds of the units of all groups
+    of_units = [
+        _Line(of(name), "WSP reference", colours.REFERENCE, _DASHES)
+        for name in columns.table.reference_speeds
+    ]
+    plots = [
+        _Plot(
+            "Speeds",
+            "km/h",
+            3.6,
+            10.0,
+            (
+                _Line(of("vehicle_speed"), "vehicle", colours.VEHICLE, (), 2.5),
+                _Line(of("wheel_circumferential_speed"), ""),
+                _Line(columns.measured, "measured by the sensors", dashes=_DOTS, width=1.0),
+                *of_units,
+            ),
+        ),
+        _Plot("Sliding", "m/s", 1.0, 1.0, (_Line(of("sliding"), ""),)),
+        _Plot(
+            "Adhesion used",
+            "",
+            1.0,
+            0.05,
+            (
+                _Line(of("adhesion_degraded"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
+                _Line(of("adhesion_recovered"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
+                _Line(of("adhesion"), "", width=2.0),
+            ),
+        ),
+        _Plot(
+            "Brake cylinder pressures",
+            "bar",
+            1e-5,
+            1.0,
+            (
+                _Line(of("cylinder_pressure"), ""),
+                _Line(of("brake_demand"), "demand", colours.REFERENCE, _DASHES),
+            ),
+        ),
+    ]
+    if kind.dynamic_brake:
+        plots += [
+            _Plot(
+                "Motors: torque, positive when they brake",
+                "kN m",
+                1e-3,
+                1.0,
+                (
+                    _Line(of("dynamic_torque"), "", width=2.0),
+                    _Line(of("dynamic_torque_demand"), "demand", dashes=_DOTS, width=0.8),
+                ),
+            ),
+            _Plot(
+                "Motors: share that slide control permits",
+                "%",
+                100.0,
+                100.0,
+                (_Line(of("dynamic_share"), ""),),
+            ),
+        ]
+    if kind.magnetic_track_brake:
+        plots.append(
+            _Plot(
+                "Magnets: force, half a bogie for each axle",
+                "kN",
+                1e-3,
+                1.0,
+                (_Line(of("track_brake_force"), ""),),
+            )
+        )
+    return plots
+
+
 def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any]:
     """The reply to `desk.js`: the rows after a point, or the whole run, thinned.
 
     `bench_key` is the bench that the page knows; if another one runs now, the reply has all its
-    rows.
+    rows. The page draws them if it shows their vehicle already.
     """
     bench = desk.bench
     doors = desk.doors
     if bench is None or doors is None:
         return {
+            "vehicle": _key(desk.table),
             "bench": "",
             "points": 0,
             "rows": [],
@@ -178,6 +185,7 @@ def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any
     held_m_s = doors.values.get("vehicle_speed") if desk.held() else None
     moving = bench.points and held_m_s is None
     return {
+        "vehicle": _key(bench.table),
         "bench": bench.key,
         "points": bench.points,
         "rows": _short(np.array(rows)) if len(rows) else [],
@@ -186,6 +194,11 @@ def answer(desk: Desk, bench_key: str, after: int, whole: bool) -> dict[str, Any
         "held_m_s": held_m_s,
         "marks": bench.fault_marks[-_MOST_MARKS:],
     }
+
+
+def _key(table: Table) -> str:
+    """A text by which the page distinguishes vehicles."""
+    return "-".join(map(str, table.kind))
 
 
 def _finite(value: float) -> float | None:
@@ -197,7 +210,7 @@ def _short(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(np.round(values, 4))
 
 
-def build() -> None:
+def build(desk: Desk) -> None:
     """Put figures, rig, plots and lanes of the valves into the page."""
     with ui.row().classes("w-full items-end desk-figures"):
         for figure in _FIGURES:
@@ -206,32 +219,40 @@ def build() -> None:
                 f"<i>{figure.unit}</i><br><span>{figure.label}</span></div>",
                 sanitize=False,
             )
-    ui.html('<div id="desk-rig"></div>', sanitize=False).classes("w-full")
-    _choices()
-    plots = [_plot(plot) for plot in _PLOTS]
-    _valves()
+    vehicle.build(desk, _build_for_vehicle)
+
+
+def _build_for_vehicle(table: Table) -> None:
+    """Put what depends on the vehicle into the page, and let the browser draw it."""
+    rig = f'<div id="desk-rig" data-vehicle="{_key(table)}"></div>'
+    ui.html(rig, sanitize=False).classes("w-full")
+    _choices(table)
+    columns = reader.columns_of(table)
+    plots = [_plot(plot) for plot in plots_of(columns)]
+    _valves(table)
 
     settings = {
-        "columns": reader.COLUMNS,
+        "vehicle": _key(table),
+        "columns": columns.names,
         "plots": plots,
         "span_s": reader.SPAN_S,
-        "axles": [colours.as_hex(colour) for colour in colours.AXLES],
+        "axles": [colours.as_hex(colour) for colour in colours.AXLES[: table.kind.axles]],
         "radius_m": reader.USUAL_RADIUS_M,
         "mark": colours.as_hex(colours.VERMILION),
         "valves": [colours.as_hex(colour) for _, colour in colours.VALVE_STATES],
         "locked_m_s": LOCKED_M_S,
         "moving_m_s": MOVING_M_S,
-        "motors": signals.HAS_DYNAMIC_BRAKE,
-        "magnets": signals.HAS_MAGNETIC_TRACK_BRAKE,
+        "motors": table.kind.dynamic_brake,
+        "magnets": table.kind.magnetic_track_brake,
     }
     start = f"desk.begin({json.dumps(settings)})"
     ui.timer(0.2, lambda: ui.run_javascript(start), once=True)
 
 
-def _choices() -> None:
+def _choices(table: Table) -> None:
     """The switches that choose axle and span of the plots."""
     axle_names = {0: "all axles"}
-    for axle in range(1, signals.AXLES + 1):
+    for axle in table.axles:
         axle_names[axle] = f"axle {axle}"
     with ui.row().classes("items-center gap-4"):
         axle_choice = ui.toggle(axle_names, value=0)
@@ -245,7 +266,7 @@ def _choices() -> None:
         whole_choice.on_value_change(choose)
 
 
-def _valves() -> None:
+def _valves(table: Table) -> None:
     """The lanes of the dump valves, which `desk.js` draws, under the names of their states."""
     # the heights are those of desk.js
     heights = ("low", "half", "whole lane")
@@ -255,7 +276,7 @@ def _valves() -> None:
     )
     ui.html(
         f'<div class="desk-title">Dump valves: {names}</div>'
-        f'<canvas id="desk-valves" height="{_LANE_PX * signals.AXLES}" style="width:100%">'
+        f'<canvas id="desk-valves" height="{_LANE_PX * table.kind.axles}" style="width:100%">'
         "</canvas>",
         sanitize=False,
     ).classes("w-full")

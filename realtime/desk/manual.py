@@ -14,10 +14,10 @@ from nicegui import ui
 from rollerrig.configs import store
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.realtime.desk import vehicle
 from rollerrig.realtime.desk.desk import Desk
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.signals import Table
 
-_AXLES = range(1, signals.AXLES + 1)
 # largest values that the fields accept
 _HIGHEST_BAR = 10.0
 _HIGHEST_KM_H = 300.0
@@ -300,11 +300,14 @@ def _number(field: ui.number) -> float:
 
 def _adhesion(desk: Desk) -> None:
     """Show the controls of the friction under each axle."""
-    with (
-        _card("Adhesion under the axles: friction mu_cd"),
-        ui.grid(columns=2).classes("w-full gap-2"),
-    ):
-        for axle in _AXLES:
+    with _card("Adhesion under the axles: friction mu_cd"):
+        vehicle.build(desk, partial(_frictions, desk))
+
+
+def _frictions(desk: Desk, table: Table) -> None:
+    """Show a control for each axle of a vehicle."""
+    with ui.grid(columns=2).classes("w-full gap-2"):
+        for axle in table.axles:
             with ui.column().classes("gap-0"):
                 _friction(desk, axle)
 
@@ -346,40 +349,46 @@ def _friction(desk: Desk, axle: int) -> None:
 def _faults(desk: Desk) -> None:
     """Show the controls that inject a fault, and the list of active faults."""
     with _card("Faults"):
-        kind = ui.select(
-            {row.name: f"{row.name}: {row.text}" for row in catalogue.CATALOGUE},
-            label="fault",
-            value=catalogue.CATALOGUE[0].name,
-            with_input=True,
-        )
-        kind.classes("w-full").mark("fault")
-        fields: dict[str, ui.number] = {}
-        place = ui.grid(columns=2).classes("w-full gap-2")
-
-        def show_parameters() -> None:
-            place.clear()
-            fields.clear()
-            with place:
-                for row in catalogue.BY_NAME[str(kind.value)].parameters:
-                    field = ui.number(row.name, value=row.default, min=row.low, max=row.high)
-                    field.tooltip(f"{row.source}; {row.low:g} to {row.high:g}")
-                    fields[row.name] = field.mark(f"fault-{row.name}")
-                lasting = ui.number("for s (empty: until lifted)", min=0.001)
-                fields["for"] = lasting.mark("fault-for")
-
-        kind.on_value_change(show_parameters)
-        show_parameters()
-
-        async def inject() -> None:
-            words = [str(kind.value)]
-            for name, field in fields.items():
-                if field.value is not None:
-                    words.append(f"{name}={_plain(field.value)}")
-            await _change_fault(desk, " ".join(words), lift=False)
-
-        button = ui.button("Inject", on_click=inject).props("color=warning text-color=black")
-        button.classes("w-full").mark("inject")
+        vehicle.build(desk, partial(_choose_fault, desk))
         _active_faults(desk)
+
+
+def _choose_fault(desk: Desk, table: Table) -> None:
+    """Show the controls that inject a fault of a vehicle."""
+    faults = catalogue.of(table.kind)
+    kind = ui.select(
+        {row.name: f"{row.name}: {row.text}" for row in faults.values()},
+        label="fault",
+        value=next(iter(faults)),
+        with_input=True,
+    )
+    kind.classes("w-full").mark("fault")
+    fields: dict[str, ui.number] = {}
+    place = ui.grid(columns=2).classes("w-full gap-2")
+
+    def show_parameters() -> None:
+        place.clear()
+        fields.clear()
+        with place:
+            for row in faults[str(kind.value)].parameters:
+                field = ui.number(row.name, value=row.default, min=row.low, max=row.high)
+                field.tooltip(f"{row.source}; {row.low:g} to {row.high:g}")
+                fields[row.name] = field.mark(f"fault-{row.name}")
+            lasting = ui.number("for s (empty: until lifted)", min=0.001)
+            fields["for"] = lasting.mark("fault-for")
+
+    kind.on_value_change(show_parameters)
+    show_parameters()
+
+    async def inject() -> None:
+        words = [str(kind.value)]
+        for name, field in fields.items():
+            if field.value is not None:
+                words.append(f"{name}={_plain(field.value)}")
+        await _change_fault(desk, " ".join(words), lift=False)
+
+    button = ui.button("Inject", on_click=inject).props("color=warning text-color=black")
+    button.classes("w-full").mark("inject")
 
 
 def _active_faults(desk: Desk) -> None:

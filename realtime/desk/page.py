@@ -65,7 +65,7 @@ def _manual(desk: Desk) -> None:
         with ui.column().classes("gap-3 desk-controls"):
             manual.build(desk)
         with ui.column().classes("gap-1 desk-live"):
-            live.build()
+            live.build(desk)
         with ui.column().classes("gap-2 desk-alarms"):
             _alarms(desk)
 

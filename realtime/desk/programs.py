@@ -16,7 +16,6 @@ from typing import IO, Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
-from rollerrig.configs.vehicle import AXLES_VARIABLE, EQUIPMENT_VARIABLE
 
 # lines of progress, which the next line of progress replaces
 _PROGRESS_LINE = re.compile(r"compiling: |\d+ of \d+ .*\(\d+ s\)$")
@@ -34,12 +33,6 @@ class Program:
         self.folder = folder
         self.end_noticed = False  # whether the desk has noticed that it exited
         verb, *rest = words
-        # each command finds the vehicle of its scenario, which may not be that of the desk
-        environment = {
-            name: value
-            for name, value in os.environ.items()
-            if name not in (AXLES_VARIABLE, EQUIPMENT_VARIABLE)
-        }
         try:
             # both files stay open as long as the page shows the program
             self._result_file = tempfile.TemporaryFile()  # noqa: SIM115
@@ -47,7 +40,6 @@ class Program:
             self._process = subprocess.Popen(
                 children.module("rollerrig.realtime.cli", verb, "--json", *rest),
                 cwd=folder,
-                env=environment,
                 stdout=self._result_file,
                 stderr=self._message_file,
                 stdin=subprocess.DEVNULL,

@@ -1,11 +1,14 @@
 """Follows a bench that runs on this machine: reads its rings in shared memory, once for all pages.
 
-The bench is not affected, because the writer of a ring never waits. Rows are thinned to ten pairs a
-second of simulated time. Each pair has the least and the largest value of every signal, so that no
-spike is lost. All pairs of the last minute are kept. The whole run is thinned further as it grows.
-The first events of a bench report where it listens.
+The bench is not affected, because the writer of a ring never waits. The width of its rows shows the
+kind of its vehicle. Rows are thinned to ten pairs a second of simulated time. Each pair has the
+least and the largest value of every signal, so that no spike is lost. All pairs of the last minute
+are kept. The whole run is thinned further as it grows. The first events of a bench report where it
+listens.
 """
 
+import functools
+import itertools
 import math
 import re
 import time
@@ -16,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.vehicle import ALLOWED_AXLES, MOST_GROUPS, Kind
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.telemetry import live
@@ -24,15 +28,12 @@ from rollerrig.wsp_interface.events import Code, Event
 
 PERIOD_S = 0.1  # of the pairs
 SPAN_S = 60.0  # of the part that a page shows in full
-# the signals of motors and of magnets that a page draws, where the vehicle has them
-OF_MOTORS = ("dynamic_torque", "dynamic_torque_demand", "dynamic_share")
-OF_MAGNETS = ("track_brake_force", "track_brake_lowered")
-# the signals that a page draws; `time` must be the first
+# the signals that a page draws, where the vehicle has them; `time` must be the first
 SHOWN = (
     "time",
     "vehicle_speed",
     "position",
-    *signals.REFERENCE_SPEEDS,
+    *map(signals.reference_speed_name, range(MOST_GROUPS)),
     "brake_demand",
     "tick_lateness",
     "ticks_missed",
@@ -44,38 +45,103 @@ SHOWN = (
     "cylinder_pressure",
     "valve",
     "friction_degraded",
-    *(OF_MOTORS if signals.HAS_DYNAMIC_BRAKE else ()),
-    *(OF_MAGNETS if signals.HAS_MAGNETIC_TRACK_BRAKE else ()),
+    "dynamic_torque",
+    "dynamic_torque_demand",
+    "dynamic_share",
+    "track_brake_force",
+    "track_brake_lowered",
 )
-_COLUMNS = np.concatenate([np.arange(len(signals.COLUMNS))[signals.span(name)] for name in SHOWN])
-# behind the signals: the speed in m/s that the sensor of each axle shows, at the rim of its wheel
-MEASURED = tuple(f"measured_rim_speed_{axle}_m_s" for axle in range(1, signals.AXLES + 1))
-COLUMNS = (*(signals.COLUMNS[at] for at in _COLUMNS), *MEASURED)
-_RIM_SPEED = signals.span("wheel_circumferential_speed")
-_WHEEL_SPEED = signals.span("wheel_speed")
-_MEASURED_SPEED = signals.span("measured_speed")
 # a wheel that turns faster shows its radius, in rad/s; before that, the radius of the coach UIC-Z1
 _TURNS_rad_s = 1.0
 USUAL_RADIUS_M = 0.445
-_DEMAND = COLUMNS.index("brake_demand_Pa")
-_POSITION = COLUMNS.index("position_m")
 _RECENT_POINTS = round(2 * SPAN_S / PERIOD_S)  # two points a pair
 _WHOLE_POINTS = 2000
 _KEPT_EVENTS = 2000
 _RING_NAME = re.compile(r"rollerrig-(\d+)-(\d+)-rows")  # process, time in ns
 
 
+class Columns:
+    """What a page draws of a vehicle: columns of its record, and measured speeds behind them.
+
+    table : the signals of the vehicle
+    measured : the columns of the speeds in m/s that the sensors show at the rims of the wheels
+    names : the names of all columns, in their order
+    """
+
+    def __init__(self, table: signals.Table) -> None:
+        self.table = table
+        recorded: list[str] = []
+        for name in SHOWN:
+            if name in table.by_name:
+                recorded += signals.columns(table.by_name[name])
+        self.measured = tuple(f"measured_rim_speed_{axle}_m_s" for axle in table.axles)
+        self.names = (*recorded, *self.measured)
+        self._recorded = [table.columns.index(name) for name in recorded]
+        self._rim_speed = self._of_axles("wheel_circumferential_speed")
+        self._wheel_speed = self._of_axles("wheel_speed")
+        self._measured_speed = self._of_axles("measured_speed")
+        self.time = self.names.index("time_s")
+        self.demand = self.names.index("brake_demand_Pa")
+        self.position = self.names.index("position_m")
+
+    def _of_axles(self, name: str) -> list[int]:
+        """The places of a signal of axles in a row of the ring."""
+        return [self.table.columns.index(one) for one in signals.columns(self.table.by_name[name])]
+
+    def of(self, rows: np.ndarray, radius_m: np.ndarray) -> np.ndarray:
+        """Rows of these columns for rows of the ring, (n, columns).
+
+        `radius_m` has the radius of each wheel, and gets those that the rows show.
+        """
+        turns_rad_s = rows[:, self._wheel_speed]
+        for j, rim in enumerate(self._rim_speed):
+            turning = np.flatnonzero(turns_rad_s[:, j] > _TURNS_rad_s)
+            if turning.size:
+                at = turning[-1]
+                radius_m[j] = rows[at, rim] / turns_rad_s[at, j]
+        return np.hstack([rows[:, self._recorded], rows[:, self._measured_speed] * radius_m])
+
+
+@functools.cache
+def columns_of(table: signals.Table) -> Columns:
+    """What a page draws of a vehicle."""
+    return Columns(table)
+
+
+@functools.cache
+def _tables() -> dict[int, signals.Table]:
+    """The signals of each kind of vehicle, by the width of its rows, which differs for each."""
+    found = {}
+    for kind in itertools.product(ALLOWED_AXLES, (False, True), (False, True)):
+        table = signals.table(Kind(*kind))
+        found[len(table.columns)] = table
+    return found
+
+
+def table_of(rows: Ring) -> signals.Table:
+    """The signals of the vehicle of a bench, by its ring of rows. Raises RollerrigError."""
+    width = int(rows.header[ring.WIDTH])
+    if width not in _tables():
+        raise RollerrigError(
+            f"{rows.path}: its rows have {width} items, and no vehicle has so many columns; use one "
+            "version of rollerrig for the bench and the desk"
+        )
+    return _tables()[width]
+
+
 class Bench:
     """One bench: its rings, the samples read from them, and its state as its events report it.
 
-    `name` is its process and its folder. `bus` is the address of its CAN bus and `modbus` host and
-    port of its server, empty before they are open. `faults` are the titles of active faults.
-    `points` counts the points read so far, two a pair.
+    `columns` is what a page draws of its vehicle. `name` is its process and its folder. `bus` is
+    the address of its CAN bus and `modbus` host and port of its server, empty before they are
+    open. `faults` are the titles of active faults. `points` counts the points read so far, two a
+    pair.
     """
 
     def __init__(self, pid: int, rows: Ring, events: Ring) -> None:
         self.pid = pid
         self.rows = rows
+        self.columns = columns_of(table_of(rows))
         self._event_ring = events
         self.key = f"{pid}-{int(rows.header[ring.CREATED_NS])}"
         self.name = _name(pid)
@@ -89,19 +155,25 @@ class Bench:
         self.unit_lost = False
         self.unit_silent = False
         # samples
-        self.newest = np.full(len(COLUMNS), np.nan)
-        self._radius_m = np.full(signals.AXLES, USUAL_RADIUS_M)
+        self.newest = np.full(len(self.columns.names), np.nan)
+        self._radius_m = np.full(self.table.kind.axles, USUAL_RADIUS_M)
         self._demanded = False  # a brake demand was seen
         self._braked_from_m = math.nan  # place of the first brake demand
         self.heard_s = time.monotonic()  # when the last sample arrived
         self.points = 0
         self._recent: deque[np.ndarray] = deque(maxlen=_RECENT_POINTS)
-        self._whole = np.empty((0, len(COLUMNS)))
-        self._pending = np.empty((0, len(COLUMNS)))  # rows of the pair that is not yet complete
+        self._whole = np.empty((0, len(self.columns.names)))
+        # rows of the pair that is not yet complete
+        self._pending = np.empty((0, len(self.columns.names)))
         written = int(rows.header[ring.WRITTEN])
         capacity = int(rows.header[ring.CAPACITY])
         self._cursor = max(0, written - capacity + 1)
         self._event_cursor = 0
+
+    @property
+    def table(self) -> signals.Table:
+        """The signals of its vehicle."""
+        return self.columns.table
 
     @property
     def ended(self) -> str:
@@ -113,7 +185,7 @@ class Bench:
     @property
     def time_s(self) -> float:
         """Simulated time of the newest row; 0 before the first."""
-        return float(np.nan_to_num(self.newest[0]))
+        return float(np.nan_to_num(self.newest[self.columns.time]))
 
     @property
     def braked_m(self) -> float:
@@ -124,9 +196,11 @@ class Bench:
         return self.value("position") - self._braked_from_m
 
     def value(self, name: str, axle: int = 1) -> float:
-        """The newest value of a signal that a page draws."""
-        column = signals.columns(signals.BY_NAME[name])[axle - 1]
-        return float(self.newest[COLUMNS.index(column)])
+        """The newest value of a signal that a page draws; NaN if the vehicle has no such axle."""
+        names = signals.columns(self.table.by_name[name])
+        if axle > len(names):
+            return math.nan
+        return float(self.newest[self.columns.names.index(names[axle - 1])])
 
     def poll(self) -> list[Event]:
         """Read new rows and events, and return the new events.
@@ -136,7 +210,7 @@ class Bench:
         rows, self._cursor, _ = self.rows.read(self._cursor)
         if len(rows):
             self.heard_s = time.monotonic()
-            shown = np.hstack([rows[:, _COLUMNS], self._measured_m_s(rows)])
+            shown = self.columns.of(rows, self._radius_m)
             self._note_braking(np.vstack([self.newest, shown]))
             self._take(shown)
         event_rows, self._event_cursor, _ = self._event_ring.read(self._event_cursor)
@@ -145,17 +219,6 @@ class Bench:
             self._learn(event)
         self.events = (self.events + events)[-_KEPT_EVENTS:]
         return events
-
-    def _measured_m_s(self, rows: np.ndarray) -> np.ndarray:
-        """The speeds that the sensors show at the rims of the wheels, shape (n, axles)."""
-        turns_rad_s = rows[:, _WHEEL_SPEED]
-        for axle in range(signals.AXLES):
-            turning = np.flatnonzero(turns_rad_s[:, axle] > _TURNS_rad_s)
-            if turning.size:
-                at = turning[-1]
-                rim_m_s = rows[at, _RIM_SPEED][axle]
-                self._radius_m[axle] = rim_m_s / turns_rad_s[at, axle]
-        return rows[:, _MEASURED_SPEED] * self._radius_m
 
     @property
     def fault_marks(self) -> list[tuple[float, str, bool]]:
@@ -180,17 +243,17 @@ class Bench:
 
     def _note_braking(self, rows: np.ndarray) -> None:
         """Note the place of the first brake demand; `rows` begin with the last row before."""
-        begin = braking.begin(rows[:, _DEMAND])
+        begin = braking.begin(rows[:, self.columns.demand])
         if begin is not None and not self._demanded:
             self._demanded = True
             # NaN for a bench that braked already when the desk found it
-            self._braked_from_m = float(rows[begin, _POSITION])
+            self._braked_from_m = float(rows[begin, self.columns.position])
 
     def _take(self, rows: np.ndarray) -> None:
         """Process rows of shape (n, columns): reduce each complete period to a pair of points."""
         self.newest = rows[-1]
         rows = np.vstack([self._pending, rows])
-        period = np.floor(rows[:, 0] / PERIOD_S + 1e-6)
+        period = np.floor(rows[:, self.columns.time] / PERIOD_S + 1e-6)
         complete = period < period[-1]
         self._pending = rows[~complete]
         rows = rows[complete]
@@ -202,7 +265,7 @@ class Bench:
         first = np.flatnonzero(np.diff(period, prepend=-1.0))
         least = np.minimum.reduceat(rows, first)
         largest = np.maximum.reduceat(rows, first)
-        pairs = np.stack([least, largest], axis=1).reshape(-1, len(COLUMNS))
+        pairs = np.stack([least, largest], axis=1).reshape(-1, len(self.columns.names))
         self._recent.extend(pairs)
         self.points += len(pairs)
         self._whole = np.vstack([self._whole, pairs])
@@ -249,7 +312,7 @@ def running(among: Callable[[int], bool] = lambda pid: True) -> list[Bench]:
         if not among(pid):
             continue
         try:
-            rows = Ring(path, np.float64, width=len(signals.COLUMNS))
+            rows = Ring(path, np.float64)
             event_path = _event_ring_path(path, pid, created_ns)
             events = Ring(event_path, np.int64, width=ring.EVENT_WORDS)
             bench = Bench(pid, rows, events)

@@ -5,6 +5,7 @@ a note on it.
 """
 
 import asyncio
+import re
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -31,16 +32,8 @@ _FIGURES = (
 )
 # titles of columns that say more than the titles of their figures
 _TITLES = {"vents": "interventions: vents of the WSP"}
-# a comparison lists the channels whose names begin so
-_COMPARED_CHANNELS = (
-    "vehicle_speed",
-    "sliding_",
-    "adhesion_1",
-    "adhesion_2",
-    "adhesion_3",
-    "adhesion_4",
-    "cylinder_pressure_",
-)
+# a comparison lists the channels with such names
+_COMPARED_CHANNELS = re.compile(r"vehicle_speed|sliding_|adhesion_\d|cylinder_pressure_")
 # columns whose words may be broken where the page is narrow
 _LONG = ("name", "faults", "verdict", "note")
 _KM_H_PER_M_S = 3.6
@@ -215,7 +208,7 @@ def _comparison(
                 "at": f"{difference.at_s:.2f}",
             }
             for difference in differences
-            if difference.channel.startswith(_COMPARED_CHANNELS)
+            if _COMPARED_CHANNELS.match(difference.channel)
         ]
         heads = {"channel": "channel", "largest": "largest", "rms": "rms", "at": "at s"}
         _table("Largest differences by value", heads, difference_rows)

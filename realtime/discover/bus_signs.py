@@ -18,7 +18,7 @@ from rollerrig.realtime.record import records
 from rollerrig.wsp_interface.bus.connection_set import EMERGENCY, HEARTBEAT, SYNC, TPDO
 from rollerrig.wsp_interface.bus.frames import ERROR_FLAG
 from rollerrig.wsp_interface.rig_objects import MAGNETS_ID
-from rollerrig.wsp_interface.signals import BRAKE_NODE, DRIVE_NODES, RIG_NODES, SPEED_NODE, WSP_NODE
+from rollerrig.wsp_interface.signals import BRAKE_NODE, SPEED_NODE, WSP_NODE, Table
 
 # a longer silence means that a node is off: it is back from bus-off within 0.1 s (chosen)
 SILENT_US = 300_000
@@ -30,14 +30,6 @@ BOOT_UP_DATA = "00"
 SENDER_BIT = 0x80
 # EMCY codes from here on are not trips of a drive
 FIRST_CODE_BEYOND_TRIPS = 0x8000
-# The frames that follow each SYNC. Those of the WSP unit are left out: it answers what it receives,
-# so they also depend on other nodes.
-_SYNCHRONOUS_IDS = (
-    *(base + node for base in TPDO[:2] for node in DRIVE_NODES),
-    *(base + SPEED_NODE for base in TPDO[:3]),
-    TPDO[0] + BRAKE_NODE,
-    MAGNETS_ID,
-)
 
 
 class _Frames(NamedTuple):
@@ -66,32 +58,49 @@ def of(run: records.Run) -> list[str]:
     at_us, ids, data = zip(*recorded, strict=True)
     frames = _Frames(np.array(at_us), np.array(ids), np.array(data))
     # several frames may show the same fault
-    return list(dict.fromkeys(_faults(frames)))
+    return list(dict.fromkeys(_faults(frames, run.signal_table)))
 
 
-def _faults(frames: _Frames) -> list[str]:
-    """Return the faults by the first broken law: a fault also breaks the laws behind it."""
-    emergencies = _emergencies(frames)
+def _faults(frames: _Frames, table: Table) -> list[str]:
+    """Return the faults by the first broken law: a fault also breaks the laws behind it.
+
+    `table` has the nodes of the vehicle.
+    """
+    emergencies = _emergencies(frames, table)
     error_frames = frames.data[frames.ids >= ERROR_FLAG]
     if error_frames.size:
         return _error_passive_nodes(error_frames, emergencies)
-    silent = _silent_nodes(frames, emergencies)
+    silent = _silent_nodes(frames, emergencies, table)
     if silent:
         return silent
     trips = [
         emergency
         for emergency in emergencies
-        if emergency.node in DRIVE_NODES and 0 < emergency.code < FIRST_CODE_BEYOND_TRIPS
+        if emergency.node in table.drive_nodes and 0 < emergency.code < FIRST_CODE_BEYOND_TRIPS
     ]
     if trips:
-        return _drive_faults(trips)
-    return _missing_frames(frames)
+        return _drive_faults(trips, table)
+    return _missing_frames(frames, table)
 
 
-def _emergencies(frames: _Frames) -> list[_Emergency]:
+def _synchronous_ids(table: Table) -> tuple[int, ...]:
+    """Return the frames that follow each SYNC.
+
+    Those of the WSP unit are left out: it answers what it receives, so they also depend on other
+    nodes.
+    """
+    return (
+        *(base + node for base in TPDO[:2] for node in table.drive_nodes),
+        *(base + SPEED_NODE for base in TPDO[:3]),
+        TPDO[0] + BRAKE_NODE,
+        MAGNETS_ID,
+    )
+
+
+def _emergencies(frames: _Frames, table: Table) -> list[_Emergency]:
     """Return the EMCY messages, sorted by node and then by time."""
     found = []
-    for node in RIG_NODES:
+    for node in table.rig_nodes:
         for data in frames.data[frames.ids == EMERGENCY + node]:
             # the code is in the first two bytes, low byte first
             code = int(data[2:4] + data[:2], 16)
@@ -110,10 +119,10 @@ def _error_passive_nodes(error_frames: np.ndarray, emergencies: list[_Emergency]
     ]
 
 
-def _silent_nodes(frames: _Frames, emergencies: list[_Emergency]) -> list[str]:
+def _silent_nodes(frames: _Frames, emergencies: list[_Emergency], table: Table) -> list[str]:
     """Return a fault for each node that was silent for too long [B2]."""
     found = []
-    for node in (*RIG_NODES, WSP_NODE):
+    for node in (*table.rig_nodes, WSP_NODE):
         from_node = np.isin(frames.ids, [HEARTBEAT + node, *(base + node for base in TPDO)])
         # a boot-up message does not end the silence
         alive_us = frames.at_us[from_node & (frames.data != BOOT_UP_DATA)]
@@ -135,10 +144,10 @@ def _silent_nodes(frames: _Frames, emergencies: list[_Emergency]) -> list[str]:
     return found
 
 
-def _drive_faults(trips: list[_Emergency]) -> list[str]:
+def _drive_faults(trips: list[_Emergency], table: Table) -> list[str]:
     """Return the faults that made drives trip [B3]."""
     # a power dip reaches all drives
-    if all((node, UNDER_VOLTAGE) in trips for node in DRIVE_NODES):
+    if all((node, UNDER_VOLTAGE) in trips for node in table.drive_nodes):
         return ["power_dip"]
     found = []
     for node, code in trips:
@@ -147,10 +156,10 @@ def _drive_faults(trips: list[_Emergency]) -> list[str]:
     return found
 
 
-def _missing_frames(frames: _Frames) -> list[str]:
+def _missing_frames(frames: _Frames, table: Table) -> list[str]:
     """Return the fault of the first synchronous frame that is missing in too many cycles [B4]."""
     sync_us = frames.at_us[frames.ids == SYNC]
-    for can_id in _SYNCHRONOUS_IDS:
+    for can_id in _synchronous_ids(table):
         cycles = np.searchsorted(sync_us, frames.at_us[frames.ids == can_id], "right") - 1
         missed = np.setdiff1d(np.arange(sync_us.size), cycles)
         if missed.size <= MOST_CYCLES_MISSED:

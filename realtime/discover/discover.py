@@ -31,7 +31,6 @@ from rollerrig.rig.identify.decide import decision
 from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.identify.next_stops import planning
 from rollerrig.rig.identify.next_stops.prototype import LONGEST_S, RELEASED_S, Stop
-from rollerrig.wsp_interface.signals import AXLES
 
 FIRST_SPEEDS_M_S = (38.0, 22.0, 30.0)  # initial speeds of the first stops
 HELD_OUT = 2  # place of the stop that is never fitted
@@ -225,7 +224,7 @@ def plan_of(rig: str, stop: Stop) -> scenario.Scenario:
         # the other axles are vented; they brake afterwards, so that the vehicle comes to a stop
         faults = [
             f"vent_magnet_stuck axle={axle} for={LONGEST_S:g}"
-            for axle in range(1, AXLES + 1)
+            for axle in scenario.read(content, path).table.axles
             if axle != stop.axle
         ]
     return scenario.read(content | head, path, tables=tables, faults=tuple(faults))

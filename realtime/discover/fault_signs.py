@@ -27,7 +27,6 @@ from rollerrig.realtime.discover import bus_signs
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.magnets import HOLD_MAGNET, HOLDING, VENT_MAGNET
-from rollerrig.wsp_interface.signals import AXLES
 
 # samples of a slower vehicle are not used
 MOVES_M_S = 5.0
@@ -107,7 +106,8 @@ def _signs(run: records.Run) -> list[str]:
     is_rough = roughness > ROUGH_FACTOR * (np.median(roughness) + ROUGH_RAD_S)
 
     found: list[str] = []
-    for j in range(AXLES):
+    axles = motion.wheel_rad_s.shape[1]
+    for j in range(axles):
         kinds = [*_stuck_sensor(motion, j)]
         if is_rough[j]:
             kinds.append(_rough_sensor(third_differences[:, j]))
@@ -124,7 +124,7 @@ def _motion(run: records.Run) -> _Motion:
     moves = np.flatnonzero(speed_m_s > MOVES_M_S)[1:]
 
     def of_all_axles(name: str) -> np.ndarray:
-        columns = signals.columns(signals.BY_NAME[name])
+        columns = signals.columns(run.signal_table.by_name[name])
         return np.column_stack([run.column(column)[moves] for column in columns])
 
     wheel_rad_s = of_all_axles("measured_speed")
@@ -236,7 +236,8 @@ def _swapped(motion: _Motion) -> Iterator[str]:
     if np.any(quick.std(axis=0) < 1e-9) or np.any(releases.std(axis=0) < 1e-9):
         return
     # a row for each wheel, a column for each brake
-    together = np.corrcoef(quick.T, releases.T)[:AXLES, AXLES:]
+    axles = quick.shape[1]
+    together = np.corrcoef(quick.T, releases.T)[:axles, axles:]
     for j, k in enumerate(together.argmax(axis=1)):
         least = max(TOGETHER, together[j, j] + APART, together[k, k] + APART)
         if together[j, k] > least:

@@ -15,3 +15,17 @@ def push(header, rows, row):
         rows[slot, i] = row[i]
     memory_barrier()
     header[_WRITTEN] = at + 1
+
+
+@kernel
+def push_part(header, rows, row, kept):
+    """Append the values of a row at the places `kept`, int64 (width,). Never waits.
+
+    Shapes of header and rows as for `push`.
+    """
+    at = header[_WRITTEN]
+    slot = at % rows.shape[0]
+    for i in range(kept.size):
+        rows[slot, i] = row[kept[i]]
+    memory_barrier()
+    header[_WRITTEN] = at + 1

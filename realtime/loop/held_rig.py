@@ -17,7 +17,6 @@ from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.tick import HELD, HOLD, TickData
 from rollerrig.rig import plant
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.rig.state import AXLES
 
 # values of the control slot HOLD
 RUNNING = 0  # the run goes on
@@ -91,7 +90,7 @@ def _settle(m, speed):
 @kernel
 def _turn(state, tick_s):
     """Turn wheels and rollers for one tick."""
-    for j in range(AXLES):
+    for j in range(state.axles):
         state.wheel_angle[j] += tick_s * state.wheel_speed[j]
         state.roller_angle[j] += tick_s * state.roller_speed[j]
 

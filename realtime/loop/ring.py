@@ -34,6 +34,7 @@ import numpy as np
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.events import Code, Event
+from rollerrig.wsp_interface.signals import Table
 
 # slots of the header, int64; times are on CLOCK_MONOTONIC
 WRITTEN = 0  # rows that the writer has appended
@@ -94,20 +95,26 @@ def sweep() -> list[Path]:
 
 
 class Memory:
-    """The memory of a ring within one process: `rows` of shape (capacity, width) float64.
+    """The memory of a ring of samples within one process: `rows` (capacity, columns) float64.
 
-    `appending.push` fills it.
+    The columns are those of a `signals.Table`. `appending.push_part` fills it.
     """
 
-    def __init__(self, capacity: int, width: int) -> None:
+    def __init__(self, capacity: int, table: Table) -> None:
+        self.table = table
         self.header = np.zeros(_HEADER, dtype=np.int64)
         # only rows that were written are read, so the memory need not be cleared
-        self.rows = np.empty((capacity, width))
+        self.rows = np.empty((capacity, len(table.columns)))
+
+    @property
+    def recorded(self) -> np.ndarray:
+        """All samples so far, (n, columns), if they are not more than the capacity."""
+        return self.rows[: int(self.header[WRITTEN])]
 
     @property
     def written(self) -> np.ndarray:
-        """All rows so far, if they are not more than the capacity."""
-        return self.rows[: int(self.header[WRITTEN])]
+        """The same samples as rows of all signals, (n, signals.WIDTH)."""
+        return self.table.rows_of_all(self.recorded)
 
 
 class FileHeader:

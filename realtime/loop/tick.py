@@ -11,12 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import (
-    AXLES_OF_GROUP,
-    GROUPS,
-    HAS_DYNAMIC_BRAKE,
-    HAS_MAGNETIC_TRACK_BRAKE,
-)
+from rollerrig.configs.vehicle import AXLES_OF_GROUP, MOST_AXLES, MOST_GROUPS, Kind
 from rollerrig.firmware_sim import pole_wheel, rig_control
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import control as drive_control
@@ -30,23 +25,24 @@ from rollerrig.rig.compiled import record_type
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.dynamic_brake import NO_COMMAND
 from rollerrig.rig.params import Params
-from rollerrig.rig.state import AXLES, SLOTS, State
+from rollerrig.rig.state import NAMES, State, slots
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, PAIR_MASK
 
-# places in the command row, float64; io401 writes the first two
+# places in the command row, float64, with room for the most axles and all equipment; io401 writes
+# the first two
 MAGNETS = 0  # pairs of magnets of the axles, as in wsp_interface.magnets
-DEMAND = MAGNETS + AXLES  # brake demand in Pa; NaN: the programme of the scenario
+DEMAND = MAGNETS + MOST_AXLES  # brake demand in Pa; NaN: the programme of the scenario
 REFERENCE = DEMAND + 1  # reference speed of each WSP unit in m/s; NaN: it sends none
-FRICTION = REFERENCE + GROUPS  # kinematic friction under the axles; 0: as in the scenario
-SAND = FRICTION + AXLES  # 1: the sander of the axle is on
-DRIVES = SAND + AXLES  # commands of each drive, laid out as in drive402.axis
-FAULTS = DRIVES + AXLES * axis.COMMANDS  # faults that act, laid out as in faults.effects
-# with a dynamic brake: the permitted share of each motor, then the demand of traction
+FRICTION = REFERENCE + MOST_GROUPS  # kinematic friction under the axles; 0: as in the scenario
+SAND = FRICTION + MOST_AXLES  # 1: the sander of the axle is on
+DRIVES = SAND + MOST_AXLES  # commands of each drive, laid out as in drive402.axis
+FAULTS = DRIVES + MOST_AXLES * axis.COMMANDS  # faults that act, laid out as in faults.effects
+# of a dynamic brake: the permitted share of each motor, then the demand of traction
 MOTORS = FAULTS + effects.SIZE
-# with a magnetic track brake: 1: the magnets of the bogie of the axle are on
-TRACK_BRAKE = MOTORS + (AXLES + 1 if HAS_DYNAMIC_BRAKE else 0)
-COMMANDS = TRACK_BRAKE + (AXLES if HAS_MAGNETIC_TRACK_BRAKE else 0)
+# of a magnetic track brake: 1: the magnets of the bogie of the axle are on
+TRACK_BRAKE = MOTORS + MOST_AXLES + 1
+COMMANDS = TRACK_BRAKE + MOST_AXLES
 
 # slots of the control array, int64
 TICK = 0  # ticks of the run so far
@@ -61,6 +57,13 @@ HOLD = 8  # whether the rig is held: see held_rig
 HELD = 9  # ticks of the held rig
 STALLED_NS = 10  # how far simulated time is behind the clock of the bus
 SLOTS_OF_CONTROL = 11
+
+
+class Units(NamedTuple):
+    """The reference WSP units of all groups of axles."""
+
+    memory: np.ndarray  # float64 (groups, logic.SIZE): the state of each unit
+    params: logic.Params
 
 
 class TickData(NamedTuple):
@@ -80,7 +83,10 @@ class TickData(NamedTuple):
     command: np.ndarray  # the command row that acts now; its places are above
     published: Mailbox  # rows of all signals from the tick
     row: np.ndarray  # the row of all signals
-    gather: np.ndarray  # (columns of a row,): the slot of `buffer` to copy, or -1
+    kept: np.ndarray  # int64: the columns of the row that a sample has
+    gather: (
+        np.ndarray
+    )  # int64 (n, 2): the columns to copy into the row, and their slots in `buffer`
     ring_header: np.ndarray  # of the ring of samples
     ring_rows: np.ndarray
     virtual: int  # 1 with a virtual track, else 0
@@ -115,11 +121,11 @@ _MISSED = signals.column("ticks_missed")
 _SPEED = signals.column("measured_speed")
 _PRESSURE = signals.column("cylinder_pressure")
 _REFERENCE = signals.column("wsp_reference_speed")
-# the first of the columns of further groups, which follow one another; unused with one group
-_SECOND_REFERENCE = signals.column(signals.REFERENCE_SPEEDS[min(1, GROUPS - 1)])
-_SPEED_SCALE = signals.BY_NAME["measured_speed"].places[0].scale
-_PRESSURE_SCALE = signals.BY_NAME["cylinder_pressure"].places[0].scale
-_REFERENCE_SCALE = signals.BY_NAME["wsp_reference_speed"].places[0].scale
+# the first of the columns of further groups, which follow one another
+_SECOND_REFERENCE = signals.column(signals.reference_speed_name(1))
+_SPEED_SCALE = signals.scale("measured_speed")
+_PRESSURE_SCALE = signals.scale("cylinder_pressure")
+_REFERENCE_SCALE = signals.scale("wsp_reference_speed")
 _LOW, _HIGH = (float(bound) for bound in signals.KINDS["I16"])
 
 # signals of the real wheelsets and rollers, where a virtual track runs in parallel
@@ -140,31 +146,39 @@ OF_ROLLERS = frozenset(
 def first_command() -> np.ndarray:
     """Return the first command row: no magnet energised, drives enabled for the rig."""
     row = np.full(COMMANDS, np.nan)
-    row[MAGNETS : MAGNETS + AXLES] = 0.0
+    row[MAGNETS:DEMAND] = 0.0
     row[FRICTION:] = 0.0
-    if HAS_DYNAMIC_BRAKE:
-        row[MOTORS : MOTORS + AXLES] = 1.0
-        row[MOTORS + AXLES] = NO_COMMAND
-    drives = row[DRIVES:FAULTS].reshape(AXLES, axis.COMMANDS)
+    row[MOTORS : MOTORS + MOST_AXLES] = 1.0
+    row[MOTORS + MOST_AXLES] = NO_COMMAND
+    drives = row[DRIVES:FAULTS].reshape(MOST_AXLES, axis.COMMANDS)
     drives[:, axis.ENABLED] = 1.0
     drives[:, axis.LOOP] = axis.LOOP_RIG
     return row
 
 
-def gather(names: Iterable[str] = tuple(SLOTS)) -> np.ndarray:
-    """Return, for each column of a row, the slot of the state to copy into it, or -1 for none."""
-    return _gathered(frozenset(names)).copy()
+def gather(kind: Kind, names: Iterable[str] = NAMES) -> np.ndarray:
+    """Return what to copy from the state of a vehicle into the row of all signals.
+
+    Shape (n, 2): a column of the row, and its slot in the buffer of the state. `names` are the
+    signals to copy.
+    """
+    return _gathered(kind, frozenset(names)).copy()
 
 
 @functools.cache
-def _gathered(wanted: frozenset[str]) -> np.ndarray:
-    """Return the slots of `gather`, made once: a campaign needs them for each stop."""
-    slots = np.full(len(signals.COLUMNS), -1, dtype=np.int64)
-    for signal in signals.SIGNALS:
-        if signal.name in SLOTS and signal.name in wanted - pole_wheel.COLUMNS:
-            place = SLOTS[signal.name]
-            slots[signals.span(signal.name)] = np.arange(place.start, place.stop)
-    return slots
+def _gathered(kind: Kind, wanted: frozenset[str]) -> np.ndarray:
+    """Return the pairs of `gather`, made once: a campaign needs them for each stop."""
+    table = signals.table(kind)
+    places = slots(kind.axles)
+    pairs: list[tuple[int, int]] = []
+    for signal in table.signals:
+        if signal.name in places and signal.name in wanted - pole_wheel.COLUMNS:
+            columns = table.span(signal.name)
+            slot = places[signal.name]
+            pairs += zip(
+                range(columns.start, columns.stop), range(slot.start, slot.stop), strict=True
+            )
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 @kernel
@@ -177,13 +191,12 @@ def publish(m):
 @kernel
 def write_row(m):
     """Copy the state into the row of all signals."""
-    for i in range(m.gather.size):
-        if m.gather[i] >= 0:
-            m.row[i] = m.buffer[m.gather[i]]
-    for i in range(m.gather_rollers.size):
-        if m.gather_rollers[i] >= 0:
-            m.row[i] = m.roller_buffer[m.gather_rollers[i]]
-    for j in range(AXLES):
+    for i in range(len(m.gather)):
+        m.row[m.gather[i, 0]] = m.buffer[m.gather[i, 1]]
+    for i in range(len(m.gather_rollers)):
+        m.row[m.gather_rollers[i, 0]] = m.roller_buffer[m.gather_rollers[i, 1]]
+    axles = m.params.axles
+    for j in range(axles):
         m.row[_MAGNETS + j] = m.command[MAGNETS + j]
         m.row[_SAND + j] = m.command[SAND + j]
         m.row[_TRACKING + j] = tracking_error(m, j)
@@ -191,10 +204,10 @@ def write_row(m):
     if m.command[FAULTS + effects.ANY] != 0.0:
         heat = m.params.heat
         effects.heat(
-            m.row[_MOTOR_K : _MOTOR_K + AXLES], m.command[FAULTS:], heat.air_K, heat.motor_rise_K
+            m.row[_MOTOR_K : _MOTOR_K + axles], m.command[FAULTS:], heat.air_K, heat.motor_rise_K
         )
     m.row[_REFERENCE] = m.command[REFERENCE]
-    for group in range(1, GROUPS):
+    for group in range(1, MOST_GROUPS):
         m.row[_SECOND_REFERENCE + group - 1] = m.command[REFERENCE + group]
     m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
     m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
@@ -206,7 +219,7 @@ def tracking_error(m, axle):
     """Return the control error of the motors in m/s, at the rim of the wheel or roller."""
     if m.virtual != 0:
         error = m.roller_state.wheel_speed[axle] - m.state.wheel_speed[axle]
-        return m.params.wheels.table[vehicle.RADIUS_M + axle] * error
+        return m.params.wheels.table[vehicle.RADIUS_M, axle] * error
     if m.params.mode == 0:
         return 0.0
     return m.params.drive.roller_radius_m * m.state.roller_speed[axle] - m.state.vehicle_speed[0]
@@ -219,14 +232,16 @@ def advance_real_rollers(m, tick):
     real.vehicle_speed[0] = virtual.vehicle_speed[0]
     real.vehicle_acceleration[0] = virtual.vehicle_acceleration[0]
     real.felt_acceleration[0] = virtual.felt_acceleration[0]
-    plant.advance(real, m.roller_delay, m.command[:AXLES], m.command[DEMAND], tick, m.roller_params)
+    plant.advance(
+        real, m.roller_delay, m.command[MAGNETS:DEMAND], m.command[DEMAND], tick, m.roller_params
+    )
     plant.observe(real, m.roller_params)
 
 
 @kernel
 def disturb(m, faults):
     """Let faults act on magnets, motors and cylinders for the coming tick."""
-    effects.energise(m.command[:AXLES], faults)
+    effects.energise(m.command[MAGNETS:DEMAND], faults)
     effects.ripple(m.roller_state, faults)
     effects.leak(m.state, faults, m.params.tick_s)
     effects.spill(m.state, faults)
@@ -242,7 +257,7 @@ def run_tick(m):
     """
     tick = m.control[TICK]
     begin(m, tick)
-    plant.advance(m.state, m.delay, m.command[:AXLES], m.command[DEMAND], tick, m.params)
+    plant.advance(m.state, m.delay, m.command[MAGNETS:DEMAND], m.command[DEMAND], tick, m.params)
     if m.command[DRIVES + axis.LOOP] == axis.LOOP_STOP and (m.virtual != 0 or m.params.mode != 0):
         rig_control.stop_with_rollers(m.state, m.roller_state, m.roller_params.drive)
     plant.observe(m.state, m.params)
@@ -266,7 +281,7 @@ def record(m, tick):
         # the largest values since the last sample, including the lateness of this tick
         m.row[_LATENESS] = m.control[LATE_NS] * 1e-3
         m.row[_DURATION] = m.control[BUSY_NS] * 1e-3
-        appending.push(m.ring_header, m.ring_rows, m.row)
+        appending.push_part(m.ring_header, m.ring_rows, m.row, m.kept)
         m.control[LATE_NS] = 0
         m.control[BUSY_NS] = 0
 
@@ -281,8 +296,8 @@ def obey(m):
             m.roller_state,
             m.state,
             m.roller_params.drive,
-            table[vehicle.RADIUS_M : vehicle.RADIUS_M + AXLES],
-            table[vehicle.INERTIA_KGM2 : vehicle.INERTIA_KGM2 + AXLES],
+            table[vehicle.RADIUS_M],
+            table[vehicle.INERTIA_KGM2],
         )
     elif m.params.mode != 0:
         rig_control.hold_surface_speed(m.state, m.params.drive, m.params.tick_s)
@@ -292,7 +307,7 @@ def obey(m):
         )
     if faults[effects.ANY] != 0.0:
         disturb(m, faults)
-    for j in range(AXLES):
+    for j in range(m.params.axles):
         m.state.friction_command[j] = m.command[FRICTION + j]
         m.state.sand_command[j] = m.command[SAND + j]
         m.state.sand_rate_fault[j] = effects.value(faults, effects.SAND_FLAW, j)
@@ -304,18 +319,18 @@ def obey(m):
 @kernel
 def command_motors(m, faults, dynamic):
     """Pass commands and faults to the motors of a dynamic brake; nothing without one."""
-    if dynamic is not None:
-        for j in range(AXLES):
+    if dynamic.acts:
+        for j in range(m.params.axles):
             m.state.dynamic_permitted[j] = m.command[MOTORS + j]
             m.state.dynamic_failed[j] = effects.value(faults, effects.MOTOR_LOST, j)
-        m.state.traction_command[0] = m.command[MOTORS + AXLES]
+        m.state.traction_command[0] = m.command[MOTORS + MOST_AXLES]
 
 
 @kernel
 def command_track_brake(m, faults, magnets):
     """Pass commands and faults to the magnetic track brake; nothing without one."""
-    if magnets is not None:
-        for j in range(AXLES):
+    if magnets.acts:
+        for j in range(m.params.axles):
             m.state.track_brake_command[j] = m.command[TRACK_BRAKE + j]
             m.state.track_brake_failed[j] = effects.value(faults, effects.TRACK_BRAKE_DEAD, j)
 
@@ -383,10 +398,9 @@ def counts(value, scale):
 def run_ticks_with_units(m, ticks, sync_ticks, units, inputs):
     """Run ticks as `run_ticks` does, and call the reference WSP units where a SYNC would come.
 
-    `units` is a tuple with the memory and parameters of the unit of each group, `inputs` int64
-    scratch of shape (2 AXLES,): what the units would receive over the bus, speeds in 0.01 rad/s and
-    pressures in mbar. Their answers act in the next tick, as in lockstep, or when a wire would have
-    carried them.
+    `units` are `Units`, `inputs` int64 scratch of shape (2 MOST_AXLES,): what the units would
+    receive over the bus, speeds in 0.01 rad/s and pressures in mbar. Their answers act in the next
+    tick, as in lockstep, or when a wire would have carried them.
     """
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:
@@ -395,8 +409,7 @@ def run_ticks_with_units(m, ticks, sync_ticks, units, inputs):
         if phase == 0:
             write_unit_inputs(m, inputs)
         if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
-            for group in range(len(units)):
-                run_unit_cycle(m, units[group], group, inputs)
+            run_unit_cycles(m, units.memory, units.params, inputs)
         run_tick(m)
     return ticks
 
@@ -404,9 +417,21 @@ def run_ticks_with_units(m, ticks, sync_ticks, units, inputs):
 @kernel
 def write_unit_inputs(m, inputs):
     """Write what the reference WSP units receive with a SYNC, in counts."""
-    for j in range(AXLES):
+    for j in range(m.params.axles):
         inputs[j] = counts(m.row[_SPEED + j], _SPEED_SCALE)
-        inputs[AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
+        inputs[MOST_AXLES + j] = counts(m.row[_PRESSURE + j], _PRESSURE_SCALE)
+
+
+@kernel
+def run_unit_cycles(m, memory, params, inputs):
+    """Run a cycle of the reference WSP unit of each group.
+
+    `memory` float64 (groups, logic.SIZE) has the state of each unit; all have the same `params`.
+    """
+    for group in range(len(memory)):
+        axles = min(m.params.axles - AXLES_OF_GROUP * group, AXLES_OF_GROUP)
+        unit = logic.Unit(logic.state_at(memory[group], axles), params)
+        run_unit_cycle(m, unit, group, inputs)
 
 
 @kernel
@@ -415,7 +440,7 @@ def run_unit_cycle(m, unit, group, inputs):
     first = AXLES_OF_GROUP * group
     magnets_byte, reference = logic.cycle(unit, inputs[first:])
     command = m.commands.values
-    for j in range(unit.state.speed_m_s.size):
+    for j in range(unit.state.axles):
         command[MAGNETS + first + j] = (magnets_byte >> (BITS_PER_AXLE * j)) & PAIR_MASK
     permit_shares(unit, command, first, m.params.dynamic)
     command[REFERENCE + group] = reference * _REFERENCE_SCALE
@@ -424,6 +449,6 @@ def run_unit_cycle(m, unit, group, inputs):
 @kernel
 def permit_shares(unit, command, first, dynamic):
     """Pass the unit's shares of the dynamic brake as commands; nothing without such a brake."""
-    if dynamic is not None:
-        for j in range(unit.state.speed_m_s.size):
+    if dynamic.acts:
+        for j in range(unit.state.axles):
             command[MOTORS + first + j] = logic.permitted_share(unit, j)

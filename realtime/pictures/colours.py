@@ -4,7 +4,7 @@ Source: the palette of Okabe and Ito, which colour-blind people can distinguish.
 one axle, or one model, in Rerun and on pages. Both have a light and a dark background.
 """
 
-from rollerrig.configs.vehicle import AXLES as NUMBER_OF_AXLES
+from rollerrig.configs.vehicle import MOST_AXLES
 
 Colour = tuple[int, int, int]
 
@@ -34,16 +34,16 @@ def _shaded(colour: Colour, share: float) -> Colour:
     return round(share * red), round(share * green), round(share * blue)
 
 
-# all axles: an axle of a further group has the colour of the same axle of the leading group, darker
+# of as many axles as a vehicle may have: an axle of a further group has the colour of the same axle
+# of the leading group, darker
 AXLES = tuple(
-    _shaded(_GROUP[axle % len(_GROUP)], _SHADES[axle // len(_GROUP)])
-    for axle in range(NUMBER_OF_AXLES)
+    _shaded(_GROUP[axle % len(_GROUP)], _SHADES[axle // len(_GROUP)]) for axle in range(MOST_AXLES)
 )
 
 # the lines of the axles of a group, as lengths of dashes and gaps in points; () is a solid line
 _GROUP_DASHES: tuple[tuple[float, ...], ...] = ((), (7, 2), (4, 2, 1, 2), (2, 2))
 # those of all axles: colour is never the only mark of an axle
-AXLE_DASHES = tuple(_GROUP_DASHES[axle % len(_GROUP)] for axle in range(NUMBER_OF_AXLES))
+AXLE_DASHES = tuple(_GROUP_DASHES[axle % len(_GROUP)] for axle in range(MOST_AXLES))
 
 VEHICLE = STEEL
 # what a signal is compared with: the reference speed of the WSP unit, the brake demand

@@ -22,7 +22,6 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import create, replaced
 from rollerrig.configs.processes.without import without
 from rollerrig.realtime.record.run_folder import CHANNELS, TAIL
-from rollerrig.wsp_interface.signals import COLUMNS
 
 # time between two writes of channels.parquet, at least
 _PERIOD_S = 0.8
@@ -35,15 +34,22 @@ _STEP_S = 0.03
 # A long run may be large in memory, but only if its file is large, too: measured channels cannot
 # be compressed to less than a tenth.
 _MOST_RATIO = 100
+# of a float64 number
+_ITEM_BYTES = 8
 # until the file is complete, Parquet keeps 50 kB of memory for each block
-_BLOCK_BYTES = 8 * len(COLUMNS) * (1 << 13)
+_BLOCK_ROWS = 1 << 13
 
 
 class Channels:
-    """The channels of one run: rows go in, the files in `folder` follow; no row stays in memory."""
+    """The channels of one run: rows go in, the files in `folder` follow; no row stays in memory.
 
-    def __init__(self, folder: Path) -> None:
+    `columns` are the names of the columns of a row.
+    """
+
+    def __init__(self, folder: Path, columns: Sequence[str]) -> None:
         self._folder = Path(folder)
+        self._columns = list(columns)
+        self._block_bytes = _ITEM_BYTES * len(self._columns) * _BLOCK_ROWS
         self._tail = create(self._folder / TAIL, buffering=0)
         # the write that is under way; its size, its time so far, and when the next one is due
         self._saving: Iterator[None] | None = None
@@ -53,7 +59,7 @@ class Channels:
         self.write()
 
     def add(self, rows: np.ndarray) -> None:
-        """Append rows of all signals, shape (n, columns)."""
+        """Append rows, shape (n, columns)."""
         if len(rows):
             self._tail.write(np.ascontiguousarray(rows).tobytes())
 
@@ -110,23 +116,23 @@ class Channels:
             replaced(self._folder / CHANNELS) as new,
             pq.ParquetWriter(
                 new,
-                schema(),
+                schema(self._columns),
                 compression=compression,
                 use_dictionary=False,
                 use_byte_stream_split=is_final,
                 write_statistics=is_final,
             ) as writer,
         ):
-            for at in range(0, self._written, _BLOCK_BYTES):
-                block = os.pread(self._tail.fileno(), min(_BLOCK_BYTES, self._written - at), at)
-                writer.write_batch(_batch(block))
+            for at in range(0, self._written, self._block_bytes):
+                size = min(self._block_bytes, self._written - at)
+                block = os.pread(self._tail.fileno(), size, at)
+                writer.write_batch(_batch(block, self._columns))
                 yield
 
 
-def _batch(block: bytes) -> pa.RecordBatch:
-    """Return the complete rows in bytes of the tail."""
-    names = list(COLUMNS)
-    row_bytes = 8 * len(names)
+def _batch(block: bytes, names: list[str]) -> pa.RecordBatch:
+    """Return the complete rows in bytes of the tail, with the names of the columns."""
+    row_bytes = _ITEM_BYTES * len(names)
     complete = len(block) // row_bytes * row_bytes
     rows = np.frombuffer(block[:complete]).reshape(-1, len(names))
     columns = [_array(column) for column in rows.T.copy()]
@@ -177,7 +183,7 @@ class Columns(Mapping[str, pa.ChunkedArray]):
         count = 0
         if path.is_file():
             user_files.check(path, user_files.TAIL, within=path.parent)
-            count = path.stat().st_size // (8 * width)
+            count = path.stat().st_size // (_ITEM_BYTES * width)
         if not count:
             return np.empty((0, width))
         rows = np.memmap(path, np.float64, "r", shape=(count, width))
@@ -224,9 +230,9 @@ def leave_pandas_out() -> None:
         pa.array([0])
 
 
-def schema() -> pa.Schema:
-    """Return one float64 column for each column of the table of signals."""
-    return pa.schema([(name, pa.float64()) for name in COLUMNS])
+def schema(columns: Sequence[str]) -> pa.Schema:
+    """Return one float64 column for each name."""
+    return pa.schema([(name, pa.float64()) for name in columns])
 
 
 def load(folder: Path) -> pa.Table:

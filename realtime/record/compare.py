@@ -59,7 +59,7 @@ def differences(runs: Sequence[records.Run], tolerances: Mapping[str, float]) ->
 def _units(run: records.Run) -> dict[str, str]:
     """Return the units of the channels of a run that are results, by name."""
     units: dict[str, str] = {}
-    for signal in signals.SIGNALS:
+    for signal in run.signal_table.signals:
         if signal.name in _NO_RESULT:
             continue
         for name in signals.columns(signal):
@@ -103,7 +103,7 @@ def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
     # the last sample belongs to the last third
     third = np.minimum(_THIRDS * way_m / length_m, _THIRDS - 1e-3).astype(int)
 
-    axles = range(1, signals.AXLES + 1)
+    axles = run.signal_table.axles
     adhesion = np.array([run.column(f"adhesion_{axle}") for axle in axles])
     sliding_m_s = np.array([run.column(f"sliding_{axle}_m_s") for axle in axles])
     friction = np.array([run.column(f"friction_degraded_{axle}") for axle in axles])
@@ -127,16 +127,19 @@ def _means(values: np.ndarray, counts: np.ndarray, third: np.ndarray) -> tuple[f
     return tuple(means)
 
 
-def tolerances(given: Sequence[str]) -> dict[str, float]:
-    """Return tolerances from texts such as "m_s=0.1" or "sliding_1_m_s=0.5". Raises ConfigError."""
-    units = sorted({signal.unit or "1" for signal in signals.SIGNALS})
+def tolerances(given: Sequence[str], table: signals.Table) -> dict[str, float]:
+    """Return tolerances from texts such as "m_s=0.1" or "sliding_1_m_s=0.5".
+
+    `table` has the signals of the first run. Raises ConfigError.
+    """
+    units = sorted({signal.unit or "1" for signal in table.signals})
     found: dict[str, float] = {}
     for text in given:
         name, _, value = text.partition("=")
-        if name not in units and name not in signals.COLUMNS:
+        if name not in units and name not in table.columns:
             raise ConfigError(
                 f"--tolerance {text}: no unit or channel is called '{name}'"
-                f"{nearest(name, units, 'Units', others=signals.COLUMNS)}; or give a channel "
+                f"{nearest(name, units, 'Units', others=table.columns)}; or give a channel "
                 "from 'rollerrig list signals', with its unit, as in sliding_1_m_s"
             )
         try:

@@ -38,7 +38,7 @@ class Column(NamedTuple):
 def columns(run: Run) -> list[Column]:
     """Return all channels of a run except time, with unit and description."""
     known: dict[str, tuple[str, str]] = {}
-    for signal in signals.SIGNALS:
+    for signal in run.signal_table.signals:
         unit = UNITS.get(signal.unit, signal.unit)
         for name in signals.columns(signal):
             known[name] = (unit, signal.text)

@@ -23,8 +23,8 @@ from rollerrig.configs.table import nearest
 from rollerrig.realtime.record import channels, validity
 from rollerrig.realtime.record.run_folder import CAN_LOG, EVENTS, SCENARIO, SUMMARY
 from rollerrig.wsp_interface import events as run_events
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Event
-from rollerrig.wsp_interface.signals import COLUMNS
 
 _FRAME = re.compile(r"^\((\d+)\.(\d{6})\) \S+ ([0-9A-F]+)#([0-9A-F]*)", re.MULTILINE)
 _LONGEST_LINE = 1_000_000  # bytes of an event
@@ -38,6 +38,16 @@ class Run(NamedTuple):
     scenario: dict[str, Any]
     events: list[Event]
     summary: dict[str, Any]
+
+    @property
+    def kind(self) -> vehicle.Kind:
+        """The kind of its vehicle."""
+        return vehicle.kind_of(self.scenario, str(self.folder / SCENARIO))
+
+    @property
+    def signal_table(self) -> signals.Table:
+        """The signals of its vehicle."""
+        return signals.table(self.kind)
 
     def column(self, name: str) -> np.ndarray:
         """Return one channel, shape (n,).
@@ -53,8 +63,7 @@ class Run(NamedTuple):
 def load(folder: Path | str) -> Run:
     """Read a run's folder.
 
-    Raises ConfigError for a file that is missing or damaged, OtherVehicleError for a vehicle that
-    this process does not simulate.
+    Raises ConfigError for a file that is missing or damaged.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -64,7 +73,8 @@ def load(folder: Path | str) -> Run:
     if not (folder / SCENARIO).is_file():
         raise ConfigError(f"{folder / SCENARIO}: no such file; {folder} is not a run's folder")
     resolved = store.parse(folder / SCENARIO, within=folder)
-    vehicle.check_vehicle_of(resolved, str(folder / SCENARIO))
+    # raises ConfigError for a vehicle that there cannot be
+    vehicle.kind_of(resolved, str(folder / SCENARIO))
     return Run(
         folder,
         channels.load(folder),
@@ -158,10 +168,13 @@ def write_summary(folder: Path, content: dict[str, Any]) -> None:
         ) from None
 
 
-def rows(table: pa.Table | pa.RecordBatch) -> np.ndarray:
-    """Return a table as rows of all signals, shape (n, columns); missing channels are NaN."""
-    found = np.full((len(table), len(COLUMNS)), np.nan)
-    for at, name in enumerate(COLUMNS):
+def rows(table: pa.Table | pa.RecordBatch, signal_table: signals.Table) -> np.ndarray:
+    """Return channels of a vehicle as rows of all signals, shape (n, signals.WIDTH).
+
+    Missing channels are NaN.
+    """
+    recorded = np.full((len(table), len(signal_table.columns)), np.nan)
+    for at, name in enumerate(signal_table.columns):
         if name in table.schema.names:
-            found[:, at] = channels.values(table[name])
-    return found
+            recorded[:, at] = channels.values(table[name])
+    return signal_table.rows_of_all(recorded)

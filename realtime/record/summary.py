@@ -17,10 +17,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from rollerrig.configs.vehicle import Kind, kind_of
 from rollerrig.realtime.record import brake_work, channels, validity
-from rollerrig.wsp_interface import braking
+from rollerrig.wsp_interface import braking, signals
 from rollerrig.wsp_interface.events import Event
-from rollerrig.wsp_interface.signals import AXLES, BY_NAME, COLUMNS, columns
 
 _UNKNOWN_BUS = {"frames": None, "dropped": None, "load_percent": None}
 # columns of the table of axles
@@ -31,13 +31,16 @@ _READ = (
     *("sliding", "sliding_work", "longest_lock", "flat_length", "adhesion", "vents", "valve"),
     *("tracking_error", "tick_lateness", "ticks_missed"),
 )
-# The channels that a summary reads. That of a vehicle with several brakes reads further ones.
-CHANNELS = (
-    tuple(column for name in _READ for column in columns(BY_NAME[name]))
-    if not brake_work.brakes()
-    else COLUMNS
-)
 Channel = Callable[[str], np.ndarray]
+
+
+def channels_of(kind: Kind) -> tuple[str, ...]:
+    """Return the channels that the summary of a kind of vehicle reads."""
+    table = signals.table(kind)
+    if brake_work.brakes(kind):
+        # several brakes need further ones
+        return table.columns
+    return tuple(column for name in _READ for column in signals.columns(table.by_name[name]))
 
 
 @functools.cache
@@ -51,14 +54,17 @@ def of(
     counters: Mapping[str, Any],
     scenario: Mapping[str, Any],
     events: Iterable[Event] = (),
+    kind: Kind | None = None,
 ) -> dict[str, Any]:
     """Return the summary of recorded channels, as in summary.json.
 
     `columns` has arrays of shape (n,) by the names of the table of signals. `counters` may have
     version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus, modbus and
-    recorder. `scenario` is the resolved one, `events` are all events of the run. The same input
-    gives the same output.
+    recorder. `scenario` is the resolved one, `events` are all events of the run. `kind` is that
+    of the vehicle; default: that of the scenario. The same input gives the same output.
     """
+    if kind is None:
+        kind = kind_of(scenario, "the scenario of the run")
     recorded_names = columns.column_names if isinstance(columns, pa.Table) else columns
     sample_count = len(columns["time_s"]) if "time_s" in recorded_names else 0
 
@@ -110,9 +116,11 @@ def of(
         "braking_time_s": braking_time_s,
         "braking_distance_m": braking_distance_m,
         "stopped": stopped,
-        "axles": [_axle(channel, axle, stop) for axle in range(1, AXLES + 1)],
-        "wsp": _counted(counters, "wsp", {**_wsp(channel, stop), "unit": counters.get("unit")}),
-        "tracking": _tracking(channel, stop),
+        "axles": [_axle(channel, axle, stop) for axle in range(1, kind.axles + 1)],
+        "wsp": _counted(
+            counters, "wsp", {**_wsp(kind, channel, stop), "unit": counters.get("unit")}
+        ),
+        "tracking": _tracking(kind, channel, stop),
         "air_consumption_NL": _last(channel("air_consumption_NL")),
         "reservoir_least_Pa": _last(channel("reservoir_least_Pa")),
         "loop": _counted(counters, "loop", _loop(channel, loop)),
@@ -120,8 +128,8 @@ def of(
         "modbus": _counted(counters, "modbus", {"requests": None}),
         "recorder": _counted(counters, "recorder", {"lost": 0}),
     }
-    if brake_work.brakes() and "vehicle" in scenario:
-        found["brakes"] = _brakes(channel, scenario["vehicle"]["wheel_radius_m"])
+    if brake_work.brakes(kind) and "vehicle" in scenario:
+        found["brakes"] = _brakes(kind, channel, scenario["vehicle"]["wheel_radius_m"])
     judgement = validity.judge(found, scenario, events)
     return found | {"valid": not judgement.invalid_because, **judgement._asdict()}
 
@@ -152,13 +160,14 @@ def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
     }
 
 
-def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
+def _wsp(kind: Kind, channel: Channel, stop: slice) -> dict[str, Any]:
     """Return how long any dump valve did not fill, and how often all valves began to vent."""
+    axles = range(1, kind.axles + 1)
     # a valve is 0 while it fills
-    valves = (channel(f"valve_{axle}")[stop] > 0.5 for axle in range(1, AXLES + 1))
+    valves = (channel(f"valve_{axle}")[stop] > 0.5 for axle in axles)
     acting = functools.reduce(np.logical_or, valves)[:-1]
     durations_s = np.diff(channel("time_s")[stop])
-    counts = [_count(channel(f"vents_{axle}")) for axle in range(1, AXLES + 1)]
+    counts = [_count(channel(f"vents_{axle}")) for axle in axles]
     known = [count for count in counts if count is not None]
     return {
         "unit": None,
@@ -167,23 +176,23 @@ def _wsp(channel: Channel, stop: slice) -> dict[str, Any]:
     }
 
 
-def _brakes(channel: Channel, radius_m: float) -> dict[str, Any]:
+def _brakes(kind: Kind, channel: Channel, radius_m: float) -> dict[str, Any]:
     """Return work, share and largest force of each brake; null where channels were not recorded."""
     found = {}
-    for brake, figures in brake_work.of(channel, radius_m).items():
+    for brake, figures in brake_work.of(kind, channel, radius_m).items():
         found[brake] = {
             name: None if value is None else finite(value) for name, value in figures.items()
         }
     return found
 
 
-def _tracking(channel: Channel, stop: slice) -> dict[str, Any]:
+def _tracking(kind: Kind, channel: Channel, stop: slice) -> dict[str, Any]:
     """Return the control error of the motors of all axles: largest and rms, in m/s."""
     worst: list[float] = []
     count = 0
     squares = 0.0
     # axle after axle, because a long run has large arrays
-    for name in columns(BY_NAME["tracking_error"]):
+    for name in signals.columns(signals.table(kind).by_name["tracking_error"]):
         error = channel(name)[stop]
         error = error[np.isfinite(error)]
         if error.size:

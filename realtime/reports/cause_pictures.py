@@ -106,10 +106,10 @@ def where(diagnosis: Diagnosis, against: list[str]) -> list[Panel]:
         x = covariate(design, name)
         edges = _edges(x)
         series = []
-        for axle, colour in enumerate(colours.AXLES):
+        for axle in range(design.axles):
             on = axle_of == axle
             of_axle = binned(x[on], left_by_base[on], block[on], edges)
-            series.append(Series(f"axle {axle + 1}", colour, *of_axle))
+            series.append(Series(f"axle {axle + 1}", colours.AXLES[axle], *of_axle))
         if diagnosis.causes:
             of_all = binned(x, left_by_extended, block, edges)
             series.append(

@@ -190,13 +190,16 @@ def _cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> dict[str, Any]:
     heldout_gain = None
     if diagnosis.gain is not None:
         heldout_gain = diagnosis.gain.reduction
+    axles = None
+    if cause.axle:
+        axles = list(wheelsets_of(cause.axle, diagnosis.data.axles))
     rivals = [
         {"name": rival.name, "share": rival.share, "parted": rival.is_distinguishable}
         for rival in identified.rivals
     ]
     return {
         "name": cause.name,
-        "axles": list(wheelsets_of(cause.axle)) if cause.axle else None,
+        "axles": axles,
         "parameters": {name: _estimate(found) for name, found in parameters.items()},
         "evidence": {
             "likelihood": identified.likelihood_ratio,

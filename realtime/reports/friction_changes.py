@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from rollerrig.configs.vehicle import kind_of
 from rollerrig.wsp_interface import harness_client
 from rollerrig.wsp_interface.events import Code, Event
-from rollerrig.wsp_interface.signals import AXLES
 
 # a recorded signal by name
 Column = Callable[[str], np.ndarray]
@@ -37,8 +37,10 @@ def changes(
     scenario: Mapping[str, Any], events: Iterable[AnyEvent], column: Column
 ) -> tuple[Change, ...]:
     """Return the changes by the resolved scenario in their order, then those by commands."""
-    programmed = [_programmed(row, scenario, column) for row in scenario.get("friction", ())]
-    commanded = [_commanded(event) for event in events]
+    axles = kind_of(scenario, "the scenario of the run").axles
+    rows = scenario.get("friction", ())
+    programmed = [_programmed(row, scenario, column, axles) for row in rows]
+    commanded = [_commanded(event, axles) for event in events]
     return (*programmed, *(change for change in commanded if change is not None))
 
 
@@ -47,12 +49,14 @@ def text(found: Sequence[Change]) -> str:
     return "; ".join(change.text for change in found)
 
 
-def _programmed(row: Mapping[str, Any], scenario: Mapping[str, Any], column: Column) -> Change:
-    """Return the change by one `[[friction]]` of a scenario."""
+def _programmed(
+    row: Mapping[str, Any], scenario: Mapping[str, Any], column: Column, axles: int
+) -> Change:
+    """Return the change by one `[[friction]]` of a scenario, of a vehicle with so many axles."""
     name = f"mu_cd {row['mu_cd']:.3g}"
     if row["mu_cr"] != scenario["adhesion"]["mu_cr"]:
         name += f", mu_cr {row['mu_cr']:.3g}"
-    name += _under(row["axles"])
+    name += _under(row["axles"], axles)
     if "from_m" not in row:
         return Change(row["from_s"], name, f"{name}, from {row['from_s']:g} s")
     reached = np.flatnonzero(column("position_m") >= row["from_m"])
@@ -62,27 +66,27 @@ def _programmed(row: Mapping[str, Any], scenario: Mapping[str, Any], column: Col
     return Change(float(column("time_s")[reached[0]]), name, place)
 
 
-def _commanded(event: AnyEvent) -> Change | None:
+def _commanded(event: AnyEvent, axles: int) -> Change | None:
     """Return the change of friction that an event reports; None for any other event."""
     fields = event.fields
     if event.code == Code.TEST_FRICTION:
-        name = f"mu_cd {fields['mu']:.3g}{_under(fields['axles'])}"
+        name = f"mu_cd {fields['mu']:.3g}{_under(fields['axles'], axles)}"
     elif event.code == Code.SET_POINT_FRICTION:
-        name = f"mu_cd {fields['mu']:.3g}{_under([fields['axle']])}"
+        name = f"mu_cd {fields['mu']:.3g}{_under([fields['axle']], axles)}"
     elif event.code == Code.TEST_FRICTION_DEFAULT:
         name = "friction as in the scenario"
     elif event.code == Code.SET_POINT_FRICTION_NONE:
-        name = f"friction as in the scenario{_under([fields['axle']])}"
+        name = f"friction as in the scenario{_under([fields['axle']], axles)}"
     else:
         return None
     return Change(event.time_s, name, f"{name}, by command at {event.time_s:.2f} s")
 
 
-def _under(axles: Sequence[int]) -> str:
-    """Return under which axles the friction changes, as the end of a name."""
-    if set(axles) == set(range(1, AXLES + 1)):
+def _under(changed: Sequence[int], axles: int) -> str:
+    """Return under which of all axles the friction changes, as the end of a name."""
+    if set(changed) == set(range(1, axles + 1)):
         return " under all axles"
-    if len(axles) == 1:
-        return f" under axle {axles[0]}"
-    first = ", ".join(str(axle) for axle in axles[:-1])
-    return f" under axles {first} and {axles[-1]}"
+    if len(changed) == 1:
+        return f" under axle {changed[0]}"
+    first = ", ".join(str(axle) for axle in changed[:-1])
+    return f" under axles {first} and {changed[-1]}"

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from rollerrig.rig.identify.causes.candidates import Explanation
-from rollerrig.rig.identify.data.runs import AXLES, Dataset
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.next_stops.planning import DISTINGUISHED, FittedData, Proposal
 from rollerrig.rig.identify.next_stops.prototype import RELEASED_S, Stop, is_on_rollers
 from rollerrig.rig.params import PA_PER_BAR
@@ -80,7 +80,7 @@ def sequence(proposal: Proposal, fitted: FittedData) -> dict[str, Any]:
             "adhesion": "soap",
             "tables": _tables(stop, fitted.data, fitted.explanation),
         },
-        "step": [_step(stop)],
+        "step": [_step(stop, fitted.data.axles)],
     }
 
 
@@ -103,8 +103,8 @@ def _tables(stop: Stop, data: Dataset, explanation: Explanation) -> dict[str, An
     }
 
 
-def _step(stop: Stop) -> dict[str, Any]:
-    """Return the step of the sequence that brakes."""
+def _step(stop: Stop, axles: int) -> dict[str, Any]:
+    """Return the step of the sequence that brakes, on a vehicle with this number of axles."""
     step: dict[str, Any] = {
         "title": title(stop),
         "at": f"{RELEASED_S:g} s",
@@ -119,6 +119,6 @@ def _step(stop: Stop) -> dict[str, Any]:
     if stop.axle:
         # The dump valves of the other wheelsets stay open. So one wheelset slides at a speed that
         # hardly decreases.
-        others = [axle for axle in range(1, AXLES + 1) if axle != stop.axle]
+        others = [axle for axle in range(1, axles + 1) if axle != stop.axle]
         step["fault"] = [f"vent_magnet_stuck axle={axle}" for axle in others]
     return step

@@ -422,11 +422,10 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
 
     record = outcome.record
     if record is not None and len(record.columns["time_s"]) > 1:
-        radius_m = record.scenario["vehicle"]["wheel_radius_m"]
         parts.append(table(*stop.axles(record)))
         parts.append(paragraph(element("small", stop.lock_note(record))))
-        parts.append(stop.picture(record.columns.__getitem__, radius_m, marks(outcome)))
-        parts += _brakes(outcome, radius_m)
+        parts.append(stop.picture(stop.motion_of_record(record), marks(outcome)))
+        parts += _brakes(outcome)
 
     if outcome.events:
         parts.append(_events(outcome))
@@ -465,13 +464,13 @@ def _events(outcome: Outcome) -> Markup:
     return folded(title, table(("s", "who", "what"), rows))
 
 
-def _brakes(outcome: Outcome, radius_m: float) -> list[Markup]:
+def _brakes(outcome: Outcome) -> list[Markup]:
     """Return what friction brake, motors and magnets did; nothing for friction brakes only."""
     head, rows = stop.brakes(outcome.summary)
     if not rows:
         return []
     run = records.load(outcome.folder)
-    return [table(head, rows), stop.brakes_picture(run.column, radius_m)]
+    return [table(head, rows), stop.brakes_picture(stop.motion_of(run))]
 
 
 def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
@@ -513,7 +512,7 @@ def _commanded_faults(outcome: Outcome) -> list[stop.Mark]:
     for event in outcome.events:
         if event.code == Code.TEST_FAULT:
             text = event.fields["fault"]
-            fault = catalogue.parse(text)
+            fault = catalogue.parse(text, outcome.sequence.kind)
             begins_s = max(event.time_s, fault.at_s)
             found.append(stop.Mark(begins_s, stop.FAULT, text))
             if math.isfinite(fault.for_s):

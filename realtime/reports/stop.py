@@ -19,6 +19,7 @@ from matplotlib.textpath import TextPath
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, write_bytes, write_text, writing
+from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import brake_work, run_folder
 from rollerrig.realtime.record.records import Run
@@ -28,7 +29,6 @@ from rollerrig.realtime.reports.page import Markup
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.measures import Record
-from rollerrig.wsp_interface.signals import AXLES
 
 # a recorded signal by name
 Column = Callable[[str], np.ndarray]
@@ -115,19 +115,58 @@ class Mark(NamedTuple):
     name: str
 
 
+class Motion(NamedTuple):
+    """What is drawn of a stop: the kind of its vehicle, its channels, the radius of its wheels."""
+
+    kind: Kind
+    column: Column
+    radius_m: float
+
+    @property
+    def axles(self) -> range:
+        """The axles of the vehicle, counted from 1."""
+        return range(1, self.kind.axles + 1)
+
+    @property
+    def forces_N(self) -> dict[str, np.ndarray]:
+        """The force of each brake on the vehicle, shape (n,)."""
+        return brake_work.forces_N(self.kind, self.column, self.radius_m)
+
+    @property
+    def has_brakes(self) -> bool:
+        """Whether these channels have the forces of motors or magnets."""
+        if not brake_work.brakes(self.kind):
+            return False
+        try:
+            brake_work.forces_N(self.kind, self.column, 1.0)
+        except (KeyError, ConfigError):
+            return False  # a harness does not receive these channels
+        return True
+
+
+def motion_of(run: Run) -> Motion:
+    """Return what is drawn of a recorded run."""
+    return Motion(run.kind, run.column, run.scenario["vehicle"]["wheel_radius_m"])
+
+
+def motion_of_record(record: Record) -> Motion:
+    """Return what is drawn of a sequence that was played."""
+    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
+    return Motion(record.kind, record.columns.__getitem__, radius_m)
+
+
 def write(run: Run, out: Path) -> list[Path]:
     """Write the picture of a recorded run, and return its path. Raises OSError."""
-    radius_m = run.scenario["vehicle"]["wheel_radius_m"]
-    write_text(out, str(picture(run.column, radius_m, _marks_of(run))))
+    write_text(out, str(picture(motion_of(run), _marks_of(run))))
     return [out]
 
 
-def picture(column: Column, radius_m: float, marks: Sequence[Mark]) -> Markup:
+def picture(motion: Motion, marks: Sequence[Mark]) -> Markup:
     """Return speeds, slip, pressures, adhesion and valves over time, as SVG."""
-    height_in = _HEIGHT_IN + _HEIGHT_OF_AXLE_IN * max(AXLES - _AXLES_OF_HEIGHT, 0)
-    if _has_brakes(column):
+    height_in = _HEIGHT_IN + _HEIGHT_OF_AXLE_IN * max(motion.kind.axles - _AXLES_OF_HEIGHT, 0)
+    if motion.has_brakes:
         height_in += _HEIGHT_OF_BRAKES_IN
-    return page.picture(lambda figure: draw(figure, column, radius_m, marks), (11.0, height_in))
+    return page.picture(lambda figure: draw(figure, motion, marks), (11.0, height_in))
 
 
 def brakes(summary: Mapping[str, Any]) -> tuple[tuple[str, ...], list[list[str]]]:
@@ -148,9 +187,9 @@ def brakes(summary: Mapping[str, Any]) -> tuple[tuple[str, ...], list[list[str]]
     return _BRAKES_HEAD, rows
 
 
-def brakes_picture(column: Column, radius_m: float) -> Markup:
+def brakes_picture(motion: Motion) -> Markup:
     """Return the force and the share of each brake over time, as SVG."""
-    return page.picture(lambda figure: _draw_brakes_alone(figure, column, radius_m), (11.0, 4.5))
+    return page.picture(lambda figure: _draw_brakes_alone(figure, motion), (11.0, 4.5))
 
 
 def _scaled(value: float | None, factor: float, places: int) -> str:
@@ -178,12 +217,12 @@ def axles(record: Record) -> tuple[tuple[str, ...], list[list[str]], list[str]]:
     measured_m_s = measures.measured_sliding(record)
     rows = []
     classes = []
-    for axle in range(1, AXLES + 1):
-        slid = _sliding_cells(record, true_m_s[axle - 1])
+    for axle, sliding_m_s in enumerate(true_m_s, start=1):
+        slid = _sliding_cells(record, sliding_m_s)
         rows.append([str(axle), *slid, *_other_cells(record, axle)])
         classes.append("")
-    for axle in range(1, AXLES + 1):
-        slid = _sliding_cells(record, measured_m_s[axle - 1])
+    for axle, sliding_m_s in enumerate(measured_m_s, start=1):
+        slid = _sliding_cells(record, sliding_m_s)
         no_others = ["-"] * (len(_AXLES_HEAD) - 1 - len(slid))
         rows.append([f"{axle}, as measured", *slid, *no_others])
         classes.append("void")
@@ -284,15 +323,16 @@ def write_runs(runs: Sequence[Run], out: Path, size: tuple[int, int]) -> Path:
 
 def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
     """Draw one run or several over one another, with a legend that names each."""
-    with_brakes = all(_has_brakes(run.column) for run in runs)
-    plots = _plots(figure, with_brakes)
+    motions = [motion_of(run) for run in runs]
+    axles = max(motion.kind.axles for motion in motions)
+    plots = _plots(figure, axles, all(motion.has_brakes for motion in motions))
     looks = _looks(len(runs))
-    for run, look in zip(runs, looks, strict=True):
-        _draw_run(plots, run.column, run.scenario["vehicle"]["wheel_radius_m"], look)
+    for run, motion, look in zip(runs, motions, looks, strict=True):
+        _draw_run(plots, motion, look)
         _draw_marks(plots, _marks_of(run))
     longest = max(runs, key=lambda run: float(run.column("time_s").max(initial=0.0)))
     marks = _marks_of(runs[0]) if len(runs) == 1 else []
-    _finish(plots, longest.column("time_s"), marks)
+    _finish(plots, axles, longest.column("time_s"), marks)
 
     names = _run_names(runs)
     handles = _handles(plots)
@@ -370,18 +410,19 @@ def _run_names(runs: Sequence[Run]) -> list[str]:
     return described
 
 
-def draw(figure: Figure, column: Column, radius_m: float, marks: Sequence[Mark]) -> None:
+def draw(figure: Figure, motion: Motion, marks: Sequence[Mark]) -> None:
     """Draw speeds, slip, pressures, adhesion and valves over time."""
-    plots = _plots(figure, _has_brakes(column))
-    _draw_run(plots, column, radius_m, _ALONE)
+    axles = motion.kind.axles
+    plots = _plots(figure, axles, motion.has_brakes)
+    _draw_run(plots, motion, _ALONE)
     _draw_marks(plots, marks)
-    _finish(plots, column("time_s"), marks)
+    _finish(plots, axles, motion.column("time_s"), marks)
     figure.legend(handles=_handles(plots), loc="outside upper center", ncols=8)
 
 
-def _plots(figure: Figure, with_brakes: bool) -> list[Axes]:
+def _plots(figure: Figure, axles: int, with_brakes: bool) -> list[Axes]:
     """Return the empty plots: speeds, slip, pressures, adhesion, valves, and that of the brakes."""
-    valves_share = 2.0 * max(AXLES / _AXLES_OF_HEIGHT, 1.0)
+    valves_share = 2.0 * max(axles / _AXLES_OF_HEIGHT, 1.0)
     ratios = [3.0, 2.4, 3.0, 3.0, valves_share]
     if not with_brakes:
         return list(figure.subplots(5, 1, sharex=True, height_ratios=ratios))
@@ -393,23 +434,12 @@ def _plots(figure: Figure, with_brakes: bool) -> list[Axes]:
     return [speed, slip, pressure, adhesion, valves, brakes_plot]
 
 
-def _has_brakes(column: Column) -> bool:
-    """Return whether these channels have the forces of motors or magnets."""
-    if not brake_work.brakes():
-        return False
-    try:
-        brake_work.forces_N(column, 1.0)
-    except (KeyError, ConfigError):
-        return False  # a harness does not receive these channels
-    return True
-
-
-def _draw_brakes_alone(figure: Figure, column: Column, radius_m: float) -> None:
+def _draw_brakes_alone(figure: Figure, motion: Motion) -> None:
     """Draw the force of each brake, and below it the share of each."""
     forces, shares = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
-    time_s = column("time_s")
-    _draw_brakes(forces, column, radius_m, _ALONE)
-    found = brake_work.forces_N(column, radius_m)
+    time_s = motion.column("time_s")
+    _draw_brakes(forces, motion, _ALONE)
+    found = motion.forces_N
     total_N = np.sum(list(found.values()), axis=0)
     braking = total_N > _LEAST_FORCE_SHARE * np.max(total_N, initial=0.0)
     for brake, force_N in found.items():
@@ -423,11 +453,11 @@ def _draw_brakes_alone(figure: Figure, column: Column, radius_m: float) -> None:
     figure.legend(handles=_handles_of_brakes(forces), loc="outside upper center", ncols=4)
 
 
-def _draw_brakes(plot: Axes, column: Column, radius_m: float, look: _Look) -> None:
+def _draw_brakes(plot: Axes, motion: Motion, look: _Look) -> None:
     """Draw the force of each brake on the vehicle."""
-    time_s = column("time_s")
+    time_s = motion.column("time_s")
     every = max(len(time_s) // _MARKS_ON_A_LINE, 1)
-    for brake, force_N in brake_work.forces_N(column, radius_m).items():
+    for brake, force_N in motion.forces_N.items():
         colour, kind = _BRAKE_LINES[brake]
         plot.plot(
             time_s,
@@ -449,25 +479,27 @@ def _handles_of_brakes(plot: Axes) -> list[Any]:
     return [first[label] for label in dict.fromkeys(labels)]
 
 
-def _draw_run(plots: Any, column: Column, radius_m: float, look: _Look) -> None:
+def _draw_run(plots: Any, motion: Motion, look: _Look) -> None:
     """Draw what the axles did in one run; each axle has a colour and a kind of line."""
     speed, slip, pressure, adhesion, valves, *brakes_plots = plots
     for plot in brakes_plots:
-        _draw_brakes(plot, column, radius_m, look)
+        _draw_brakes(plot, motion, look)
+    column = motion.column
     time_s = column("time_s")
     vehicle_m_s = column("vehicle_speed_m_s")
     every = max(len(time_s) // _MARKS_ON_A_LINE, 1)
     common: dict[str, Any] = {"lw": look.width, "marker": look.marker, "ms": 4}
-    for axle, colour in enumerate(page.AXLES, start=1):
+    for axle in motion.axles:
+        colour = page.AXLES[axle - 1]
         dashes = colours.AXLE_DASHES[axle - 1]
-        first_marker = every * axle // (AXLES + 1)
+        first_marker = every * axle // (motion.kind.axles + 1)
         line = common | {
             "color": colour,
             "ls": (0, dashes) if dashes else "-",
             "markevery": (first_marker, every),
         }
         wheel_m_s = column(f"wheel_circumferential_speed_{axle}_m_s")
-        measured_m_s = radius_m * column(f"measured_speed_{axle}_rad_s")
+        measured_m_s = motion.radius_m * column(f"measured_speed_{axle}_rad_s")
         sliding_m_s = column(f"sliding_{axle}_m_s")
         speed.plot(time_s, 3.6 * wheel_m_s, label=f"axle {axle}", **line)
         _draw_measured(speed, time_s, wheel_m_s, measured_m_s, colour)
@@ -484,7 +516,7 @@ def _draw_run(plots: Any, column: Column, radius_m: float, look: _Look) -> None:
     pressure.plot(time_s, 1e-5 * column("brake_demand_Pa"), "--", color=page.GREY, **line)
 
 
-def _finish(plots: Any, time_s: np.ndarray, marks: Sequence[Mark]) -> None:
+def _finish(plots: Any, axles: int, time_s: np.ndarray, marks: Sequence[Mark]) -> None:
     """Name the axes, set their ranges and write the names of the marks."""
     speed, slip, _, adhesion, valves, *_ = plots
     titles = (
@@ -500,7 +532,7 @@ def _finish(plots: Any, time_s: np.ndarray, marks: Sequence[Mark]) -> None:
     slip.set_ylim(*_SLIP_PERCENT)
     adhesion.set_ylim(0.0, None)
     speed.figure.align_ylabels()
-    valves.set(yticks=range(1, AXLES + 1), ylim=(AXLES + 0.5, 0.5), xlabel="time, s")
+    valves.set(yticks=range(1, axles + 1), ylim=(axles + 0.5, 0.5), xlabel="time, s")
 
 
 def _handles(plots: Any) -> list[Any]:

@@ -17,6 +17,7 @@ from rollerrig.realtime.record import validity
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import INFO, Code, Event
 from rollerrig.wsp_interface.sequences import measures
+from rollerrig.wsp_interface.signals import Table
 
 # m/s. Below this speed a percentage of the speed means nothing.
 _SLOWEST_M_S = 1.0
@@ -33,7 +34,7 @@ _UNKNOWN = "–"
 class Curve(NamedTuple):
     """An entity of scalars: its path, and name and colour of each of its series.
 
-    `values` computes them, shape (n, series), from rows of all signals, shape (n, columns).
+    `values` computes them, shape (n, series), from rows of all signals, shape (n, signals.WIDTH).
     """
 
     path: str
@@ -46,14 +47,14 @@ class Curve(NamedTuple):
 # --- curves ---
 
 
-def curves(scenario: Mapping[str, Any], unit: str, band: bool = True) -> list[Curve]:
-    """Return all curves of a run: of its resolved scenario and the unit that protected it.
+def curves(table: Table, scenario: Mapping[str, Any], unit: str, band: bool = True) -> list[Curve]:
+    """Return all curves of a run: of its vehicle, its resolved scenario and its unit.
 
     `band` adds the band between the limits of adhesion.
     """
-    shown = [_slip_curve(axle) for axle in range(1, signals.AXLES + 1)]
+    shown = [_slip_curve(axle) for axle in table.axles]
     if band:
-        shown += [_adhesion_band_curve(axle) for axle in range(1, signals.AXLES + 1)]
+        shown += [_adhesion_band_curve(axle) for axle in table.axles]
     if unit == "reference":
         shown += _control_limit_curves(scenario)
     return shown + _demanded_deceleration_curves(scenario)

@@ -14,6 +14,7 @@ from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Event
+from rollerrig.wsp_interface.signals import Table
 
 _MARKS = "/speeds/marks"
 
@@ -24,7 +25,7 @@ _GAP_S = 1e-9
 
 
 class Drawing:
-    """A run on a Rerun stream.
+    """A run on a Rerun stream. `table` has the signals of its vehicle.
 
     Another run has a `prefix` before its paths, and is drawn `faint`. `everything` also draws the
     signals that belong to no group. `unit` is the WSP unit that protects the run.
@@ -33,6 +34,7 @@ class Drawing:
     def __init__(
         self,
         stream: rr.RecordingStream,
+        table: Table,
         scenario: Mapping[str, Any],
         prefix: str = "",
         faint: bool = False,
@@ -40,11 +42,14 @@ class Drawing:
         unit: str = "",
     ) -> None:
         self._stream = stream
+        self._table = table
         self._prefix = prefix
         self._lines = [
-            line for line in views.lines() if everything or not line.path.startswith(views.MORE)
+            line
+            for line in views.lines(table)
+            if everything or not line.path.startswith(views.MORE)
         ]
-        self._curves = derived.curves(scenario, unit, band=not faint)
+        self._curves = derived.curves(table, scenario, unit, band=not faint)
         self._changes = views.Changes(stream)
         # marks reach up to the initial speed
         self._mark_height_km_h = _KM_H_PER_M_S * float(scenario.get("initial_speed_m_s", 0.0))
@@ -56,17 +61,17 @@ class Drawing:
             width=0.8,
             values=np.asarray,
         )
-        views.log_styles(stream, prefix, faint, [*self._curves, marks])
+        views.log_styles(stream, table, prefix, faint, [*self._curves, marks])
 
         # only the first run shows its rig
         self._rotation: scene.Rotation | None = None
         if not prefix:
-            geometry = scene.geometry(scenario)
+            geometry = scene.geometry(table.kind, scenario)
             scene.draw(stream, geometry)
             self._rotation = scene.Rotation(stream, geometry)
 
     def rows(self, rows: np.ndarray) -> None:
-        """Send rows of all signals, shape (n, columns), times rising."""
+        """Send rows of all signals, shape (n, signals.WIDTH), times rising."""
         if not len(rows):
             return
         time_s = rows[:, signals.column("time")]
@@ -75,7 +80,7 @@ class Drawing:
             self._send_scalars(line.path, times, line.factor * rows[:, line.columns])
         for curve in self._curves:
             self._send_scalars(curve.path, times, curve.values(rows))
-        for axle in range(1, signals.AXLES + 1):
+        for axle in self._table.axles:
             self._changes.send(
                 views.valve(axle, self._prefix),
                 time_s,

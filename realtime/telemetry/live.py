@@ -7,11 +7,12 @@ the oldest rows. The rig does not know about any of this.
 
 The recording has the same name as the recorder's, so a viewer that has both shows one run.
 
-    python -m rollerrig.realtime.telemetry.live RUN_DIR --rows PATH --events PATH
+    python -m rollerrig.realtime.telemetry.live RUN_DIR --rows PATH --events PATH --kind KIND
 """
 
 import argparse
 import contextlib
+import json
 import os
 import signal
 import socket
@@ -24,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.processes import children
+from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
@@ -64,20 +66,25 @@ _NICENESS = 10
 # --- start ---
 
 
-def start(run_dir: Path, rows: Ring, events: Ring, unit: str = "") -> subprocess.Popen:
-    """Start the live view of a run that a `unit` protects; it exits some seconds after the run."""
+def start(run_dir: Path, kind: Kind, rows: Ring, events: Ring, unit: str = "") -> subprocess.Popen:
+    """Start the live view of a run that a `unit` protects; it exits some seconds after the run.
+
+    `kind` is that of the vehicle.
+    """
     return subprocess.Popen(
-        _command(run_dir, rows.path, events.path, "--unit", unit),
+        _command(run_dir, kind, rows.path, events.path, "--unit", unit),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.DEVNULL,
         start_new_session=True,
     )
 
 
-def _command(run_dir: Path, rows: Path, events: Path, *more: str) -> list[str]:
+def _command(run_dir: Path, kind: Kind, rows: Path, events: Path, *more: str) -> list[str]:
     return [
         *children.module(_MODULE),
         str(run_dir),
+        "--kind",
+        json.dumps(kind),
         "--rows",
         str(rows),
         "--events",
@@ -105,9 +112,14 @@ def thin(rows: np.ndarray, most: int) -> np.ndarray:
 
 
 class Feed:
-    """New rows and events of the rings, without the oldest rows if too many have accumulated."""
+    """New rows and events of the rings, without the oldest rows if too many have accumulated.
 
-    def __init__(self, rows: Ring, events: Ring, record_hz: float) -> None:
+    `table` has the signals of the vehicle.
+    """
+
+    def __init__(self, table: signals.Table, rows: Ring, events: Ring, record_hz: float) -> None:
+        self._table = table
+        self._time_column = table.columns.index("time_s")
         self._rows = rows
         self._events = events
         self._most_rows = int(_BEHIND_S * record_hz)
@@ -115,18 +127,18 @@ class Feed:
         self._event_cursor = 0
 
     def take(self) -> tuple[np.ndarray, list[Event]]:
-        """Return the rows, thinned, and the events since the last call."""
+        """Return the rows of all signals, thinned, and the events since the last call."""
         rows, self._row_cursor, _ = self._rows.read(self._row_cursor)
         events, self._event_cursor, _ = self._events.read(self._event_cursor)
         rows = rows[-self._most_rows :]
         if len(rows):
-            span_s = float(np.ptp(rows[:, signals.column("time")]))
+            span_s = float(np.ptp(rows[:, self._time_column]))
             most_points = max(int(_POINTS_HZ * span_s), 2)
             rows = thin(rows, most_points)
-        return rows, [ring.read_event(event) for event in events]
+        return self._table.rows_of_all(rows), [ring.read_event(event) for event in events]
 
 
-def serve(run_dir: Path, rows: Ring, events: Ring, port: int, unit: str = "") -> None:
+def serve(run_dir: Path, kind: Kind, rows: Ring, events: Ring, port: int, unit: str = "") -> None:
     """Serve the run on loopback until some seconds after its end. This is the worker."""
     import rerun as rr
 
@@ -137,12 +149,13 @@ def serve(run_dir: Path, rows: Ring, events: Ring, port: int, unit: str = "") ->
     identity = recorder.recording_id(run_dir, rows)
     stream = rr.RecordingStream(views.APPLICATION, recording_id=identity)
     sink = rr.GrpcServerSink(bind_ip=viewer.LOOPBACK, port=port, server_memory_limit=_MEMORY)
-    layout = views.blueprint(live=True, eye=scene.eye(scene.geometry(scenario)))
+    table = signals.table(kind)
+    layout = views.blueprint(table, live=True, eye=scene.eye(scene.geometry(kind, scenario)))
     stream.set_sinks(sink, default_blueprint=layout)
 
-    drawing = Drawing(stream, scenario, everything=False, unit=unit)
+    drawing = Drawing(stream, table, scenario, everything=False, unit=unit)
     record_hz = float(scenario.get("loop", {}).get("record_hz", _RECORD_HZ))
-    feed = Feed(rows, events, record_hz)
+    feed = Feed(table, rows, events, record_hz)
     ended_s: float | None = None
     while ended_s is None or time.monotonic() - ended_s < _LINGER_S:
         if ended_s is None and (rows.closed or not rows.writer_alive):
@@ -169,9 +182,10 @@ def _heading(row: np.ndarray) -> str:
 
 
 class _View(NamedTuple):
-    """What a worker serves: the folder and the rings of a run, its unit, and a port."""
+    """What a worker serves: the folder, vehicle and rings of a run, its unit, and a port."""
 
     run_dir: Path
+    kind: Kind
     rows: Path
     events: Path
     unit: str
@@ -181,6 +195,7 @@ class _View(NamedTuple):
 def _start_worker(view: _View) -> subprocess.Popen:
     command = _command(
         view.run_dir,
+        view.kind,
         view.rows,
         view.events,
         "--port",
@@ -276,10 +291,10 @@ def main(arguments: list[str] | None = None) -> int:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(OSError):
         os.nice(_NICENESS)
-    rows = Ring(given.rows, np.float64, width=len(signals.COLUMNS))
+    rows = Ring(given.rows, np.float64, width=len(signals.table(given.kind).columns))
     if given.worker:
         events = Ring(given.events, np.int64, width=ring.EVENT_WORDS)
-        serve(given.run_dir, rows, events, given.port, given.unit)
+        serve(given.run_dir, given.kind, rows, events, given.port, given.unit)
         # an ordinary exit waits for Rerun's clients, and a client may have stalled
         sys.stderr.flush()
         os._exit(0)
@@ -293,6 +308,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     view = _View(
         run_dir=given.run_dir,
+        kind=given.kind,
         rows=given.rows,
         events=given.events,
         unit=given.unit,
@@ -305,6 +321,13 @@ def main(arguments: list[str] | None = None) -> int:
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="live")
     parser.add_argument("run_dir", type=Path)
+    parser.add_argument(
+        "--kind",
+        type=lambda text: Kind(*json.loads(text)),
+        required=True,
+        metavar="JSON",
+        help="the kind of the vehicle, a list of its fields",
+    )
     parser.add_argument("--rows", type=Path, required=True)
     parser.add_argument("--events", type=Path, required=True)
     parser.add_argument("--port", type=int, default=0, help="preferred port of the server")

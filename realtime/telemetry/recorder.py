@@ -12,6 +12,7 @@ The recorder never delays a bench that has deadlines. A bench without deadlines 
 recorder when a ring is nearly full.
 
     python -m rollerrig.realtime.telemetry.recorder RUN_DIR --rows PATH --frames PATH --events PATH
+        --kind KIND
 
 Without arguments it reads them from its standard input: one line, a JSON list. So the bench can
 start the recorder before it knows the run.
@@ -39,6 +40,7 @@ import rerun as rr
 from rollerrig.configs import store
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.output_files import create, replaced
+from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records, run_folder, summary
@@ -108,7 +110,7 @@ def scenario_of(run_dir: Path) -> dict[str, Any]:
 
 
 class Recorder:
-    """Reads three rings and writes the files of a run.
+    """Reads three rings and writes the files of a run of a `kind` of vehicle.
 
     `counters` are entries of the summary that only the bench knows, see `summary.of`. They are used
     if the bench is killed.
@@ -117,12 +119,15 @@ class Recorder:
     def __init__(
         self,
         run_dir: Path,
+        kind: Kind,
         rows: Ring,
         frame: Ring,
         event: Ring,
         counters: Mapping[str, Any] | None = None,
     ) -> None:
         self._folder = Path(run_dir)
+        self._table = signals.table(kind)
+        self._time_column = self._table.columns.index("time_s")
         self._rows = _Source(rows, "rows of channels")
         self._frames = _Source(frame, "CAN frames")
         self._events = _Source(event, "events")
@@ -137,7 +142,7 @@ class Recorder:
         self._frame_count = 0
         self._recorded_events = Events()
 
-        self.channels = channels.Channels(self._folder)
+        self.channels = channels.Channels(self._folder, self._table.columns)
         # unbuffered: written lines survive the death of this process
         self._can_log = create(self._folder / run_folder.CAN_LOG, buffering=0)
         self._event_log = create(self._folder / run_folder.EVENTS, buffering=0)
@@ -156,14 +161,14 @@ class Recorder:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
         stream = rr.RecordingStream(views.APPLICATION, recording_id=self._recording_id)
-        eye = scene.eye(scene.geometry(self._scenario))
+        eye = scene.eye(scene.geometry(self._table.kind, self._scenario))
         stream.set_sinks(
             rr.FileSink(path, write_footer=index),
-            default_blueprint=views.blueprint(eye=eye, **layout),
+            default_blueprint=views.blueprint(self._table, eye=eye, **layout),
         )
         stream.send_recording_name(self._folder.resolve().name)
         unit = str(self._counters.get("unit") or "")
-        return stream, Drawing(stream, self._scenario, unit=unit)
+        return stream, Drawing(stream, self._table, self._scenario, unit=unit)
 
     # --- while the run goes on ---
 
@@ -191,13 +196,13 @@ class Recorder:
         return new_rows
 
     def _write_rows(self, rows: np.ndarray) -> None:
-        """Write rows of all signals, shape (n, columns), to the channels.
+        """Write recorded rows, shape (n, columns of the vehicle), to the channels.
 
         run.rrd gets them later, in larger blocks.
         """
         if not len(rows):
             return
-        self._time_s = float(rows[-1, signals.column("time")])
+        self._time_s = float(rows[-1, self._time_column])
         self.channels.add(rows)
         self._unsent_rows.append(rows)
 
@@ -223,7 +228,8 @@ class Recorder:
         rows = np.concatenate(self._unsent_rows)
         self._unsent_rows = []
         for first in range(0, len(rows), _BLOCK_ROWS):
-            self._drawing.rows(rows[first : first + _BLOCK_ROWS])
+            block = rows[first : first + _BLOCK_ROWS]
+            self._drawing.rows(self._table.rows_of_all(block))
         self._sent_s = time.monotonic()
 
     # --- at the end of the run ---
@@ -248,7 +254,9 @@ class Recorder:
             "recorder": {"lost": lost},
         }
         stored = channels.Columns(self._folder)
-        run_summary = summary.of(stored, counters, self._scenario, self._recorded_events)
+        run_summary = summary.of(
+            stored, counters, self._scenario, self._recorded_events, self._table.kind
+        )
 
         self._compact(stored, derived.result_text(run_summary))
         records.write_summary(self._folder, run_summary)
@@ -267,9 +275,10 @@ class Recorder:
             return
 
         with replaced(path) as new:
-            stream, drawing = self._open(new, index=True, ends=views.axis_ends(stored))
+            ends = views.axis_ends(self._table, stored)
+            stream, drawing = self._open(new, index=True, ends=ends)
             for block in stored.blocks(_FINAL_ROWS):
-                drawing.rows(records.rows(block))
+                drawing.rows(records.rows(block, self._table))
                 stream.flush()
             drawing.events(self._recorded_events)
             drawing.result(result)
@@ -351,7 +360,7 @@ def main(arguments: list[str] | None = None) -> int:
     stop = threading.Event()
     _detach_from_bench(stop)
     rings = Rings(
-        rows=Ring(given.rows, np.float64),
+        rows=Ring(given.rows, np.float64, width=len(signals.table(given.kind).columns)),
         frames=Ring(given.frames, np.int64, width=ring.FRAME_WORDS),
         events=Ring(given.events, np.int64, width=ring.EVENT_WORDS),
     )
@@ -361,7 +370,7 @@ def main(arguments: list[str] | None = None) -> int:
     ended = ""
     status = 0
     try:
-        recorder = Recorder(given.run_dir, *rings, given.counters)
+        recorder = Recorder(given.run_dir, given.kind, *rings, given.counters)
         recorder.drain()
         print(READY, flush=True)
         ended = run(recorder, rings, stop)
@@ -389,6 +398,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("run_dir", type=Path)
     for name in ("--rows", "--frames", "--events"):
         parser.add_argument(name, type=Path, required=True)
+    parser.add_argument(
+        "--kind",
+        type=lambda text: Kind(*json.loads(text)),
+        required=True,
+        metavar="JSON",
+        help="the kind of the vehicle, a list of its fields",
+    )
     parser.add_argument(
         "--counters",
         type=json.loads,

@@ -14,7 +14,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rollerrig.configs.vehicle import AXLES_OF_BOGIE, axle_positions_m
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, Kind, axle_positions_m
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.realtime.telemetry import views
@@ -26,11 +26,12 @@ GEARING = 20.0
 # 1/s of simulated time. The rate at which angles are sent.
 RATE_HZ = 25.0
 
-# the default rig, for a scenario that states nothing else
+# the default rig, for a scenario that states nothing else; a body has two bogies where that is
+# possible
 _WHEEL_RADIUS_M = 0.445
 _ROLLER_RADIUS_M = 1.0
+_BOGIES_OF_BODY = 2
 _LAYOUT = {
-    "bogies_per_body": 2,
     "bogie_wheelbase_m": 2.56,
     "bogie_distance_m": 19.0,
     "body_distance_m": 26.4,
@@ -53,9 +54,6 @@ _SPOKES = 6
 # length of a spoke, as a share of the radius of its wheel
 _SPOKE_SHARE = 0.86
 _RIM_POINTS = 40
-
-# indices of the axles of each bogie
-_BOGIES = tuple((first, first + 1) for first in range(0, signals.AXLES, AXLES_OF_BOGIE))
 
 # A wheel is drawn as locked below this share of the vehicle speed, if the vehicle is this fast.
 _LOCKED_SHARE = 0.1
@@ -88,8 +86,11 @@ class Geometry(NamedTuple):
         return math.isinf(self.roller_radius_m)
 
 
-def geometry(scenario: Mapping[str, Any]) -> Geometry:
-    """Return the geometry of a resolved scenario; the default rig's where it states nothing."""
+def geometry(kind: Kind, scenario: Mapping[str, Any]) -> Geometry:
+    """Return the geometry of a resolved scenario; the default rig's where it states nothing.
+
+    `kind` is that of the vehicle.
+    """
     vehicle = scenario.get("vehicle", {})
     contact = scenario.get("contact", {})
     wheel_radius_m = float(vehicle.get("wheel_radius_m", _WHEEL_RADIUS_M))
@@ -99,7 +100,8 @@ def geometry(scenario: Mapping[str, Any]) -> Geometry:
         roller_radius_m = float(contact.get("roller_radius_m", _ROLLER_RADIUS_M))
 
     # distance of each axle behind the first, with shortened gaps
-    axles_m = axle_positions_m({**_LAYOUT, **vehicle})
+    default = {**_LAYOUT, "bogies_per_body": math.gcd(kind.bogies, _BOGIES_OF_BODY)}
+    axles_m = axle_positions_m({**default, **vehicle, "axles": kind.axles})
     gaps_m = np.minimum(np.diff(axles_m), _LONGEST_GAP_M)
     behind_m = np.cumsum([0.0, *gaps_m])
 
@@ -130,12 +132,13 @@ def eye(place: Geometry) -> rrb.EyeControls3D:
 def draw(stream: rr.RecordingStream, place: Geometry) -> None:
     """Log what never changes: the bodies, the spokes, the frames, the names."""
     stream.log(views.RIG, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    for j in range(signals.AXLES):
+    axles = len(place.wheels)
+    for j in range(axles):
         _draw_axle(stream, place, j)
     if place.on_track:
         _draw_rails(stream, place)
-    for number, axles in enumerate(_BOGIES, start=1):
-        _draw_frame(stream, place, f"{views.RIG}/bogie_{number}", axles)
+    for number, first in enumerate(range(0, axles, AXLES_OF_BOGIE), start=1):
+        _draw_frame(stream, place, f"{views.RIG}/bogie_{number}", (first, first + 1))
 
 
 def _axle_path(j: int) -> str:
@@ -243,11 +246,11 @@ class Rotation:
         self._last_frame = -1
 
     def rows(self, rows: np.ndarray) -> None:
-        """Send rows of all signals, shape (n, columns)."""
+        """Send rows of all signals, shape (n, signals.WIDTH)."""
         time_s = rows[:, signals.column("time")]
         due = self._due(time_s)
         times = views.times(time_s[due])
-        for j in range(signals.AXLES):
+        for j in range(len(self._place.wheels)):
             path = _axle_path(j)
             if due.size:
                 wheel_angle = rows[due, signals.column("wheel_angle", j + 1)]

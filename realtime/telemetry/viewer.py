@@ -28,14 +28,19 @@ from rollerrig.configs import user_files
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, writing
 from rollerrig.configs.processes import children
+from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.record import records, run_folder
 from rollerrig.realtime.telemetry import derived, scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing
+from rollerrig.wsp_interface import signals
 
 LOOPBACK = "127.0.0.1"
 # the usual ports of Rerun
 GRPC_PORT = 9876
 WEB_PORT = 9090
+
+# rows; a run is drawn in blocks of so many, because rows of all signals take much memory
+_BLOCK_ROWS = 20_000
 
 # height of the viewer's title bar, points
 _TITLE_BAR = 36
@@ -242,10 +247,11 @@ def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
     stream = rr.RecordingStream(views.APPLICATION)
     channels = dict(zip(first.table.column_names, first.table.columns, strict=True))
     layout = views.blueprint(
+        signals.table(_with_all([run.kind for run in loaded])),
         bare=bare,
-        eye=scene.eye(scene.geometry(first.scenario)),
+        eye=scene.eye(scene.geometry(first.kind, first.scenario)),
         references=names,
-        ends=views.axis_ends(channels),
+        ends=views.axis_ends(first.signal_table, channels),
     )
     stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
     stream.send_recording_name(
@@ -257,16 +263,28 @@ def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
         wsp = run.summary.get("wsp") or {}
         drawing = Drawing(
             stream,
+            run.signal_table,
             run.scenario,
             prefix=prefix,
             faint=bool(prefix),
             unit=str(wsp.get("unit") or ""),
         )
-        drawing.rows(records.rows(run.table))
+        for first_row in range(0, len(run.table), _BLOCK_ROWS):
+            block = run.table.slice(first_row, _BLOCK_ROWS)
+            drawing.rows(records.rows(block, run.signal_table))
         drawing.events(run.events)
 
     drawing.result("\n\n".join(derived.result_text(run.summary) for run in loaded))
     stream.disconnect()
+
+
+def _with_all(kinds: Sequence[Kind]) -> Kind:
+    """Return the kind of a vehicle that has the axles and the equipment of all of these."""
+    return Kind(
+        axles=max(kind.axles for kind in kinds),
+        dynamic_brake=any(kind.dynamic_brake for kind in kinds),
+        magnetic_track_brake=any(kind.magnetic_track_brake for kind in kinds),
+    )
 
 
 def _entity_names(folders: Sequence[Path]) -> list[str]:

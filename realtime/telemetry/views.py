@@ -14,10 +14,11 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint import encodings
 
+from rollerrig.configs.vehicle import MOST_GROUPS
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.signals import SIGNALS, Signal
+from rollerrig.wsp_interface.signals import Signal, Table
 
 # name of the application in Rerun; the viewer stores a separate layout for each application
 APPLICATION = "rollerrig"
@@ -60,6 +61,8 @@ UNITS = {
     "acceleration": Unit("m/s², braking positive", -1.0),
 }
 
+_REFERENCE_SPEEDS = tuple(map(signals.reference_speed_name, range(MOST_GROUPS)))
+
 # width of a line in points, and the signals whose lines have another width
 _WIDTH = 1.5
 _WIDTHS = {
@@ -67,7 +70,7 @@ _WIDTHS = {
     "adhesion_degraded": 1.0,
     "adhesion_recovered": 1.0,
     "vehicle_speed": 2.5,
-    **dict.fromkeys(signals.REFERENCE_SPEEDS, 1.0),
+    **dict.fromkeys(_REFERENCE_SPEEDS, 1.0),
     "motor_torque_demand": 0.8,
     "dynamic_torque_demand": 0.8,
     "track_brake_demand": 0.8,
@@ -76,7 +79,7 @@ _WIDTHS = {
 COLOUR_OF_SIGNAL = {
     "adhesion_degraded": colours.LIMIT,
     "adhesion_recovered": colours.LIMIT,
-    **dict.fromkeys(signals.REFERENCE_SPEEDS, colours.REFERENCE),
+    **dict.fromkeys(_REFERENCE_SPEEDS, colours.REFERENCE),
     "brake_demand": colours.REFERENCE,
 }
 # legends of signals whose name, with spaces, would not be a good legend
@@ -185,13 +188,13 @@ class Styled(Protocol):
     def width(self) -> float: ...
 
 
-def lines() -> tuple[Lines, ...]:
-    """Return every recorded signal, except the valves, as an entity of scalars.
+def lines(table: Table) -> tuple[Lines, ...]:
+    """Return every signal of a vehicle, except the valves, as an entity of scalars.
 
     Signals without a group are under `MORE`.
     """
     entities: list[Lines] = []
-    for signal in SIGNALS:
+    for signal in table.signals:
         if signal.name in ("time", "valve"):
             continue
         folder = f"/{signal.group}" if signal.group else MORE
@@ -199,18 +202,18 @@ def lines() -> tuple[Lines, ...]:
         axles = range(1, signal.axles + 1)
         if signal.group in _BY_AXLE and signal.axles > 1:
             for axle in axles:
-                entities.append(_lines(f"{path}_{axle}", signal, [axle]))
+                entities.append(_lines(table, f"{path}_{axle}", signal, [axle]))
         else:
-            entities.append(_lines(path, signal, list(axles)))
+            entities.append(_lines(table, path, signal, list(axles)))
     return tuple(entities)
 
 
-def _lines(path: str, signal: Signal, axles: list[int]) -> Lines:
+def _lines(table: Table, path: str, signal: Signal, axles: list[int]) -> Lines:
     """Return the entity of some axles of a signal."""
     return Lines(
         path=path,
         columns=tuple(signals.column(signal.name, axle) for axle in axles),
-        names=tuple(_legend(signal, axle) for axle in axles),
+        names=tuple(_legend(table, signal, axle) for axle in axles),
         colours=tuple(_colour(signal, axle) for axle in axles),
         width=_WIDTHS.get(signal.name, _WIDTH),
         factor=UNITS.get(signal.group, _AS_RECORDED).factor,
@@ -225,14 +228,15 @@ def _colour(signal: Signal, axle: int) -> Colour:
     return colours.AXLES[axle - 1]
 
 
-def _legend(signal: Signal, axle: int) -> str:
+def _legend(table: Table, signal: Signal, axle: int) -> str:
     """Return the legend of an axle: the axle, the signal, or both, so that it is unique."""
     label = _LEGENDS.get(signal.name, signal.name.replace("_", " "))
     if signal.axles == 1:
         return label
 
     # the only signal of axles in its plot: the title of the plot describes it
-    of_axles = [other for other in SIGNALS if other.group == signal.group and other.axles > 1]
+    in_plot = [other for other in table.signals if other.group == signal.group]
+    of_axles = [other for other in in_plot if other.axles > 1]
     if len(of_axles) == 1:
         return f"axle {axle}"
 
@@ -251,7 +255,7 @@ def valve_states(rows: np.ndarray, axle: int) -> np.ndarray:
     """Return the states of the dump valve of an axle, int64 (n,).
 
     A state is its place in `colours.VALVE_STATES`. NaN becomes state 0, and other values are
-    limited to the table. `rows` are rows of all signals, shape (n, columns).
+    limited to the table. `rows` are rows of all signals, shape (n, signals.WIDTH).
     """
     states = np.nan_to_num(rows[:, signals.column("valve", axle)])
     return np.clip(states, 0, len(colours.VALVE_STATES) - 1).astype(np.int64)
@@ -298,25 +302,26 @@ class Changes:
 
 def log_styles(
     stream: rr.RecordingStream,
+    table: Table,
     prefix: str = "",
     faint: bool = False,
     curves: Sequence[Styled] = (),
 ) -> None:
-    """Log the styles of all entities and of further curves.
+    """Log the styles of all entities of a vehicle and of further curves.
 
     `prefix` is the path of a reference run, and is empty for the first run. `faint` is the style of
     reference runs.
     """
     # the name of a reference run is the last part of its path
     run = prefix.rpartition("/")[2]
-    for entity in (*lines(), *curves):
+    for entity in (*lines(table), *curves):
         style = _series_style(entity, run, faint)
         stream.log(prefix + entity.path, style, static=True)
 
     names = [name for name, _ in colours.VALVE_STATES]
     shades = [colour for _, colour in colours.VALVE_STATES]
     states = rr.StateConfiguration(values=names, labels=names, colors=shades)
-    for axle in range(1, signals.AXLES + 1):
+    for axle in table.axles:
         stream.log(valve(axle, prefix), states, static=True)
 
 
@@ -354,16 +359,16 @@ class AxisEnds(NamedTuple):
 _ENDS_OF_UNKNOWN_RUN = AxisEnds(adhesion=0.4, transition=1.0)
 
 
-def axis_ends(channels: Mapping[str, Any]) -> AxisEnds:
+def axis_ends(table: Table, channels: Mapping[str, Any]) -> AxisEnds:
     """Return the upper ends of axes for channels by name, (n,) each; missing channels count as 0.
 
     The plots of adhesion contain the utilised adhesion. While a wheel slides, they also contain
     both limits (f_d degraded, f_r recovered). Where no wheel slides, f_r is far above the utilised
     adhesion and may be outside the plot.
     """
-    used = _largest(channels, "adhesion")
-    transition = _largest(channels, "transition")
-    limit = float(np.median(_limit_while_sliding(channels)))
+    used = _largest(table, channels, "adhesion")
+    transition = _largest(table, channels, "transition")
+    limit = float(np.median(_limit_while_sliding(table, channels)))
     # the factors leave room above the curves; an axis is never shorter than 0.1 or 0.2
     return AxisEnds(
         adhesion=max(0.1, 1.15 * limit, 1.4 * used),
@@ -371,22 +376,22 @@ def axis_ends(channels: Mapping[str, Any]) -> AxisEnds:
     )
 
 
-def _channels_of(channels: Mapping[str, Any], signal: str) -> list[np.ndarray]:
+def _channels_of(table: Table, channels: Mapping[str, Any], signal: str) -> list[np.ndarray]:
     """Return the recorded channels of a signal, with 0 for NaN."""
-    names = signals.columns(signals.BY_NAME[signal])
+    names = signals.columns(table.by_name[signal])
     return [np.nan_to_num(np.asarray(channels[name])) for name in names if name in channels]
 
 
-def _largest(channels: Mapping[str, Any], signal: str) -> float:
+def _largest(table: Table, channels: Mapping[str, Any], signal: str) -> float:
     """Return the largest recorded value of a signal, at least 0."""
-    values = [float(channel.max(initial=0.0)) for channel in _channels_of(channels, signal)]
+    values = [float(channel.max(initial=0.0)) for channel in _channels_of(table, channels, signal)]
     return max(values, default=0.0)
 
 
-def _limit_while_sliding(channels: Mapping[str, Any]) -> np.ndarray:
+def _limit_while_sliding(table: Table, channels: Mapping[str, Any]) -> np.ndarray:
     """Return samples of f_r while wheels slide; a single 0 if no wheel slides."""
-    limits = _channels_of(channels, "adhesion_recovered")
-    slidings = _channels_of(channels, "sliding")
+    limits = _channels_of(table, channels, "adhesion_recovered")
+    slidings = _channels_of(table, channels, "sliding")
     samples = []
     # both lists have an item for each axle; either is empty if the signal is not recorded
     for limit, sliding in zip(limits, slidings, strict=False):
@@ -403,6 +408,7 @@ def _limit_while_sliding(channels: Mapping[str, Any]) -> np.ndarray:
 
 
 def blueprint(
+    table: Table,
     live: bool = False,
     bare: bool = False,
     eye: rrb.EyeControls3D | None = None,
@@ -414,6 +420,7 @@ def blueprint(
     The result, the rig and the events are to the right of the plots.
 
     Args:
+        table: the signals of the vehicle.
         live: follow the newest sample in a window of 20 s; otherwise show the whole run.
         bare: leave out the bars of the viewer, for pictures.
         eye: the view of the rig.
@@ -421,12 +428,13 @@ def blueprint(
         ends: upper ends of axes, see `axis_ends`.
     """
     page = _Page(
+        table=table,
         axis=_time_axis(live),
         window=_window() if live else None,
         runs=("", *(f"{REFERENCES}/{name}" for name in references)),
         ends=ends,
     )
-    by_axle = [_axle_by_axle(page, group) for group in range(signals.GROUPS)]
+    by_axle = [_axle_by_axle(page, group) for group in range(table.kind.groups)]
     equipment = _motors_and_magnets(page)
     plots = rrb.Tabs(*by_axle, _all_axles(page), *equipment, active_tab=0)
     panels: Literal["hidden", "collapsed"] = "hidden" if bare else "collapsed"
@@ -463,6 +471,7 @@ def _window() -> rrb.VisibleTimeRange:
 class _Page(NamedTuple):
     """The settings that all views share."""
 
+    table: Table
     axis: rrb.TimeAxis
     window: rrb.VisibleTimeRange | None  # None: the whole run
     runs: tuple[str, ...]  # paths of the runs; that of the first run is empty
@@ -523,9 +532,9 @@ def _axle_by_axle(page: _Page, group: int) -> rrb.Vertical:
 
     Their scales are equal. A vehicle with several groups has a tab for each of them.
     """
-    numbers = signals.axles_of(group)
+    numbers = page.table.axles_of(group)
     name = "Axle by axle"
-    if signals.GROUPS > 1:
+    if page.table.kind.groups > 1:
         name = f"Axles {numbers[0]} to {numbers[-1]}"
     vehicle = rrb.Horizontal(
         _plot_of_group(page, _SPEEDS_TITLE, "speeds"),
@@ -542,7 +551,7 @@ def _axle_by_axle(page: _Page, group: int) -> rrb.Vertical:
 
 def _motors_and_magnets(page: _Page) -> list[rrb.Horizontal]:
     """Return the tab with the motors beside the magnets; no tab for a vehicle without them."""
-    present = {signal.group for signal in SIGNALS}
+    present = {signal.group for signal in page.table.signals}
     columns = []
     for prefix in ("dynamic_", "track_brake"):
         plots = [
@@ -585,7 +594,7 @@ def _axle(page: _Page, axle: int) -> rrb.Vertical:
         span=(0.0, page.ends.adhesion),
     )
     pressures = ["/pressures/brake_demand", f"/pressures/cylinder_pressure_{axle}"]
-    if signals.HAS_DYNAMIC_BRAKE:
+    if page.table.kind.dynamic_brake:
         pressures.append(f"/pressures/friction_demand_{axle}")
     cylinder = _plot(page, f"Axle {axle}: cylinder (bar)", pressures)
     lanes = _valve_lanes(page, f"Axle {axle}: dump valve", axle)
@@ -614,7 +623,7 @@ def _all_axles(page: _Page) -> rrb.Horizontal:
         _valve_lanes(
             page,
             "Dump valves: fill grey, hold yellow, vent red",
-            *range(1, signals.AXLES + 1),
+            *page.table.axles,
         ),
         _plot_of_group(
             page,
@@ -648,7 +657,7 @@ def _right_column(page: _Page, eye: rrb.EyeControls3D | None) -> rrb.Vertical:
 
 def _further_plots(page: _Page) -> rrb.Tabs:
     """Return a tab for each group that no other view shows."""
-    all_groups = {signal.group for signal in SIGNALS if signal.group}
+    all_groups = {signal.group for signal in page.table.signals if signal.group}
     without_place = sorted(all_groups - {*_IN_SMALL_TABS, *_IN_LARGE_TABS, *_OF_MOTORS_AND_MAGNETS})
     plots = []
     for group in [*_IN_SMALL_TABS, *without_place]:

@@ -1,12 +1,11 @@
 """The folder in which compiled kernels are kept from one process to the next.
 
-    ~/.cache/rollerrig/kernels-0123456789abcdef/axles_4/...
+    ~/.cache/rollerrig/kernels-0123456789abcdef/...
 
 Numba does not notice that a function which a cached kernel calls has changed. Therefore the folder
 is named after a hash of all sources that affect compiled code: a changed source leads to another
-folder, and everything is compiled again. Each kind of vehicle (its number of axles, its equipment)
-has a folder inside, because its kernels are compiled for arrays of another size. Where the product
-is installed does not matter, so the folder may be moved to another machine with its sources.
+folder, and everything is compiled again. The same kernels serve all vehicles. Where the product is
+installed does not matter, so the folder may be moved to another machine with its sources.
 
 A kept kernel is a program: who can write into the folder can run code as its user. So each level,
 from the root of the file system down to each file, must belong to this user or to root, and no
@@ -29,7 +28,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
-from rollerrig.configs.vehicle import AXLES, EQUIPMENT
 from rollerrig.rig.compiled.numba_import import numba
 
 # the folder of the product
@@ -100,11 +98,6 @@ def _imported_by(source: bytes) -> Iterator[str]:
         yield f"{folder}.py"
         for name in re.findall(r"\w+", names.decode()):
             yield f"{folder}/{name}.py"
-
-
-def _kind_of_vehicle() -> str:
-    """Return the name of the folder for vehicles with these axles and this equipment."""
-    return "-".join([f"axles_{AXLES}", *sorted(EQUIPMENT)])
 
 
 # --- who may write ---
@@ -181,14 +174,14 @@ class Choice(NamedTuple):
 
 
 def choose() -> Choice:
-    """Return the folder of these sources and this kind of vehicle; make it, and lock it."""
+    """Return the folder of these sources; make it, and lock it."""
     try:
         base = _base()
         folder = base / f"kernels-{_fingerprint()}"
         if not _is_private(folder):
             _discard(folder)
         is_new = not folder.exists()
-        make_private(folder / _kind_of_vehicle())
+        make_private(folder)
         with contextlib.suppress(PermissionError):  # a folder of root, for all users
             os.utime(folder)  # marks it as used now
         # the descriptor stays open, and the folder locked, until the process exits
@@ -198,7 +191,7 @@ def choose() -> Choice:
         return Choice(None, str(error))
     if is_new:
         remove_old(base)
-    return Choice(folder / _kind_of_vehicle())
+    return Choice(folder)
 
 
 def _base() -> Path:

@@ -20,6 +20,7 @@ rollers that stay as they were prepared, no dynamic brake and no magnets.
 import math
 from typing import NamedTuple
 
+from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.rig.brake import NORMAL_PRESSURE_PA
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
@@ -27,14 +28,20 @@ from rollerrig.rig.contact.adhesion import Law
 from rollerrig.rig.mechanisms import applied
 from rollerrig.rig.mechanisms.mechanism import ALONE
 from rollerrig.rig.params import ROLLERS, TRACK, Params
-from rollerrig.rig.state import AXLES
 from rollerrig.rig.vehicle import INERTIA_KGM2, RADIUS_M
 
-# The rigs that are computed together: as many as fit into LANES_WANTED, at least two. With fewer
-# lanes the latency of divisions is not hidden, with more the rows leave the nearest cache.
+# The rigs that are computed together have the same number of axles. They are as many as fit into
+# LANES_WANTED, at least two. With fewer lanes the latency of divisions is not hidden, with more the
+# rows leave the nearest cache.
 LANES_WANTED = 16
-RIGS = max(2, LANES_WANTED // AXLES)
-LANES = RIGS * AXLES
+# places for lanes in a row
+LANES = 2 * MOST_AXLES
+
+
+def rigs_of(axles: int) -> int:
+    """Return the number of rigs with so many axles that are computed together."""
+    return max(2, LANES_WANTED // axles)
+
 
 # Rows of the array, in SI units; each name is the place of the first lane of its row.
 (
@@ -189,26 +196,26 @@ def fits(params: Params) -> bool:
         and not params.pads.vary
         and params.flats.wear_m3_J == 0.0
         and params.sanders.axles == 0
-        and params.dynamic is None
-        and params.track_brake is None
+        and not params.dynamic.acts
+        and not params.track_brake.acts
         and not params.film.acts
     )
 
 
 @kernel
 def load_constants(w, rig, params):
-    """Write the constants of a rig (0 to RIGS - 1) into its lanes."""
+    """Write the constants of a rig, counted from 0, into its lanes."""
     vehicle = params.vehicle
     brake = params.brake
     drive = params.drive
     heat = params.heat
-    for j in range(AXLES):
-        at = rig * AXLES + j
+    for j in range(params.axles):
+        at = rig * params.axles + j
 
         w[STEP + at] = params.step_s
         w[ON_TRACK + at] = 1.0 if params.mode == TRACK else 0.0
-        w[WHEEL_M + at] = params.wheels.table[RADIUS_M + j]
-        w[PER_WHEEL_KGM2 + at] = 1.0 / params.wheels.table[INERTIA_KGM2 + j]
+        w[WHEEL_M + at] = params.wheels.table[RADIUS_M, j]
+        w[PER_WHEEL_KGM2 + at] = 1.0 / params.wheels.table[INERTIA_KGM2, j]
         w[ROLLER_M + at] = drive.roller_radius_m
         w[PER_ROLLER_KGM2 + at] = 1.0 / drive.roller_inertia_kgm2
 
@@ -270,8 +277,8 @@ def load_constants(w, rig, params):
 @kernel_inlined
 def scatter(w, rig, state, target_Pa):
     """Write the state of a rig into its lanes; target_Pa is the demanded brake pressure."""
-    for j in range(AXLES):
-        at = rig * AXLES + j
+    for j in range(state.axles):
+        at = rig * state.axles + j
         w[WHEEL + at] = state.wheel_speed[j]
         w[ROLLER + at] = state.roller_speed[j]
         w[WHEEL_RAD + at] = state.wheel_angle[j]
@@ -314,8 +321,8 @@ def scatter(w, rig, state, target_Pa):
 @kernel_inlined
 def gather(w, rig, state):
     """Write the lanes of a rig into its state."""
-    for j in range(AXLES):
-        at = rig * AXLES + j
+    for j in range(state.axles):
+        at = rig * state.axles + j
         state.wheel_speed[j] = w[WHEEL + at]
         state.roller_speed[j] = w[ROLLER + at]
         state.wheel_angle[j] = w[WHEEL_RAD + at]
@@ -342,8 +349,8 @@ def gather(w, rig, state):
         state.friction_recovered[j] = w[MU_CR + at]
 
     # the quantities of the vehicle are the same in all its lanes; the first one is read
-    at = rig * AXLES
-    state.air_consumption[0] = air_NL(w, rig)
+    at = rig * state.axles
+    state.air_consumption[0] = air_NL(w, at, state.axles)
     state.vehicle_speed[0] = w[V + at]
     state.felt_acceleration[0] = w[FELT + at]
     state.vehicle_acceleration[0] = w[RATE + at]
@@ -354,10 +361,12 @@ def gather(w, rig, state):
 
 
 @kernel_inlined
-def air_NL(w, rig):
-    """Return the air that a rig has used so far, with that of the present tick."""
-    at = rig * AXLES
-    total_NL = w[AIR_SUM_NL + at]
-    for j in range(at, at + AXLES):
+def air_NL(w, first, axles):
+    """Return the air that a rig has used so far, with that of the present tick.
+
+    `first` is its first lane.
+    """
+    total_NL = w[AIR_SUM_NL + first]
+    for j in range(first, first + axles):
         total_NL += w[AIR_NL + j]
     return total_NL

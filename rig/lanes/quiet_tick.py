@@ -8,15 +8,16 @@ state, by the same formulas.
 from rollerrig.rig import heat, wheelset
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.lanes import layout as row
-from rollerrig.rig.state import AXLES
 
 
 @kernel
-def end(w, rig):
-    """Do what follows the physics of a tick of a rig: heat [H1], [H2], locks, air [B3]."""
-    first = rig * AXLES
-    w[row.AIR_SUM_NL + first] = row.air_NL(w, rig)
-    for j in range(first, first + AXLES):
+def end(w, first, axles):
+    """Do what follows the physics of a tick of a rig: heat [H1], [H2], locks, air [B3].
+
+    `first` is its first lane.
+    """
+    w[row.AIR_SUM_NL + first] = row.air_NL(w, first, axles)
+    for j in range(first, first + axles):
         w[row.AIR_NL + j] = 0.0
         work_J = w[row.BRAKE_WORK + j]
         w[row.DISC_K + j] = heat.disc_K(

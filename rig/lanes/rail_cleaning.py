@@ -13,12 +13,10 @@ from rollerrig.rig.contact import vector_secant as law
 from rollerrig.rig.contact.adhesion import SPEED_FLOOR_M_S
 from rollerrig.rig.lanes import layout as row
 from rollerrig.rig.lanes import step
-from rollerrig.rig.lanes.layout import LANES
 from rollerrig.rig.mechanisms.applied import PLACE
 from rollerrig.rig.mechanisms.mechanism import FRICTION
 from rollerrig.rig.mechanisms.table import IN_PLANT
 from rollerrig.rig.params import Params
-from rollerrig.rig.state import AXLES
 
 # places in `Effects.values` of the sizes of all other mechanisms of friction
 _OTHERS = [
@@ -36,9 +34,9 @@ def is_alone(params: Params) -> bool:
 
 
 @kernel
-def write_energy(w):
-    """Write the specific work of one wheel [A3] in all lanes, from their present state."""
-    for j in range(LANES):
+def write_energy(w, lanes):
+    """Write the specific work of one wheel [A3] in so many lanes, from their present state."""
+    for j in range(lanes):
         roller_m_s = w[row.ROLLER_M + j] * w[row.ROLLER + j]
         surface = w[row.V + j] if w[row.ON_TRACK + j] != 0.0 else roller_m_s
         sliding = surface - w[row.WHEEL_M + j] * w[row.WHEEL + j]
@@ -59,29 +57,31 @@ def write_energy(w):
         )
         w[row.SLOPE + j] = slope_1_m_s * load
         w[row.INSIDE + j] = inside
-    for j in range(LANES):
+    for j in range(lanes):
         if w[row.INSIDE + j] == 0.0 and w[row.MOVING + j] > 0.0:
             w[row.SLOPE + j] = step.exact_slope(w, j)
-    for j in range(LANES):
+    for j in range(lanes):
         sliding = w[row.SLIDING + j]
         creepage = abs(sliding) / max(abs(w[row.SURFACE + j]), SPEED_FLOOR_M_S)
         w[row.ENERGY + j] = 0.5 * w[row.SLOPE + j] * abs(sliding) * creepage
 
 
 @kernel
-def clean(w, rig):
-    """Set the friction under the axles of a rig for the coming tick [X1]."""
-    first = rig * AXLES
-    for j in range(first, first + AXLES):
+def clean(w, first, axles):
+    """Set the friction under the axles of a rig for the coming tick [X1].
+
+    `first` is its first lane.
+    """
+    for j in range(first, first + axles):
         # the share of the way to the next axle; 0 for the first one
         w[row.CLEANING + j] = -vector_math.expm1(
             -w[row.V + j] * w[row.TICK + j] / w[row.AHEAD_M + j]
         )
     work_J_m = 0.0
-    for j in range(first, first + AXLES):
+    for j in range(first, first + axles):
         w[row.RAIL_WORK + j] += (work_J_m - w[row.RAIL_WORK + j]) * w[row.CLEANING + j]
         work_J_m += max(w[row.ENERGY + j], 0.0)
-    for j in range(first, first + AXLES):
+    for j in range(first, first + axles):
         cleaned = -vector_math.expm1(-w[row.RAIL_WORK + j] / w[row.CLEANING_J_M + j])
         factor = vector_math.exp(w[row.CLEANING_GAIN + j] * cleaned)
         w[row.MU_CD + j] = w[row.BASE_CD + j] * factor

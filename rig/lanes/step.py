@@ -18,8 +18,7 @@ from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact import vector_secant as law
 from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.lanes import layout as row
-from rollerrig.rig.lanes.layout import LANES, RIGS
-from rollerrig.rig.state import AXLES, FILL, VENT
+from rollerrig.rig.state import FILL, VENT
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)  # of the implicit step, as in `wheelset`
 # Torque at full power is power over speed. Below this speed the torque no longer grows.
@@ -27,23 +26,24 @@ _LEAST_RAD_S = 1e-3
 
 
 @kernel
-def step(w):
-    """Advance all lanes by one step."""
-    pneumatics_and_motors(w)
-    contacts(w)
-    contacts_outside_domain(w)
-    begin(w)
-    predict(w)
-    contacts(w)
-    contacts_outside_domain(w)
-    finish(w)
-    move(w)
+def step(w, rigs, axles):
+    """Advance `rigs` rigs, each with so many axles, by one step."""
+    lanes = rigs * axles
+    pneumatics_and_motors(w, lanes)
+    contacts(w, lanes)
+    contacts_outside_domain(w, lanes)
+    begin(w, lanes)
+    predict(w, rigs, axles)
+    contacts(w, lanes)
+    contacts_outside_domain(w, lanes)
+    finish(w, lanes)
+    move(w, rigs, axles)
 
 
 @kernel
-def pneumatics_and_motors(w):
+def pneumatics_and_motors(w, lanes):
     """Compute brake demand, cylinders, motors and brake torques [B1] to [B4], [M1]."""
-    for j in range(LANES):
+    for j in range(lanes):
         # the first stage computes the contacts with the values at the beginning of the step
         w[row.V_END + j] = w[row.V + j]
         w[row.FELT_END + j] = w[row.FELT + j]
@@ -80,9 +80,9 @@ def pneumatics_and_motors(w):
 
 
 @kernel
-def contacts(w):
+def contacts(w, lanes):
     """Compute sliding, load and secant slope T / s of each contact, from the rows ..._END."""
-    for j in range(LANES):
+    for j in range(lanes):
         v = w[row.V_END + j]
         roller = w[row.ROLLER_M + j] * w[row.ROLLER_END + j]
         surface = v if w[row.ON_TRACK + j] != 0.0 else roller
@@ -119,9 +119,9 @@ def contacts(w):
 
 
 @kernel
-def contacts_outside_domain(w):
+def contacts_outside_domain(w, lanes):
     """Compute the few contacts outside the domain of `vector_law` by the law itself."""
-    for j in range(LANES):
+    for j in range(lanes):
         if w[row.INSIDE + j] == 0.0 and w[row.MOVING + j] > 0.0:
             slope = exact_slope(w, j)
             w[row.SLOPE + j] = slope
@@ -190,9 +190,9 @@ def stage(w, j, wheel, brake_Nm, motor_Nm, wheel_before, roller_before):
 
 
 @kernel
-def begin(w):
+def begin(w, lanes):
     """Compute the first stage: slopes at the start of the step, and the prediction for its end."""
-    for j in range(LANES):
+    for j in range(lanes):
         wheel = w[row.WHEEL + j]
         wheel_k, roller_k, pull_N, brake_Nm = stage(
             w, j, wheel, w[row.CAPACITY + j], w[row.MOTOR_BEFORE + j], 0.0, 0.0
@@ -207,26 +207,26 @@ def begin(w):
 
 
 @kernel
-def total(w, first, resistance_N):
+def total(w, first, axles, resistance_N):
     """Return the force in N that holds a vehicle back; `first` is its first lane."""
-    for j in range(first, first + AXLES):
+    for j in range(first, first + axles):
         resistance_N += w[row.PULL + j]
     return resistance_N
 
 
 @kernel
-def predict(w):
+def predict(w, rigs, axles):
     """Predict speed and felt acceleration of each vehicle for the end of the step."""
-    for rig in range(RIGS):
-        at = rig * AXLES
+    for rig in range(rigs):
+        at = rig * axles
         h = w[row.STEP + at]
         v = w[row.V + at]
         felt = w[row.FELT + at]
 
         resistance_N = planar_vehicle.resistance(v, row.resisted(w, at))
-        rate = -total(w, at, resistance_N) / w[row.MASS_KG + at]
+        rate = -total(w, at, axles, resistance_N) / w[row.MASS_KG + at]
         felt_rate = (rate - felt) / w[row.PITCH_S + at]
-        for j in range(at, at + AXLES):
+        for j in range(at, at + axles):
             w[row.V_END + j] = v + h * rate
             w[row.FELT_END + j] = felt + h * felt_rate
             w[row.RATE_BEFORE + j] = rate
@@ -235,9 +235,9 @@ def predict(w):
 
 
 @kernel
-def finish(w):
+def finish(w, lanes):
     """Compute the second stage, and the motion of wheels and rollers by both stages."""
-    for j in range(LANES):
+    for j in range(lanes):
         moving = w[row.MOVING + j] > 0.0
         h = w[row.STEP + j]
         wheel1 = w[row.WHEEL_K + j]
@@ -273,52 +273,53 @@ def finish(w):
 
 
 @kernel
-def move(w):
+def move(w, rigs, axles):
     """Move every vehicle, and bring to rest those that hardly move."""
-    for rig in range(RIGS):
-        at = rig * AXLES
+    for rig in range(rigs):
+        at = rig * axles
         h = w[row.STEP + at]
         v = w[row.V + at]
         felt = w[row.FELT + at]
         if w[row.MOVING + at] == 0.0:
             # the body pitches back
-            broadcast(w, row.FELT, at, felt * math.exp(-h / w[row.PITCH_S + at]))
+            broadcast(w, row.FELT, at, axles, felt * math.exp(-h / w[row.PITCH_S + at]))
             continue
 
         # the second stage of the vehicle, at the predicted values
         v2 = w[row.V_END + at]
         felt2 = w[row.FELT_END + at]
         resistance_N = planar_vehicle.resistance(v2, row.resisted(w, at))
-        rate = -total(w, at, resistance_N) / w[row.MASS_KG + at]
+        rate = -total(w, at, axles, resistance_N) / w[row.MASS_KG + at]
         felt_rate = (rate - felt2) / w[row.PITCH_S + at]
 
         # the mean of both stages moves it
         mean = 0.5 * (w[row.RATE_BEFORE + at] + rate)
         end = max(0.0, v + h * mean)
         way_m = 0.5 * h * (v + end)
-        broadcast(w, row.FELT, at, felt + 0.5 * h * (w[row.FELT_RATE + at] + felt_rate))
-        broadcast(w, row.PLACE, at, w[row.PLACE + at] + way_m)
+        broadcast(w, row.FELT, at, axles, felt + 0.5 * h * (w[row.FELT_RATE + at] + felt_rate))
+        broadcast(w, row.PLACE, at, axles, w[row.PLACE + at] + way_m)
         resisting_N = w[row.RESISTING + at] + 0.5 * resistance_N
-        broadcast(w, row.RESISTANCE_WORK, at, w[row.RESISTANCE_WORK + at] + resisting_N * way_m)
-        broadcast(w, row.V, at, end)
-        broadcast(w, row.RATE, at, mean)
+        worked_J = w[row.RESISTANCE_WORK + at] + resisting_N * way_m
+        broadcast(w, row.RESISTANCE_WORK, at, axles, worked_J)
+        broadcast(w, row.V, at, axles, end)
+        broadcast(w, row.RATE, at, axles, mean)
 
         # on a track the rail moves under the wheel with the vehicle
-        for j in range(at, at + AXLES):
+        for j in range(at, at + axles):
             w[row.SLIDING_WORK + j] += w[row.ON_TRACK + j] * w[row.FORCE + j] * way_m
         if end < planar_vehicle.STANDING_M_S:
-            settle(w, at)
+            settle(w, at, axles)
 
 
 @kernel
-def broadcast(w, first_of_row, first_lane, value):
+def broadcast(w, first_of_row, first_lane, axles, value):
     """Write a value of a vehicle into its lanes."""
-    for j in range(first_lane, first_lane + AXLES):
+    for j in range(first_lane, first_lane + axles):
         w[first_of_row + j] = value
 
 
 @kernel
-def settle(w, first_lane):
+def settle(w, first_lane, axles):
     """Bring a vehicle to rest, with its wheels and rollers."""
     for place in (row.V, row.RATE, row.WHEEL, row.ROLLER, row.MOTOR, row.BRAKE, row.MOVING):
-        broadcast(w, place, first_lane, 0.0)
+        broadcast(w, place, first_lane, axles, 0.0)

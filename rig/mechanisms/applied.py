@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE, wheelsets_of
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, wheelsets_of
 from rollerrig.rig.compiled.generated import Term, conditional_sum, selection
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.mechanisms import constants, friction
@@ -53,8 +53,8 @@ class Effects(NamedTuple):
 class Wheels(NamedTuple):
     """The wheels of each axle.
 
-    `table` (16,) is ordered as in `vehicle`: radius, inertia, radius over inertia, amplitude out of
-    round. It is one array, because a further array costs stops in lanes 4 % of their time.
+    `table` (4, axles) has the rows of `vehicle`: radius, inertia, radius over inertia, amplitude
+    out of round. It is one array, because a further array costs stops in lanes 4 % of their time.
     """
 
     table: np.ndarray
@@ -95,27 +95,27 @@ def wheels(
 ) -> Wheels:
     """Return the wheels of the checked sections [vehicle] (radius, inertia) and [mechanisms].
 
-    `rotors_kgm2` are the inertias of the motors on the wheelsets, shape (AXLES,).
+    `rotors_kgm2` are the inertias of the motors on the wheelsets, shape (axles,).
     """
-    swing = _of_axles(m, "wheel_out_of_round", "wheel_out_of_round_amplitude")
-    radius_fraction = _of_axles(m, "wheel_radius", "wheel_radius_fraction")
-    inertia_fraction = _of_axles(m, "wheel_inertia", "wheel_inertia_fraction")
+    axles = vehicle["axles"]
+    swing = _of_axles(m, axles, "wheel_out_of_round", "wheel_out_of_round_amplitude")
+    radius_fraction = _of_axles(m, axles, "wheel_radius", "wheel_radius_fraction")
+    inertia_fraction = _of_axles(m, axles, "wheel_inertia", "wheel_inertia_fraction")
     radius_m = constants.wheel_radius(vehicle, radius_fraction)["wheel_radius_m"]
     inertia_kgm2 = constants.wheel_inertia(vehicle, inertia_fraction)["wheelset_inertia_kgm2"]
     inertia_kgm2 = inertia_kgm2 + rotors_kgm2
     return Wheels(
-        table=np.concatenate([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing]),
+        table=np.array([radius_m, inertia_kgm2, radius_m / inertia_kgm2, swing]),
         swings=bool(swing.any()),
         swing_phase_rad=m["wheel_out_of_round_phase_rad"],
     )
 
 
-def _of_axles(m: Mapping[str, Any], name: str, key: str) -> np.ndarray:
-    """Return the value of a key on each axle, shape (4,); 0 on an axle without the mechanism."""
-    values = np.zeros(AXLES)
-    for axle in range(AXLES):
-        if axle + 1 in wheelsets_of(int(m[f"{name}_axle"])):
-            values[axle] = m[key]
+def _of_axles(m: Mapping[str, Any], axles: int, name: str, key: str) -> np.ndarray:
+    """Return the value of a key on each axle, shape (axles,); 0 on one without the mechanism."""
+    values = np.zeros(axles)
+    for axle in wheelsets_of(int(m[f"{name}_axle"]), axles):
+        values[axle - 1] = m[key]
     return values
 
 
@@ -207,7 +207,7 @@ def torque(capacity_Nm, state, axle, place_m, effects):
 def remember(state, positions_m, tick_s):
     """Advance sliding distance, angle turned under the brake and work of the wheels in front."""
     work_J_m = 0.0
-    for j in range(AXLES):
+    for j in range(state.axles):
         state.sliding_distance[j] += tick_s * abs(state.sliding[j])
         if state.brake_capacity[j] > 0.0:
             state.braked_angle[j] += tick_s * state.wheel_speed[j]

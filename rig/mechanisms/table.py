@@ -15,7 +15,7 @@ Limit: the shapes are the simplest ones, without further justification.
 """
 
 from rollerrig.configs.table import Row
-from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE, MOST_AXLES
 from rollerrig.rig.mechanisms import constants, elsewhere, friction, torque
 from rollerrig.rig.mechanisms.mechanism import AXLE, SENSOR, Mechanism
 
@@ -27,14 +27,17 @@ BY_NAME: dict[str, Mechanism] = {
 IN_PLANT = tuple(m for m in BY_NAME.values() if m.acts_on != SENSOR)
 
 
-def rows() -> tuple[Row, ...]:
-    """Return the rows of the section [mechanisms] of a model: `<mechanism>_<parameter>`."""
+def rows(axles: int = MOST_AXLES) -> tuple[Row, ...]:
+    """Return the rows of the section [mechanisms] of a model: `<mechanism>_<parameter>`.
+
+    The place of a mechanism is an axle or bogie of a vehicle with so many axles.
+    """
     found = []
     for mechanism in IN_PLANT:
         for row in mechanism.parameters:
             low, high = row.low, row.high
             if row.name == AXLE.name:
-                low, high = -float(AXLES // AXLES_OF_BOGIE), float(AXLES)
+                low, high = -float(axles // AXLES_OF_BOGIE), float(axles)
             name = f"{mechanism.name}_{row.name}"
             found.append(row._replace(name=name, low=low, high=high))
     return tuple(found)

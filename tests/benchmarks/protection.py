@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from rich.table import Table
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures
@@ -46,7 +47,7 @@ _PRESSURE_PA = 3.8e5
 _LONGEST_S = 400.0
 # no limit of the band in m/s below this speed difference
 _NO_LIMIT_M_S = 20.0
-_LOCKS = signals.COLUMNS[signals.span("longest_lock")]
+_LOCKS = signals.columns(signals.table(COACH).by_name["longest_lock"])
 
 # the steady curves: speeds, and the creepages of the curve
 CURVE_SPEEDS_M_S = (10.0, 20.0, 30.0, 40.0, 50.0)

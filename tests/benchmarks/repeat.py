@@ -21,6 +21,7 @@ from rich.table import Table
 
 from rollerrig.configs import store
 from rollerrig.configs.processes import children
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
@@ -100,13 +101,13 @@ def _events(folder: Path) -> list[tuple[object, ...]]:
 
 
 def sequences() -> dict[str, str]:
-    """Return the packaged sequence that shows each fault of the catalogue, by the fault's name."""
+    """Return the packaged sequence that shows each fault of the coach, by the fault's name."""
     shown: dict[str, str] = {}
     for name in store.names("sequences"):
         for step in sequence.load(name, catalogue.parse).steps:
             for text in step.faults:
-                shown.setdefault(catalogue.parse(text).kind.name, name)
-    return {kind.name: shown[kind.name] for kind in catalogue.CATALOGUE}
+                shown.setdefault(catalogue.parse(text, COACH).kind.name, name)
+    return {name: shown[name] for name in catalogue.of(COACH)}
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:

@@ -20,10 +20,18 @@ def test_two_pads_press_on_each_disc():
 
 
 @pytest.mark.parametrize(
-    ("place", "wheelsets"), [(0, [1, 2, 3, 4]), (3, [3]), (-1, [1, 2]), (-2, [3, 4])]
+    ("place", "axles", "wheelsets"),
+    [
+        (0, 4, [1, 2, 3, 4]),
+        (0, 2, [1, 2]),
+        (3, 4, [3]),
+        (-1, 4, [1, 2]),
+        (-2, 4, [3, 4]),
+        (-4, 8, [7, 8]),
+    ],
 )
-def test_a_place_is_a_wheelset_a_bogie_or_all(place, wheelsets):
-    assert list(vehicle.wheelsets_of(place)) == wheelsets
+def test_a_place_is_a_wheelset_a_bogie_or_all(place, axles, wheelsets):
+    assert list(vehicle.wheelsets_of(place, axles)) == wheelsets
 
 
 @pytest.mark.parametrize(

@@ -4,6 +4,7 @@ import canopen
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import encoder406, io401
 from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import events, signals
@@ -12,6 +13,7 @@ from rollerrig.wsp_interface.bus.hub import Hub
 
 MS = 1_000_000  # ns
 SDO_ABORT = 0x80  # first byte of the message
+TABLE = signals.table(COACH)
 
 
 class MasterOnHub(canopen.Network):
@@ -44,7 +46,7 @@ class Wire:
         self.frames = []
         self.events = []
         self.nodes = []
-        self.row = np.zeros(len(signals.COLUMNS))
+        self.row = np.zeros(signals.WIDTH)
         self.commands = np.zeros(io401.COMMANDS)
         self.commands_taken = []
         self.port = self.hub.attach(lambda frame: None, "tester")
@@ -63,11 +65,11 @@ class Wire:
         return self.plug(drive402.build(axle, axle, self.row, **more))
 
     def encoder(self, **more):
-        return self.plug(encoder406.build(self.row, **more))
+        return self.plug(encoder406.build(TABLE, self.row, **more))
 
     def brake(self, **more):
         more.setdefault("on_command", lambda: self.commands_taken.append(self.commands.copy()))
-        return self.plug(io401.build(self.row, self.commands, **more))
+        return self.plug(io401.build(TABLE, self.row, self.commands, **more))
 
     def send(self, can_id, data=b"", **more):
         """Send a frame from another node."""

@@ -11,15 +11,18 @@ import time
 import numpy as np
 from pymodbus.constants import ExcCodes
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.firmware_sim.modbus import unit as modbus_unit
-from rollerrig.firmware_sim.modbus.map import BITS, WORDS
+from rollerrig.firmware_sim.modbus.map import BITS
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.firmware_sim.modbus.rtu import SerialLine
 from rollerrig.firmware_sim.modbus.server import Server
 from rollerrig.wsp_interface import signals
 
+TABLE = signals.table(COACH)
+WORDS = map.words(TABLE)
 RATED_Nm = 15000.0
 HIGHEST_SPEED = 10000
 # the signal that a speed sensor tells stands in register 208
@@ -38,21 +41,22 @@ class Site:
     """Unit 1 with values that are stored, units 11 to 14 with real drives; `written` in order."""
 
     def __init__(self, **server_options):
-        self.row = np.zeros(len(signals.COLUMNS))
+        self.row = np.zeros(signals.WIDTH)
         self.row[signals.column("vehicle_speed")] = 12.34
-        self.row[signals.span(MEASURED_SPEED)] = [1.0, 2.0, 3.0, -4.0]
-        self.row[signals.span("pulse_count")] = [70000.0, 1.0, 2.0, 2.0**32 + 5]
+        self.row[TABLE.span(MEASURED_SPEED)] = [1.0, 2.0, 3.0, -4.0]
+        self.row[TABLE.span("pulse_count")] = [70000.0, 1.0, 2.0, 2.0**32 + 5]
         self.values = {row.name: 0 for row in (*BITS, *WORDS) if not row.signal}
         self.written = []
         self.drives = [
             drive.build(node, node, self.row, {"rated_torque_Nm": RATED_Nm}, control="bus")
-            for node in signals.DRIVE_NODES
+            for node in TABLE.drive_nodes
         ]
         for node in self.drives:
             node.start(lambda frame: None, 0)
-        self.units = {1: self._plc()} | {
-            map.DRIVE_UNITS[node.node_id]: modbus_unit.drive(node) for node in self.drives
-        }
+        numbers = map.drive_units(TABLE)
+        self.units = {1: self._plc()}
+        for node in self.drives:
+            self.units[numbers[node.node_id]] = modbus_unit.drive(node)
         self.loop = asyncio.new_event_loop()
         self.thread = threading.Thread(target=self.loop.run_forever, name="modbus site")
         self.thread.start()

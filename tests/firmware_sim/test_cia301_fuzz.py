@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 from endurance import fuzz
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import bench_node, nmt_master
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.frames import Frame
 
+TABLE = signals.table(COACH)
 FRAMES = 20_000
 
 
@@ -17,9 +20,9 @@ FRAMES = 20_000
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_no_garbage_makes_a_node_raise_or_stops_it(wire, seed):
     source = random.Random(seed)
-    harness = wire.plug(bench_node.build(wire.row, np.zeros(4), lambda: None))
+    harness = wire.plug(bench_node.build(TABLE, wire.row, np.zeros(4), lambda: None))
     nodes = [wire.drive(1, control="bus"), wire.encoder(), wire.brake(), harness]
-    bench = nmt_master.NmtMaster()
+    bench = nmt_master.NmtMaster(TABLE)
     bench.start(lambda frame: None, 0)
     wire.nmt(1)
     for at in range(FRAMES):

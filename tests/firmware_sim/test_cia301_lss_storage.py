@@ -6,11 +6,14 @@ from typing import NamedTuple
 
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import encoder406, io401
 from rollerrig.firmware_sim.cia301.lss import UNCONFIGURED
 from rollerrig.firmware_sim.cia301.objects import AbortError
 from rollerrig.firmware_sim.drive402 import drive
+from rollerrig.wsp_interface import signals
 
+TABLE = signals.table(COACH)
 # signatures of 1010h and 1011h
 SAVE = int.from_bytes(b"save", "little")
 LOAD = int.from_bytes(b"load", "little")
@@ -42,12 +45,12 @@ NODES = {
         mappable=0x60410010,
     ),
     "encoder": NodeWithMemory(
-        build=lambda wire, file: encoder406.build(wire.row, storage=file),
+        build=lambda wire, file: encoder406.build(TABLE, wire.row, storage=file),
         not_stored={0x6200},
         mappable=0x60300110,
     ),
     "brake": NodeWithMemory(
-        build=lambda wire, file: io401.build(wire.row, wire.commands, storage=file),
+        build=lambda wire, file: io401.build(TABLE, wire.row, wire.commands, storage=file),
         not_stored={0x6200, 0x6411},
         mappable=0x62000108,
     ),
@@ -117,7 +120,7 @@ def test_a_node_answers_to_a_range_that_contains_its_numbers(wire, lss, outside,
 
 @pytest.mark.conformance("CiA 305", "LSS fastscan")
 def test_fastscan_finds_a_node_without_identifier(wire, lss):
-    node = encoder406.build(wire.row)
+    node = encoder406.build(TABLE, wire.row)
     node.lss.pending = UNCONFIGURED
     wire.plug(node)
     wire.drive(1)
@@ -147,7 +150,7 @@ def test_stored_parameters_outlive_a_reset_and_a_new_start(wire, tmp_path):
     wire.nmt(RESET_NODE, 16)
     assert wire.read(16, 0x1017) == b"\x21\0"
     wire.nodes.clear()
-    restarted = encoder406.build(wire.row, storage=file)
+    restarted = encoder406.build(TABLE, wire.row, storage=file)
     restarted.start(lambda frame: None, 0)
     assert restarted.objects.get(0x1017) == 33
 
@@ -283,7 +286,7 @@ def test_an_identifier_stored_by_lss_outlives_a_new_start_and_stored_parameters_
     lss.store_configuration()
     lss.send_switch_state_global(lss.WAITING_STATE)
 
-    restarted = encoder406.build(wire.row, storage=file)
+    restarted = encoder406.build(TABLE, wire.row, storage=file)
     wire.take()
     wire.plug(restarted)
     assert wire.take(0x728) == [b"\0"]
@@ -292,7 +295,7 @@ def test_an_identifier_stored_by_lss_outlives_a_new_start_and_stored_parameters_
 
     # 1011h restores parameters, but not the identifier
     assert wire.write(40, 0x1011, 1, LOAD, 4) == 0
-    with_defaults = encoder406.build(wire.row, storage=file)
+    with_defaults = encoder406.build(TABLE, wire.row, storage=file)
     with_defaults.start(lambda frame: None, 0)
     assert with_defaults.node_id == 40
     assert with_defaults.objects.get(0x1017) == 100
@@ -305,7 +308,7 @@ def test_a_node_without_memory_reports_an_error_to_lss_and_forgets_the_identifie
     lss.configure_node_id(40)
     with pytest.raises(Exception, match="1"):
         lss.store_configuration()
-    restarted = encoder406.build(wire.row)
+    restarted = encoder406.build(TABLE, wire.row)
     restarted.start(lambda frame: None, 0)
     assert restarted.node_id == 16
 

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH, MOST_AXLES
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import mailbox, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.wsp_interface import signals
 
+TABLE = signals.table(COACH)
 SPEED_M_S = 10.0
 ROLLER_RADIUS_M = 1.0
 
@@ -17,7 +19,7 @@ class Rig:
     """A whole rig with tiny brakes, and the commands of its drives."""
 
     def __init__(self, folder, *settings):
-        ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
+        ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(TABLE.columns))
         plan = scenario.load(
             "dry_stop",
             settings=(
@@ -32,7 +34,7 @@ class Rig:
     def command(self, loop, torque_Nm=0.0, velocity_rad_s=0.0, limit_Nm=1e9, enabled=1.0):
         """Give all drives the same command."""
         commands = self.machine.commands.values.copy()
-        drives = commands[tick.DRIVES : tick.FAULTS].reshape(4, axis.COMMANDS)
+        drives = commands[tick.DRIVES : tick.FAULTS].reshape(MOST_AXLES, axis.COMMANDS)
         drives[:, axis.ENABLED] = enabled
         drives[:, axis.LOOP] = loop
         drives[:, axis.TORQUE_Nm] = torque_Nm
@@ -44,7 +46,7 @@ class Rig:
         """Let time pass; return the signals at its end by name, each with its axles."""
         tick.run_ticks(self.machine, round(1000 * seconds))
         return {
-            name: self.machine.row[signals.span(name)].copy()
+            name: self.machine.row[TABLE.span(name)].copy()
             for name in ("roller_speed", "motor_torque", "motor_torque_demand", "vehicle_speed")
         }
 

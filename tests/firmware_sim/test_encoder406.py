@@ -5,10 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import process_image
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import Place
 
+TABLE = signals.table(COACH)
 START = 1  # NMT command
 
 
@@ -23,8 +25,8 @@ def unit(wire):
 
 @pytest.mark.conformance("CiA 406", "default PDOs: speeds 6030h and tooth frequencies 2100h")
 def test_default_pdos_carry_speeds_and_tooth_frequencies_of_four_axles(wire, unit):
-    wire.row[signals.span("measured_speed")] = [90.0, 91.234, -1.0, 1000.0]
-    wire.row[signals.span("tooth_frequency")] = [1432.5, 0.001, 5e6, 0.0]
+    wire.row[TABLE.span("measured_speed")] = [90.0, 91.234, -1.0, 1000.0]
+    wire.row[TABLE.span("tooth_frequency")] = [1432.5, 0.001, 5e6, 0.0]
     wire.sync()
     frames = {frame.can_id: frame.data for frame in wire.frames}
     assert np.frombuffer(frames[0x190], "<i2").tolist() == [9000, 9123, -100, 32767]
@@ -83,7 +85,7 @@ VALUES = [
     math.inf,
     -math.inf,
 ]
-PLACES = [place for signal in signals.SIGNALS for place in signal.places]
+PLACES = [place for signal in TABLE.signals for place in signal.places]
 
 
 @pytest.mark.parametrize("place", PLACES, ids=lambda place: f"{place.index:04X}h")

@@ -9,13 +9,14 @@ import pytest
 from faulty_run import PLAN, samples
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.firmware_sim.faults import bus, catalogue, effects, panel
 from rollerrig.firmware_sim.faults.confinement import Controllers
 from rollerrig.firmware_sim.modbus.pdu import RefusedError
 from rollerrig.realtime.bench import bench, fault_registers, options, scenario, tick_data
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.realtime.record import records
-from rollerrig.wsp_interface import events, signals
+from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
@@ -115,13 +116,13 @@ def wheel_speeds(rig, from_s, to_s):
 @pytest.mark.parametrize("name", ["dump_valve_stuck", "valve_stuck"])
 def test_a_stuck_valve_is_answered_with_the_faults_of_its_magnets(name):
     with pytest.raises(ConfigError) as refused:
-        catalogue.parse(f"{name} axle=1", "fault")
+        catalogue.parse(f"{name} axle=1", COACH, "fault")
     assert "did you mean 'hold_magnet_stuck' or 'vent_magnet_stuck'?" in str(refused.value)
     assert f"'{name}' is not a fault" in str(refused.value)
 
 
 @pytest.mark.conformance("Faults", "every fault: begins and is lifted, recorded")
-@pytest.mark.parametrize("kind", [kind.name for kind in catalogue.CATALOGUE])
+@pytest.mark.parametrize("kind", list(catalogue.of(COACH)))
 def test_every_fault_of_the_catalogue_is_recorded_when_it_begins_and_when_it_is_lifted(rig, kind):
     begin, end = TIMES[kind]
     assert begin in rig.reported(Code.FAULT_BEGINS, kind=kind)
@@ -574,11 +575,11 @@ def test_the_reference_units_process_is_stopped_and_continues(tmp_path):
 def row_after(scenario_name, effect_values=None, ticks=300):
     """Return the row after some ticks of a bench whose effects array holds these values."""
     plan = scenario.load(scenario_name)
-    rows = ring.Ring(ring.place("rows"), np.float64, 1 << 10, len(signals.COLUMNS))
+    rows = ring.Ring(ring.place("rows"), np.float64, 1 << 10, len(plan.table.columns))
     try:
         data = tick_data.build(plan, rows)
         if effect_values is not None:
-            data.commands.values[tick.FAULTS :] = effect_values
+            data.commands.values[tick.FAULTS : tick.MOTORS] = effect_values
         tick.run_ticks(data, ticks)
         return data.row.copy()
     finally:
@@ -618,7 +619,7 @@ def test_a_fault_of_the_command_line_is_the_scenarios_fault():
     assert plan["fault"] == [
         {"kind": "frame_lost", "at_s": 5.0, "for_s": 2.0, "can_id": 0x190, "every": 3}
     ]
-    assert plan.faults == catalogue.all_of(plan["fault"], "again")
+    assert plan.faults == catalogue.all_of(plan["fault"], COACH, "again")
 
 
 @pytest.mark.parametrize(
@@ -635,12 +636,46 @@ def test_a_fault_of_the_command_line_is_the_scenarios_fault():
 )
 def test_a_wrong_fault_is_refused_with_what_is_allowed(text, message):
     with pytest.raises(ConfigError, match="--fault") as refused:
-        catalogue.parse(text)
+        catalogue.parse(text, COACH)
     assert message in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    ("vehicle", "text", "message"),
+    [
+        (Kind(2), "swapped_axles axle=1 other=3", "other = 3 is out of range; allowed 1 to 2"),
+        (Kind(8), "speed_sensor_stuck axle=9", "axle = 9 is out of range; allowed 1 to 8"),
+        (Kind(8), "wsp_frozen group=3", "group = 3 is out of range; allowed 0 to 2"),
+        (COACH, "wsp_frozen group=1", "unknown key 'group'"),
+        (Kind(6), "node_off node=39", "allowed are 1, 2, 3, 4, 33, 34, 16, 48, 17, 49"),
+        (COACH, "dynamic_brake_lost axle=1", "of vehicles with [dynamic_brake] axles"),
+        (COACH, "track_brake_dead bogie=1", "of vehicles with [magnetic_track_brake] bogies"),
+        (
+            Kind(6, magnetic_track_brake=True),
+            "track_brake_dead bogie=4",
+            "bogie = 4 is out of range; allowed 1 to 3",
+        ),
+    ],
+)
+def test_a_fault_is_refused_that_the_vehicle_cannot_have(vehicle, text, message):
+    with pytest.raises(ConfigError, match="--fault") as refused:
+        catalogue.parse(text, vehicle)
+    assert message in str(refused.value)
+
+
+def test_a_fault_has_the_axles_and_units_of_its_vehicle():
+    frozen = catalogue.parse("wsp_frozen group=2", Kind(6))
+    assert (frozen.units, frozen.explains) == ([64], {5, 6})
+    assert bus.frozen_groups(frozen) == {1}
+    all_frozen = catalogue.parse("wsp_frozen", Kind(6))
+    assert (all_frozen.units, bus.frozen_groups(all_frozen)) == ([32, 64], {0, 1})
+    assert catalogue.parse("speed_sensor_stuck axle=5", Kind(6)).explains == {5, 6}
+    assert not catalogue.parse("frame_lost can_id=0x1B0", COACH).reaches_unit
+    assert catalogue.parse("frame_lost can_id=0x1B0", Kind(6)).reaches_unit
+
+
 def test_a_fault_of_the_bus_is_refused_where_there_is_no_bus():
-    planned = (catalogue.parse("node_off node=16"),)
+    planned = (catalogue.parse("node_off node=16", COACH),)
     with pytest.raises(ConfigError, match="--pacing free has none"):
         panel.check_pacing(planned, "free")
     panel.check_pacing(planned, "lockstep")
@@ -700,7 +735,8 @@ def test_each_of_two_swapped_sensors_shows_the_speed_of_the_other_axle():
 @pytest.mark.parametrize(("every", "lost"), [(1, [0, 1, 2, 3, 4, 5]), (2, [1, 3, 5]), (3, [2, 5])])
 def test_a_rule_of_the_gate_meets_every_nth_frame_of_its_identifier(every, lost):
     gate = bus.Gate(Controllers(lambda *_: None))
-    (rule,) = bus.rules_of("frame_lost", {"can_id": 0x190, "every": every})
+    fault = catalogue.parse(f"frame_lost can_id=0x190 every={every}", COACH)
+    (rule,) = bus.rules_of(fault)
     gate.add(rule)
     passed = [gate.passes(Frame(0x190, b""), 16, lambda: None) for _ in range(6)]
     assert [at for at, passes in enumerate(passed) if not passes] == lost
@@ -712,7 +748,10 @@ def test_an_impossible_fault_is_refused_over_modbus_and_reported():
     rig = RigWithoutBus()
     write = fault_registers.FaultRegisters(rig.faults, rig.event).writers()
     with pytest.raises(RefusedError):
-        write["fault"](len(catalogue.CATALOGUE), CHECK_ONLY)
+        write["fault"](max(kind.number for kind in catalogue.CATALOGUE) + 1, CHECK_ONLY)
+    # a fault of equipment that this vehicle does not have
+    with pytest.raises(RefusedError):
+        write["fault"](catalogue.BY_NAME["dynamic_brake_lost"].number, CHECK_ONLY)
 
     write["fault_target"](9, EXECUTE)
     with pytest.raises(RefusedError):

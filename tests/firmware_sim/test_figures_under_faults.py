@@ -13,12 +13,14 @@ import numpy as np
 import pytest
 from faulty_run import PLAN
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import records
 from rollerrig.realtime.reports import sequences, stop
 from rollerrig.wsp_interface import harness_client, signals
 from rollerrig.wsp_interface.sequences import measures, play, sequence
 
+TABLE = signals.table(COACH)
 HEAD = """title = "A stop on soap during which every fault of the catalogue occurs"
 
 [start]
@@ -50,7 +52,6 @@ set = { brake_demand = "3.8 bar" }
 until = "vehicle_speed < 0.005 m/s"
 timeout = "60 s"
 """
-AXLES = range(1, signals.AXLES + 1)
 
 
 def sequence_text():
@@ -94,12 +95,12 @@ class Played:
     @property
     def true_record(self):
         """The record of a harness that reads the recording."""
-        columns = {name: self.true_column(name) for name in harness_client.COLUMNS}
+        columns = {name: self.true_column(name) for name in self.record.columns}
         finals = {}
         for name, heard in self.record.finals.items():
             # play reads the loads before the first step, and everything else after the last one
             at = 0 if name == "wheel_load" else -1
-            names = signals.columns(signals.BY_NAME[name])
+            names = signals.columns(TABLE.by_name[name])
             assert len(names) == len(heard)
             finals[name] = tuple(self.run.column(column)[at] for column in names)
         return replace(self.record, columns=columns, finals=finals)
@@ -110,13 +111,13 @@ def played(tmp_path_factory):
     return Played(tmp_path_factory.mktemp("figures"))
 
 
-@pytest.mark.parametrize("kind", [kind.name for kind in catalogue.CATALOGUE])
+@pytest.mark.parametrize("kind", list(catalogue.of(COACH)))
 def test_a_harness_receives_the_true_motion_while_a_fault_acts(played, kind):
     ((begin_s, end_s),) = [row[1:3] for row in PLAN if row[0] == kind]
     time_s = played.record.columns["time_s"]
     acts = (time_s >= begin_s) & (time_s < end_s)
     assert acts.sum() > 10
-    for layout in harness_client.MAPPED:
+    for layout in harness_client.reception(TABLE).mapped:
         for name, count in zip(layout.names, layout.scales, strict=True):
             heard = played.record.columns[name][acts]
             true = played.true_column(name)[acts]
@@ -141,16 +142,16 @@ def test_every_figure_of_a_report_is_that_of_the_true_motion(played, name):
 def test_the_table_of_axles_has_the_true_motion_and_separately_the_measured_one(played):
     head, rows, _ = stop.axles(played.record)
     true_rows = stop.axles(played.true_record)[1]
-    assert [row[0] for row in rows] == [str(axle) for axle in AXLES] + [
-        f"{axle}, as measured" for axle in AXLES
+    assert [row[0] for row in rows] == [str(axle) for axle in TABLE.axles] + [
+        f"{axle}, as measured" for axle in TABLE.axles
     ]
-    for axle in AXLES:
+    for axle in TABLE.axles:
         for name, shown, true in zip(head, rows[axle - 1], true_rows[axle - 1], strict=True):
             one_digit = 10.0 ** -len(true.partition(".")[2])
             assert float(shown) == pytest.approx(float(true), abs=1.001 * one_digit), name
     # for the sensor of axle 2 the wheelset stood for a while
     largest_m_s = head.index("largest, m/s")
-    true, measured = rows[1], rows[signals.AXLES + 1]
+    true, measured = rows[1], rows[COACH.axles + 1]
     assert float(measured[largest_m_s]) > float(true[largest_m_s]) + 1.4
 
 

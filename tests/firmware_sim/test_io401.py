@@ -5,10 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import io401
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code
 
+TABLE = signals.table(COACH)
 # NMT commands
 START = 1
 STOP = 2
@@ -34,7 +36,7 @@ def brake(wire):
 
 def magnets(wire):
     """Return the commanded magnets of each axle."""
-    return wire.commands[io401.MAGNETS].tolist()
+    return wire.commands[: COACH.axles].tolist()
 
 
 @pytest.mark.conformance("CiA 401", "digital outputs 6200h take effect immediately")
@@ -130,7 +132,7 @@ def test_the_node_stays_operational_when_the_unit_is_lost(wire, brake):
 
 @pytest.mark.conformance("CiA 401", "analogue inputs 6401h")
 def test_cylinder_pressures_go_out_in_millibar_and_saturate(wire, brake):
-    wire.row[signals.span("cylinder_pressure")] = [380_000.0, 0.0, 1e9, math.nan]
+    wire.row[TABLE.span("cylinder_pressure")] = [380_000.0, 0.0, 1e9, math.nan]
     wire.take()
     wire.sync()
     (data,) = wire.take(0x191)

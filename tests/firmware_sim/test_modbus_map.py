@@ -5,17 +5,17 @@ import io
 
 import numpy as np
 import pytest
-from modbus_site import MEASURED_SPEED, RATED_Nm
+from modbus_site import MEASURED_SPEED, TABLE, WORDS, RATED_Nm
 
 from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.firmware_sim.modbus import map
-from rollerrig.firmware_sim.modbus.map import BIT, BITS, WORDS
+from rollerrig.firmware_sim.modbus.map import BIT, BITS
 from rollerrig.wsp_interface import signals
 
 
 @pytest.fixture(scope="module")
 def drive():
-    row = np.zeros(len(signals.COLUMNS))
+    row = np.zeros(signals.WIDTH)
     return drive402.build(1, 1, row, {"rated_torque_Nm": RATED_Nm}).dictionary
 
 
@@ -57,7 +57,7 @@ def test_bits_are_bits_and_registers_hold_integers(drive):
     ],
 )
 def test_what_the_can_nodes_tell_has_the_same_scale_here(name):
-    signal, rows = signals.BY_NAME[name], [row for row in WORDS if row.signal == name]
+    signal, rows = TABLE.by_name[name], [row for row in WORDS if row.signal == name]
     assert len(rows) == signal.axles
     for row in rows:
         place = signal.places[0]
@@ -96,8 +96,8 @@ def test_a_drives_rows_are_those_of_its_dictionary(drive):
 
 @pytest.mark.conformance("Modbus", "map written by rollerrig devices")
 def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
-    drives = dict.fromkeys(signals.DRIVE_NODES, drive)
-    document, sheet = map.write(tmp_path, drives, ("dry_stop", "velim_a1"))
+    drives = dict.fromkeys(TABLE.drive_nodes, drive)
+    document, sheet = map.write(tmp_path, TABLE, drives, ("dry_stop", "velim_a1"))
     lines = list(csv.DictReader(io.StringIO(sheet.read_text())))
     assert len(lines) == len(BITS) + len(WORDS) + 4 * len(map.drive_registers(drive))
     found = {(line["unit"], line["space"], line["name"]): line for line in lines}
@@ -113,6 +113,6 @@ def test_map_and_table_name_every_row_with_its_register(tmp_path, drive):
 
 
 def test_the_same_devices_give_the_same_document(drive):
-    row = np.zeros(len(signals.COLUMNS))
+    row = np.zeros(signals.WIDTH)
     again = drive402.build(1, 1, row, {"rated_torque_Nm": RATED_Nm}).dictionary
-    assert map.markdown({1: drive}) == map.markdown({1: again})
+    assert map.markdown(TABLE, {1: drive}) == map.markdown(TABLE, {1: again})

@@ -7,13 +7,12 @@ import time
 
 import pytest
 from endurance import fuzz
-from modbus_site import HIGHEST_SPEED, Site, adu, until
+from modbus_site import HIGHEST_SPEED, WORDS, Site, adu, until
 from pymodbus.client import AsyncModbusTcpClient
 from pymodbus.constants import ExcCodes
 
 from rollerrig.configs.errors import BusError
 from rollerrig.firmware_sim.modbus import server
-from rollerrig.firmware_sim.modbus.map import WORDS
 from rollerrig.firmware_sim.modbus.server import Server
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.places import PLACES_OF_ADDRESS

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import encoder406, io401, nmt_master, rack
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.drive402 import drive as drive402
@@ -14,6 +15,7 @@ from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.events import Code
 
 MS = 1_000_000  # ns
+TABLE = signals.table(COACH)
 
 UNIT_HEARTBEAT = 0x720
 # data of a heartbeat
@@ -33,15 +35,15 @@ class Rig:
         self.events = []
         self.hub.tap(self.frames.append)
         self.tester = self.hub.attach(lambda frame: None, "tester")
-        self.row = np.zeros(len(signals.COLUMNS))
+        self.row = np.zeros(signals.WIDTH)
         self.commands = np.zeros(io401.COMMANDS)
-        self.network = nmt_master.NmtMaster(**options)
+        self.network = nmt_master.NmtMaster(TABLE, **options)
         self.network.on_event = self.on_event
         self.drives = [
-            drive402.build(node, axle, self.row) for axle, node in enumerate(signals.DRIVE_NODES, 1)
+            drive402.build(node, axle, self.row) for axle, node in enumerate(TABLE.drive_nodes, 1)
         ]
-        self.encoder = encoder406.build(self.row)
-        self.brake = io401.build(self.row, self.commands)
+        self.encoder = encoder406.build(TABLE, self.row)
+        self.brake = io401.build(TABLE, self.row, self.commands)
         self.nodes = [*self.drives, self.encoder, self.brake]
         self.rack = rack.Rack()
         for member in (self.network, *self.nodes):
@@ -185,7 +187,7 @@ def test_a_node_without_power_is_lost_and_boots_when_it_has_power_again(rig):
 
 def test_without_power_no_magnet_is_energised_and_no_motor_enabled(rig):
     rig.tester.send(Frame(0x211, b"\xff"))
-    assert rig.commands[io401.MAGNETS].all()
+    assert rig.commands[: COACH.axles].all()
     drive = rig.drives[0]
     drive.poll(MS)
     assert drive.device.enabled

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.faults import effects
 from rollerrig.wsp_interface import signals
@@ -42,8 +43,8 @@ def turn(speeds, model="pole_wheel", timer_Hz=1e6, dropout_rad_s=1.0, faults=())
         timer_Hz=timer_Hz,
         tick_s=TICK_S,
     )
-    row = np.zeros(len(signals.COLUMNS))
-    memory = pole_wheel.memory(1)
+    row = np.zeros(signals.WIDTH)
+    memory = pole_wheel.memory(1, COACH.axles)
     active_faults = np.zeros(effects.SIZE)
     for kind, value in faults:
         active_faults[effects.slot(kind, 1)] = value

@@ -3,25 +3,27 @@
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH, MOST_AXLES
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.wsp_interface import signals
 
+TABLE = signals.table(COACH)
 MODES = ("plain_track", "full_scale", "virtual_track")
 
 
 def stop(folder, rig, *settings):
-    """Return the rows of a whole stop on soap with the reference WSP, shape (n, columns)."""
+    """Return the rows of all signals of a whole stop on soap with the reference WSP."""
     folder.mkdir()
-    ring = rings.Ring(folder / "rows", np.float64, 1 << 14, len(signals.COLUMNS))
+    ring = rings.Ring(folder / "rows", np.float64, 1 << 14, len(TABLE.columns))
     plan = scenario.load("velim_a3", settings=(f"rig={rig}", "duration_max_s=100", *settings))
     machine = tick_data.build(plan, ring)
-    unit = logic.new_unit(logic.load("reference"))
-    inputs = np.zeros(8, dtype=np.int64)
-    tick.run_ticks_with_units(machine, 100_000, plan.sync_ticks, (unit,), inputs)
-    return machine.ring_rows[: machine.ring_header[rings.WRITTEN]].copy()
+    units = tick.Units(np.zeros((1, logic.SIZE)), logic.load("reference"))
+    inputs = np.zeros(2 * MOST_AXLES, dtype=np.int64)
+    tick.run_ticks_with_units(machine, 100_000, plan.sync_ticks, units, inputs)
+    return TABLE.rows_of_all(machine.ring_rows[: machine.ring_header[rings.WRITTEN]])
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +35,7 @@ def stops(tmp_path_factory):
 
 def signal(rows, name):
     """Return a signal of all axles, shape (n, axles)."""
-    return rows[:, signals.span(name)]
+    return rows[:, TABLE.span(name)]
 
 
 def rolling(rows):

@@ -10,12 +10,14 @@ import numpy as np
 import pytest
 from canopen.profiles.p402 import BaseNode402
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import encoder406, io401, nmt_master, rack
 from rollerrig.firmware_sim.drive402 import axis
 from rollerrig.firmware_sim.drive402 import drive as drive402
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.hub import Hub
 
+TABLE = signals.table(COACH)
 CYCLE_S = 0.002
 CYCLES_A_SYNC = 5
 PATIENCE_S = 60.0  # a busy machine is slow
@@ -37,7 +39,7 @@ class RigThread:
     """
 
     def __init__(self):
-        self.row = np.zeros(len(signals.COLUMNS))
+        self.row = np.zeros(signals.WIDTH)
         self.commands = np.zeros(io401.COMMANDS)
         self.ready = threading.Event()
         self.running = True
@@ -50,14 +52,14 @@ class RigThread:
         asyncio.get_running_loop().set_exception_handler(lambda _, what: self.errors.append(what))
         hub = Hub(time.monotonic_ns)
         self.port = await hub.listen("socketcand", port=0)
-        bench = nmt_master.NmtMaster()
+        bench = nmt_master.NmtMaster(TABLE)
         members = rack.Rack()
         self.drives = [
             drive402.build(node, axle, self.row, control="bus")
-            for axle, node in enumerate(signals.DRIVE_NODES, 1)
+            for axle, node in enumerate(TABLE.drive_nodes, 1)
         ]
-        self.encoder = encoder406.build(self.row)
-        self.brake = io401.build(self.row, self.commands)
+        self.encoder = encoder406.build(TABLE, self.row)
+        self.brake = io401.build(TABLE, self.row, self.commands)
         for member in (bench, *self.drives, self.encoder, self.brake):
             members.add(member)
         port = hub.attach(members.on_frame, "rig")
@@ -145,13 +147,13 @@ def test_a_foreign_unit_reads_speeds_by_pdo_and_drives_the_valves(rig, master):
         node.rpdo.read()
     # the WSP unit is alive; without its heartbeat the magnets fall off
     heartbeat = master.send_periodic(0x720, b"\x05", 0.05)
-    rig.row[signals.span("measured_speed")] = [90.0, 91.0, 92.0, 93.0]
+    rig.row[TABLE.span("measured_speed")] = [90.0, 91.0, 92.0, 93.0]
     speeds = unit.tpdo[1]
     assert eventually(lambda: speeds.wait_for_reception(1) and speeds[3].raw == 9300)
 
     brake.rpdo[1][0].raw = 0b11_01_00_11
     brake.rpdo[1].transmit()
-    assert eventually(lambda: rig.commands[io401.MAGNETS].tolist() == [3, 0, 1, 3])
+    assert eventually(lambda: rig.commands[: COACH.axles].tolist() == [3, 0, 1, 3])
     heartbeat.stop()
     assert eventually(lambda: not rig.commands[io401.MAGNETS].any())
 

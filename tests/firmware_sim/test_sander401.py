@@ -4,12 +4,14 @@ import cantools
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import sander401
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.commands import devices
 from rollerrig.wsp_interface import descriptions, signals
 from rollerrig.wsp_interface.events import Code
 
+TABLE = signals.table(COACH)
 # NMT commands
 START = 1
 STOP = 2
@@ -19,8 +21,8 @@ RESET_NODE = 129
 @pytest.fixture
 def commands(wire):
     """The array of commands of the node: 1 where the sander of an axle is on."""
-    commands = np.zeros(signals.AXLES)
-    wire.plug(sander401.build(wire.row, commands))
+    commands = np.zeros(COACH.axles)
+    wire.plug(sander401.build(TABLE, wire.row, commands))
     wire.nmt(START)
     wire.send(0x720, b"\x05")  # the WSP unit is alive
     return commands
@@ -53,8 +55,8 @@ def test_sanders_stop_when_the_partner_is_lost_or_the_node_is_stopped_or_reset(
 
 
 def test_every_sync_sends_the_flow_of_sand_and_the_remaining_sand(wire, commands):
-    wire.row[signals.span("sand_rate")] = (0.05, 0.0, 0.067, 0.0)
-    wire.row[signals.span("sand_box")] = (29.5, 0.0, 12.34, 0.0)
+    wire.row[TABLE.span("sand_rate")] = (0.05, 0.0, 0.067, 0.0)
+    wire.row[TABLE.span("sand_box")] = (29.5, 0.0, 12.34, 0.0)
     wire.take()
     wire.sync()
     frames = {frame.can_id: frame.data for frame in wire.frames}
@@ -73,7 +75,7 @@ def test_eds_and_dbc_describe_the_sanders_of_a_vehicle_that_has_some(tmp_path):
     assert signals.SANDER_NODE not in without
     assert sorted([*without, signals.SANDER_NODE]) == nodes_of(fitted)
 
-    descriptions.write(tmp_path, devices.dictionaries(fitted))
+    descriptions.write(tmp_path, TABLE, devices.dictionaries(fitted))
     assert list(tmp_path.glob("node_018_*.eds"))
     database = cantools.database.load_file(tmp_path / "rig.dbc")
     demand = {"sand_demand_1": 1, "sand_demand_2": 0, "sand_demand_3": 1, "sand_demand_4": 0}

@@ -16,10 +16,12 @@ import can
 import numpy as np
 import pytest
 
-from rollerrig.configs.errors import BusError
+from rollerrig.configs.errors import BusError, ConfigError
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.firmware_sim.cia301.nmt import Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.firmware_sim.wsp import node as wsp_unit
+from rollerrig.wsp_interface import rig_objects, signals
 from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 
@@ -42,6 +44,8 @@ STOPPED = bytes((State.STOPPED,))
 ALL_OFF = b"\x00"
 AXLE_1_VENTS = b"\x03"
 
+# of the unit of the coach
+FRAMES = rig_objects.unit_frames(signals.table(COACH), 0)
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples"
 # numbers that make the names of virtual channels unique
 CHANNELS = itertools.count()
@@ -62,7 +66,8 @@ class Bench:
     def __init__(self, channel, lockstep_s=0.0):
         self.bus = can.Bus(interface="virtual", channel=channel)
         self.unit_bus = can.Bus(interface="virtual", channel=channel)
-        self.unit = wsp_unit.Unit(self.unit_bus, wsp_unit.Reference(logic.load()), lockstep_s)
+        reference = wsp_unit.Reference(logic.load(), FRAMES, dynamic_brake=False)
+        self.unit = wsp_unit.Unit(self.unit_bus, reference, FRAMES, lockstep_s)
         self.thread = threading.Thread(target=self.unit.run, daemon=True)
         self.thread.start()
 
@@ -278,6 +283,26 @@ def test_it_exits_when_the_bus_closes(bench):
     assert not bench.thread.is_alive()
 
 
+def test_a_unit_of_a_further_group_has_the_identifiers_and_axles_of_its_group():
+    frames = wsp_unit.frames_of_group(Kind(6, dynamic_brake=True), 2)
+    bus = can.Bus(interface="virtual", channel=f"group{next(CHANNELS)}")
+    unit = wsp_unit.Unit(bus, wsp_unit.Reference(logic.load(), frames, True), frames, 0.01)
+    sent = []
+    unit._send = lambda can_id, data: sent.append((can_id, len(data)))
+    unit._boot()
+    unit._handlers[SYNC](can.Message(arbitration_id=SYNC))
+    speeds_of_two = struct.pack("<2h", 6740, 6740)
+    unit._handlers[0x1B0](can.Message(arbitration_id=0x1B0, data=speeds_of_two))
+    bus.shutdown()
+    # heartbeats, reference speed, permitted shares of two motors, magnets
+    assert sent == [(0x740, 1), (0x740, 1), (0x1C0, 2), (0x233, 4), (0x231, 1)]
+
+
+def test_a_group_that_the_vehicle_does_not_have_is_an_error_that_names_the_option():
+    with pytest.raises(ConfigError, match=r"--group 2: a vehicle with 4 axles has 1 .*--axles 8"):
+        wsp_unit.frames_of_group(COACH, 2)
+
+
 def test_a_missing_bus_is_an_error_with_its_address():
     with pytest.raises(BusError, match="nonsense"):
         wsp_unit.main("nonsense:nowhere")
@@ -431,7 +456,8 @@ def sand_commands(sand):
     """Return the sand commands of a unit with this setting while wheels run, lock and run."""
     bus = can.Bus(interface="virtual", channel=f"sand{next(CHANNELS)}")
     params = logic.load()._replace(sand=sand)
-    unit = wsp_unit.Unit(bus, wsp_unit.Reference(params), 0.01)
+    reference = wsp_unit.Reference(params, FRAMES, dynamic_brake=False)
+    unit = wsp_unit.Unit(bus, reference, FRAMES, 0.01)
     unit._boot()
 
     sent = []

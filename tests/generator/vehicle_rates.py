@@ -1,7 +1,7 @@
 """Measures how often `explain` finds a hidden cause on vehicles with any number of axles.
 
-    ROLLERRIG_AXLES=2 python tests/generator/vehicle_rates.py bogie_low 20 FOLDER
-    ROLLERRIG_AXLES=8 python tests/generator/vehicle_rates.py multiple_unit_low 10 FOLDER
+    python tests/generator/vehicle_rates.py bogie_low 20 FOLDER
+    python tests/generator/vehicle_rates.py multiple_unit_low 10 FOLDER
 
 A set has three stops of the scenario from different speeds, recorded by the bench; the third stop
 judges. Each set has one hidden cause of `CAUSES`, and two sets of ten have none. The recordings get

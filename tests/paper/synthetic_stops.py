@@ -15,7 +15,7 @@ from rollerrig.wsp_interface import signals
 
 
 def run_of(name: str, group: str, mass_kg: float, rows: np.ndarray) -> Run:
-    """Return a run, as the physics computed it; `rows`: samples of all signals, (n, columns)."""
+    """Return a run, as the physics computed it; `rows`: rows of all signals, (n, signals.WIDTH)."""
     return Run(
         name=name,
         group=group,
@@ -23,9 +23,9 @@ def run_of(name: str, group: str, mass_kg: float, rows: np.ndarray) -> Run:
         mu_cd=None,
         time_s=rows[:, signals.column("time")],
         speed_m_s=rows[:, signals.column("vehicle_speed")],
-        wheel_speed_rad_s=rows[:, signals.span("wheel_speed")],
-        load_N=rows[:, signals.span("wheel_load")],
-        torque_Nm=rows[:, signals.span("brake_torque")],
+        wheel_speed_rad_s=rows[:, velim.TABLE.span("wheel_speed")],
+        load_N=rows[:, velim.TABLE.span("wheel_load")],
+        torque_Nm=rows[:, velim.TABLE.span("brake_torque")],
         position_m=None,
         surface_m_s=None,
     )

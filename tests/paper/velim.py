@@ -38,10 +38,14 @@ from scipy.stats import t
 
 from rollerrig.configs import store
 from rollerrig.configs.table import number, read
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import stops_in_lanes
 from rollerrig.wsp_interface import signals
+
+# the signals of the coach of the tests
+TABLE = signals.table(COACH)
 
 # what was found on group A
 SETTINGS = Path(__file__).with_name("velim.toml")
@@ -158,15 +162,15 @@ def stop(test: str, found: dict[str, float]) -> Stop:
 
 
 def reduced(rows: np.ndarray) -> Stop:
-    """Return the numbers for Table 6 [Q2] of the samples of a stop up to standstill."""
-    sliding = rows[:, signals.span("sliding")]
+    """Return the numbers for Table 6 [Q2] of a stop up to standstill; `rows`: of all signals."""
+    sliding = rows[:, TABLE.span("sliding")]
     speed = rows[:, signals.column("vehicle_speed")]
     return Stop(
         sliding_mean_m_s=sliding.mean(axis=0),
         sliding_std_m_s=sliding.std(axis=0),
         stop_time_s=SAMPLE_S * len(rows),
         stop_distance_m=float(rows[-1, signals.column("position")]),
-        longest_lock_s=float(rows[-1, signals.span("longest_lock")].max()),
+        longest_lock_s=float(rows[-1, TABLE.span("longest_lock")].max()),
         decelerations_m_s2=tuple(
             _deceleration_m_s2(speed, above, below) for above, below in HALVES_M_S
         ),
@@ -210,7 +214,8 @@ def over_contaminants(
     # the stops finish in any order
     stops = {}
     for finished in stops_in_lanes.together(plans, unit):
-        rows = np.column_stack(list(finished.channels.values()))
+        recorded = np.column_stack([finished.channels[name] for name in TABLE.columns])
+        rows = TABLE.rows_of_all(recorded)
         stops[finished.tag] = reduced(free.moving(rows))
     values = np.array([_figures(stops[mu_cd]) for mu_cd in SCAN])
 

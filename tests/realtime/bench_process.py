@@ -13,7 +13,6 @@ import numpy as np
 import program
 
 from rollerrig.realtime.record import records
-from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
 
@@ -149,7 +148,7 @@ def run(out, *arguments, **more):
 
 def assert_same_channels(run, longer_run):
     """Check that all channels of a run are equal to those of the beginning of a longer one."""
-    for name in signals.COLUMNS:
+    for name in run.record.table.column_names:
         values = run.record.column(name)
         expected = longer_run.record.column(name)[: len(values)]
         np.testing.assert_array_equal(values, expected, err_msg=name)

@@ -12,34 +12,37 @@ from pathlib import Path
 
 import numpy as np
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime.bench import processes
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
 
-WIDTH = len(signals.COLUMNS)
+TABLE = signals.table(COACH)
+WIDTH = len(TABLE.columns)
 ROW_NS = 10_000_000  # a hundredth of a second
 SCENARIO = 'title = "rows of a test"\n[loop]\ntick_hz = 1000\nstep_s = 0.0001\nrecord_hz = 100\n'
 
 
-def rings(capacity=4096):
+def rings(capacity=4096, width=WIDTH):
     """Rings of rows, frames and events, written by this process."""
     return (
-        Ring(ring.place("rows"), np.float64, capacity, WIDTH),
+        Ring(ring.place("rows"), np.float64, capacity, width),
         Ring(ring.place("frames"), np.int64, 2 * capacity, ring.FRAME_WORDS),
         Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS),
     )
 
 
 def row(number):
-    """Row `number`: its time is in hundredths of a second.
+    """The recorded row `number`: its time is in hundredths of a second.
 
     Every other column contains the number of its place plus the number of the row.
     """
     values = np.arange(WIDTH, dtype=np.float64) + number
-    values[signals.column("time")] = number / 100.0
-    values[signals.span("valve")] = (number // 20) % 3
+    values[TABLE.columns.index("time_s")] = number / 100.0
+    for column in signals.columns(TABLE.by_name["valve"]):
+        values[TABLE.columns.index(column)] = (number // 20) % 3
     return values
 
 
@@ -62,7 +65,7 @@ def main():
     folder = Path(sys.argv[1])
     (folder / "scenario.toml").write_text(SCENARIO)
     to = rings()
-    process = processes.record(folder, *to, {"pacing": "wall", "seed": 7})
+    process = processes.record(folder, COACH, *to, {"pacing": "wall", "seed": 7})
     if not processes.wait_ready(process, to[0]):
         sys.exit("the recorder is not ready")
     report = {"rings": [str(each.path) for each in to], "recorder": process.pid}

@@ -8,10 +8,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
 
-AXLES = 4
+TABLE = signals.table(COACH)
+AXLES = COACH.axles
 RADIUS_M = 0.445
 ROLLER_M = 1.0  # radius of a roller
 INERTIA_KGM2 = 160.0  # of a wheelset
@@ -187,9 +189,9 @@ class _Stop:
             "tick_duration": 25.0,
             "ticks_missed": 0,
         }
-        row = np.full(len(signals.COLUMNS), np.nan)
+        row = np.full(signals.WIDTH, np.nan)
         for name, value in values.items():
-            row[signals.span(name)] = value
+            row[TABLE.span(name)] = value
         return row
 
 
@@ -200,7 +202,7 @@ def _polach(sliding_m_s, speed_m_s, friction, gamma, stiffness):
 
 
 def stop(speed_m_s=42.3, record_hz=100, mu_cd=0.05, lock_axle=None, end_s=90.0):
-    """Rows of all signals, shape (n, columns), from the brake demand to standstill.
+    """Rows of all signals, shape (n, signals.WIDTH), from the brake demand to standstill.
 
     The brake of `lock_axle` grips twice as hard for two seconds, and its valve fills.
     """

@@ -9,7 +9,8 @@ import pytest
 
 import rollerrig
 from rollerrig.configs.errors import ConfigError, RollerrigError
-from rollerrig.wsp_interface.signals import COLUMNS
+from rollerrig.configs.vehicle import COACH, Kind
+from rollerrig.wsp_interface import signals
 
 EXAMPLE = Path(__file__).parents[2] / "docs/examples/first_stops.ipynb"
 
@@ -49,12 +50,25 @@ def test_a_run_returns_the_content_of_its_folder(tmp_path):
     assert stop.summary["stopped"]
     assert stop.scenario["vehicle"]["wheel_radius_m"] == 0.467
 
-    assert tuple(stop.table.column_names) == tuple(stop.frame().columns) == COLUMNS
+    assert tuple(stop.table.column_names) == tuple(stop.frame().columns)
+    assert tuple(stop.table.column_names) == signals.table(COACH).columns
     assert stop.frame()["vehicle_speed_m_s"].iloc[0] == pytest.approx(5.0)
 
     begun = [event.fields for event in stop.events if event.code == "fault.begins"]
     assert [fields["kind"] for fields in begun] == ["speed_noise_burst"]
     assert "axle=2" in begun[0]["fault"]
+
+
+def test_one_process_runs_a_coach_then_a_tram(tmp_path):
+    coach = rollerrig.run("dry_stop", out=tmp_path / "coach", initial_speed_m_s=5.0)
+    tram = rollerrig.run("tram_low_dynamic", out=tmp_path / "tram", initial_speed_m_s=5.0)
+    again = rollerrig.load(coach.folder)
+    assert tuple(again.table.column_names) == signals.table(COACH).columns
+    table = signals.table(Kind(6, dynamic_brake=True))
+    assert tuple(tram.table.column_names) == table.columns
+    assert len(tram.summary["axles"]) == 6
+    assert rollerrig.plot(tram).path.is_file()
+    assert rollerrig.compare(coach, tram)["differences"]
 
 
 def test_the_table_of_a_run_does_not_need_pandas(free_stop):

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 from bench_process import BenchProcess, SimpleUnit
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.signals import COLUMNS
 
+COLUMNS = signals.table(COACH).columns
 CUT_OFF_M_S = 3.0
 
 

@@ -22,7 +22,7 @@ sys.exit(5)
 CHECKOUT = """import os, sys, time
 from pathlib import Path
 def main():
-    kernel = Path(os.environ["XDG_CACHE_HOME"], "rollerrig", "kernels-0", "axles_4", "kernel.nbi")
+    kernel = Path(os.environ["XDG_CACHE_HOME"], "rollerrig", "kernels-0", "kernel.nbi")
     kind = "warm" if kernel.exists() else "cold"
     if kind == "cold":
         while time.process_time() < SECONDS:

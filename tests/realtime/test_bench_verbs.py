@@ -12,6 +12,7 @@ from benchmarks import contact, hunting
 from paper import table8
 
 from rollerrig.configs.processes import children
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import bus, client, figures, older_checkout, references
@@ -57,7 +58,7 @@ def test_devices_writes_an_eds_of_every_node_one_dbc_and_the_tables(tmp_path, ca
     names = set(printed["files"])
 
     descriptions = [name for name in names if name.endswith(".eds")]
-    for node in (*signals.DRIVE_NODES, signals.SPEED_NODE, signals.BRAKE_NODE):
+    for node in (*signals.table(COACH).drive_nodes, signals.SPEED_NODE, signals.BRAKE_NODE):
         assert any(name.startswith(f"node_{node:03d}") for name in descriptions)
     assert {"rig.dbc", "signals.md", "objects.csv"} < names
 

@@ -1,7 +1,4 @@
-"""Work and forces of the brakes of vehicles with motors or magnets, in summary, report and picture.
-
-A process simulates one kind of vehicle, so each run is a process.
-"""
+"""Work and forces of motors, magnets and friction brakes, in summary, report and picture."""
 
 import json
 import re
@@ -12,9 +9,12 @@ import pyarrow.parquet
 import pytest
 from program import BOTH_BRAKES
 
-from rollerrig.realtime.record import brake_work
+from rollerrig.configs.vehicle import COACH
+from rollerrig.realtime.record import brake_work, records
+from rollerrig.realtime.reports import page
+from rollerrig.realtime.reports import stop as run_stop
 
-# they share the servers of programs of these vehicles, and runs
+# they share runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
 WITHIN = 1e-3
@@ -25,18 +25,6 @@ OTHER_BRAKES = {
     "tram_low_dynamic": ["motors"],
     "tram_emergency_magnetic": ["magnets"],
 }
-EQUIPMENT = {"motors": "dynamic_brake", "magnets": "magnetic_track_brake"}
-
-# run in a process with the vehicle of the run: the table and the picture of its brakes
-REPORT = """
-import sys
-from rollerrig.realtime.record import records
-from rollerrig.realtime.reports import page, stop
-
-run = records.load(sys.argv[1])
-print(page.table(*stop.brakes(run.summary)))
-print(stop.brakes_picture(run.column, run.scenario["vehicle"]["wheel_radius_m"]))
-"""
 
 
 def rollerrig(*words):
@@ -96,19 +84,17 @@ def test_the_picture_of_a_stop_has_a_plot_of_the_brakes_and_a_lane_for_each_axle
 
 
 def test_the_table_of_the_brakes_has_a_row_for_each_with_its_work_beside_a_picture(stop):
-    scenario, folder, _ = stop
+    _, folder, _ = stop
     brakes = json.loads((folder / "summary.json").read_text(encoding="utf-8"))["brakes"]
-    equipment = ",".join(EQUIPMENT[brake] for brake in OTHER_BRAKES[scenario])
-    done = program.python(
-        *("-c", REPORT, folder), ROLLERRIG_AXLES="6", ROLLERRIG_EQUIPMENT=equipment
-    )
-    assert done.status == 0, done.messages
+    run = records.load(folder)
+    table = page.table(*run_stop.brakes(run.summary))
+    picture = run_stop.brakes_picture(run_stop.motion_of(run))
     for brake, figures in brakes.items():
         work_MJ = f"{1e-6 * figures['work_J']:.2f}"
         row = rf"<td[^>]*>{brake_work.TITLES[brake]}</td><td[^>]*>{work_MJ}</td>"
-        assert re.search(row, done.printed)
-    assert "share, %" in done.printed
+        assert re.search(row, table)
+    assert "share, %" in picture
 
 
 def test_a_vehicle_with_friction_brakes_only_has_no_figures_of_brakes():
-    assert brake_work.brakes() == ()
+    assert brake_work.brakes(COACH) == ()

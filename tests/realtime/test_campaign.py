@@ -102,6 +102,21 @@ def test_a_matrix_runs_every_combination_once(plan_file, tmp_path):
     assert rows["error"] == [None] * RUNS
 
 
+def test_one_campaign_runs_several_vehicles_as_each_runs_alone(plan_file, tmp_path):
+    vary = "initial_speed_m_s = [3.0, 5.0]\nvehicle_set = {}"
+    names = ["uic_z1", "bogie_module", "multiple_unit_2_cars"]
+    run_serially(campaign.load(plan_file(vary=vary.format(json.dumps(names)))), tmp_path / "all")
+    rows = content(tmp_path / "all")
+    assert rows["vehicle_set"] == names * 2
+    assert all(rows["stopped"])
+    for at, name in enumerate(names):
+        plan = campaign.load(plan_file(vary=vary.format(json.dumps([name]))))
+        run_serially(plan, tmp_path / name)
+        alone = content(tmp_path / name)
+        for figure in ("stop_distance_m", "stop_time_s", "longest_lock_s"):
+            assert alone[figure] == rows[figure][at :: len(names)]
+
+
 def test_a_run_that_does_not_stop_in_its_time_has_the_fields_that_statistics_read(
     plan_file, tmp_path
 ):

@@ -5,21 +5,23 @@ import json
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime import cli
 from rollerrig.realtime.record.channels import Channels
 from rollerrig.wsp_interface import signals
 
 RECORD_HZ = 100.0
+COLUMNS = signals.table(COACH).columns
 
 
 def recorded(folder, rows, speed_m_s, summary):
     """Write the folder of a run at a constant speed, with a spike of the first sliding at 0.5 s."""
-    values = np.zeros((rows, len(signals.COLUMNS)))
-    values[:, signals.column("time")] = np.arange(rows) / RECORD_HZ
-    values[:, signals.column("vehicle_speed")] = speed_m_s
-    values[50, signals.column("sliding", 1)] = speed_m_s - 20.0
+    values = np.zeros((rows, len(COLUMNS)))
+    values[:, COLUMNS.index("time_s")] = np.arange(rows) / RECORD_HZ
+    values[:, COLUMNS.index("vehicle_speed_m_s")] = speed_m_s
+    values[50, COLUMNS.index("sliding_1_m_s")] = speed_m_s - 20.0
     folder.mkdir()
-    writer = Channels(folder)
+    writer = Channels(folder, COLUMNS)
     writer.add(values)
     writer.finish()
     (folder / "scenario.toml").write_text('title = "a run"\n')
@@ -66,3 +68,8 @@ def test_a_difference_has_its_largest_value_with_its_time_and_its_root_mean_squa
     assert sliding["rms"] == pytest.approx(0.03)
     assert by_channel["vehicle_speed_m_s"]["rms"] == pytest.approx(0.3)
     assert by_channel["sliding_2_m_s"]["largest"] == 0.0
+
+
+def test_a_tolerance_for_a_channel_that_the_first_run_has_not_is_refused(folders, capsys):
+    assert cli.main(["compare", *folders, "--tolerance", "sliding_5_m_s=0.1"]) == 2
+    assert "no unit or channel is called 'sliding_5_m_s'" in capsys.readouterr().err

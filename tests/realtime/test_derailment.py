@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import derailment, free, scenario, tick_data
 from rollerrig.realtime.campaign import campaign, stops_in_lanes
@@ -14,6 +15,8 @@ from rollerrig.rig.multibody import coach_state
 from rollerrig.rig.state import SIZE
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.events import Code
+
+TABLE = signals.table(COACH)
 
 SETTINGS = ("vehicle.model=multibody", "rig=plain_track")
 # the coach's velocities: six a body, of which the second is lateral; body 5 is the third wheelset
@@ -27,7 +30,7 @@ class Rows:
 
     def __init__(self):
         self.header = np.zeros(16, dtype=np.int64)
-        self.rows = np.zeros((1000, len(signals.COLUMNS)))
+        self.rows = np.zeros((1000, len(TABLE.columns)))
 
 
 @pytest.fixture
@@ -46,7 +49,7 @@ def watch():
     def on_event(code, /, **fields):
         events_seen.append(events.make(0.0, code, **fields))
 
-    return derailment.Watch(on_event, lambda: stopped.append(True)), events_seen, stopped
+    return derailment.Watch(4, on_event, lambda: stopped.append(True)), events_seen, stopped
 
 
 def test_a_wheelset_that_is_thrown_over_its_flange_is_reported_once_and_the_run_ends(coach, watch):
@@ -71,7 +74,7 @@ def test_a_wheelset_that_is_thrown_over_its_flange_is_reported_once_and_the_run_
 
 
 def test_a_stop_of_a_campaign_ends_where_the_coach_derails_and_is_not_valid(coach):
-    memory = ring.Memory(4000, len(signals.COLUMNS))
+    memory = ring.Memory(4000, TABLE)
     stop = free.Stop(coach.plan, tick_data.build(coach.plan, memory))
     stop.advance(500)
     coach_state.views(stop.data.buffer[SIZE:]).v[LATERAL_OF_WHEELSET_3] = 12.0

@@ -18,6 +18,7 @@ from chromium import browsing
 from desk_process import FREE_PORTS, TABULATOR, Page, served
 
 from rollerrig.configs.errors import BusError, ConfigError
+from rollerrig.configs.vehicle import ALLOWED_AXLES, COACH, Kind
 from rollerrig.firmware_sim.modbus.map import State
 from rollerrig.realtime.loop import ring
 from rollerrig.wsp_interface import signals
@@ -40,19 +41,22 @@ import numpy as np
 from rollerrig.realtime.loop import ring
 if len(sys.argv) > 1:
     ring.folder = lambda: Path(sys.argv[1])
+from rollerrig.configs.vehicle import COACH
 from rollerrig.wsp_interface import signals
-rows = ring.Ring(ring.place("rows"), np.float64, 64, len(signals.COLUMNS))
+rows = ring.Ring(ring.place("rows"), np.float64, 64, len(signals.table(COACH).columns))
 events = ring.Ring(ring.place("events"), np.int64, 64, ring.EVENT_WORDS)
 print("there", flush=True)
 time.sleep(900)
 """
+COLUMNS = signals.table(COACH).columns
+SHOWN = reader.columns_of(signals.table(COACH)).names
 PATIENCE = 1200  # tries of 0.1 s each: a first run compiles, perhaps on a busy machine
 
 
 @pytest.fixture
 def rings():
     """The rings of rows and events, as a bench makes them; this process is their writer."""
-    rows = ring.Ring(ring.place("rows"), np.float64, 4096, len(signals.COLUMNS))
+    rows = ring.Ring(ring.place("rows"), np.float64, 4096, len(COLUMNS))
     events = ring.Ring(ring.place("events"), np.int64, 256, ring.EVENT_WORDS)
     yield rows, events
     rows.unlink()
@@ -60,15 +64,36 @@ def rings():
 
 
 def row(time_s, **values):
-    """A row of all signals: zeros except for its time and these values."""
-    signals_row = np.zeros(len(signals.COLUMNS))
-    signals_row[signals.column("time")] = time_s
+    """A recorded row: zeros except for its time and these values, those of axle 1."""
+    table = signals.table(COACH)
+    recorded = np.zeros(len(COLUMNS))
+    recorded[COLUMNS.index("time_s")] = time_s
     for name, value in values.items():
-        signals_row[signals.column(name)] = value
-    return signals_row
+        recorded[COLUMNS.index(signals.columns(table.by_name[name])[0])] = value
+    return recorded
 
 
 # -- reading a bench
+
+
+def test_a_bench_of_any_vehicle_is_recognised_by_the_width_of_its_rows():
+    kinds = [table.kind for table in reader._tables().values()]
+    assert len(kinds) == len(set(kinds)) == 4 * len(ALLOWED_AXLES)
+    for kind in kinds:
+        columns = signals.table(kind).columns
+        rows = ring.Ring(ring.place("rows"), np.float64, 8, len(columns))
+        events = ring.Ring(ring.place("events"), np.int64, 8, ring.EVENT_WORDS)
+        try:
+            (bench,) = reader.running(lambda pid: pid == os.getpid())
+            rows.push(np.arange(len(columns), dtype=float))
+            bench.poll()
+        finally:
+            rows.unlink()
+            events.unlink()
+        assert bench.table.kind == kind
+        name = f"valve_{kind.axles}"
+        assert bench.value("valve", kind.axles) == columns.index(name)
+        assert math.isnan(bench.value("valve", kind.axles + 1))
 
 
 def test_no_spike_is_lost_in_the_points_that_a_page_receives(rings):
@@ -83,7 +108,7 @@ def test_no_spike_is_lost_in_the_points_that_a_page_receives(rings):
     bench.poll()
 
     recent = np.array(bench.since(0))
-    sliding = reader.COLUMNS.index("sliding_1_m_s")
+    sliding = SHOWN.index("sliding_1_m_s")
     for points in (recent, bench.whole):
         assert points[:, sliding].max() == spike_m_s
         assert points[:, sliding].min() == -spike_m_s
@@ -157,7 +182,7 @@ def test_the_reader_has_the_speed_that_a_sensor_shows_at_the_rim_of_its_wheel(ri
             )
         )
     bench.poll()
-    column = reader.COLUMNS.index("measured_rim_speed_1_m_s")
+    column = SHOWN.index("measured_rim_speed_1_m_s")
     assert bench.newest[column] == pytest.approx(30.0 * radius_m)
     assert bench.whole[0, column] == pytest.approx(60.0 * radius_m)
 
@@ -193,7 +218,7 @@ def test_alarms_belong_to_their_run(rings, tmp_path):
     assert alarm.run == first.name
 
     rows.close()
-    later = ring.Ring(ring.place("rows"), np.float64, 64, len(signals.COLUMNS))
+    later = ring.Ring(ring.place("rows"), np.float64, 64, len(COLUMNS))
     later_events = ring.Ring(ring.place("events"), np.int64, 64, ring.EVENT_WORDS)
     try:
         (second,) = reader.running(lambda pid: pid == os.getpid())
@@ -215,8 +240,12 @@ def test_a_new_report_replaces_no_earlier_one(tmp_path):
 
 def test_each_axle_has_a_kind_of_line_besides_its_colour_and_each_plot_a_least_range():
     kinds = {str(dashes) for dashes in colours.AXLE_DASHES}
-    assert len(kinds) == len(colours.AXLES)
-    for plot in live._PLOTS:
+    assert len(kinds) == COACH.axles
+    assert len(set(colours.AXLES)) == len(colours.AXLES)
+    of_all_brakes = Kind(6, dynamic_brake=True, magnetic_track_brake=True)
+    plots = live.plots_of(reader.columns_of(signals.table(of_all_brakes)))
+    assert len(plots) == 7
+    for plot in plots:
         assert plot.least > 0.0
         # lines of one plot that share a colour have different kinds
         looks = set()
@@ -439,24 +468,45 @@ def test_scenario_files_are_in_the_folder_of_the_desk_or_in_an_allowed_one(tmp_p
     assert prepared(one, allowed)[-1] == allowed
 
 
-def test_another_kind_of_vehicle_is_refused_with_the_command_that_starts_a_desk_for_it(tmp_path):
+def test_the_page_shows_the_vehicle_of_the_scenario_until_there_is_a_bench(rings, tmp_path):
     one = desk.Desk(tmp_path, own=True)
+    assert one.table.kind == COACH
     (tmp_path / "mine.toml").write_text('vehicle = "bogie_module"\n')
-    refusal = (
-        "its vehicle has {}, and this desk shows vehicles with 4 axles and friction brakes only"
-    )
-    for scenario, kind in (
-        ("tram_low_dynamic", "6 axles and dynamic brake"),
-        ("multiple_unit_low", "8 axles and friction brakes only"),
-        ("mine.toml", "2 axles and friction brakes only"),
+    for scenario, settings, kind in (
+        ("tram_low_dynamic", (), Kind(6, dynamic_brake=True)),
+        ("multiple_unit_low", (), Kind(8)),
+        ("mine.toml", (), Kind(2)),
+        ("velim_a1", (), COACH),
+        ("velim_a1", ("vehicle=bogie_module",), Kind(2)),
+        # the bench reports what is wrong
+        ("there_is_none", (), Kind(2)),
     ):
-        with pytest.raises(ConfigError) as refused:
-            prepared(one, scenario)
-        assert refusal.format(kind) in str(refused.value)
-        assert f"start a desk for it: rollerrig desk --scenario {scenario}" in str(refused.value)
-    with pytest.raises(ConfigError, match="write it into a scenario file"):
-        prepared(one, more="vehicle=bogie_module")
-    assert one.programs == []
+        one.show_vehicle_of(scenario, settings)
+        assert one.table.kind == kind
+    assert "tram_low" in prepared(one, "tram_low")
+    assert one.table.kind == Kind(6)
+    (bench,) = reader.running(lambda pid: pid == os.getpid())
+    one._follow(bench)
+    assert one.table.kind == COACH
+
+
+def test_the_parts_of_the_page_follow_the_vehicle(tmp_path):
+    one = desk.Desk(tmp_path, own=True)
+
+    async def play(user):
+        await user.should_see(marker="friction-4", retries=50)
+        await user.should_not_see(marker="friction-5", retries=50)
+        one.show_vehicle_of("tram_emergency_magnetic")
+        await user.should_see(marker="friction-6", retries=50)
+        faults = user.find(kind=ui.select, marker="fault").elements.pop().options
+        assert "track_brake_dead" in faults
+        assert "dynamic_brake_lost" not in faults
+        one.show_vehicle_of("bogie_low")
+        await user.should_not_see(marker="friction-3", retries=50)
+        faults = user.find(kind=ui.select, marker="fault").elements.pop().options
+        assert "track_brake_dead" not in faults
+
+    simulated(one, play)
 
 
 def test_text_of_the_page_cannot_become_an_option(tmp_path):

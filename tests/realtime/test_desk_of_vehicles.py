@@ -132,3 +132,27 @@ def test_the_desk_shows_the_magnets_of_each_bogie_on_the_rail(tmp_path):
         check_axles(desk_page, ("Magnets: force",))
         demand(desk_page, "0.00")
         until(lambda: magnets_on_the_rail(desk_page) == [], "all magnets raised")
+
+
+def wheels(desk_page):
+    return desk_page.browser.execute_script(
+        "return document.querySelectorAll('[id^=desk-wheel-]').length;"
+    )
+
+
+@pytest.mark.nightly
+def test_one_desk_runs_a_bogie_and_then_a_coach(tmp_path):
+    with served(tmp_path) as one, browsing() as browser:
+        browser.get(one.address)
+        desk_page = Page(browser)
+        until(lambda: wheels(desk_page) == 4, "the coach")
+        for vehicle, axles in (("bogie_module", 2), ("uic_z1", 4)):
+            desk_page.prepare(f"{GENTLE} vehicle={vehicle}")
+            desk_page.click("Start")
+            desk_page.shows(": running")
+            until(lambda: wheels(desk_page) == axles, vehicle)  # noqa: B023
+            until(lambda: browser.execute_script("return desk.rows.length;"), "rows")
+            columns = browser.execute_script("return desk.settings.columns;")
+            assert f"valve_{axles}" in columns
+            assert f"valve_{axles + 1}" not in columns
+            desk_page.end()

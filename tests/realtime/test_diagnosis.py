@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from rollerrig.configs import store
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
@@ -18,6 +19,7 @@ from rollerrig.wsp_interface import diagnosis, signals
 from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
 from rollerrig.wsp_interface.events import Code
 
+TABLE = signals.table(COACH)
 STOPS = ("velim_a1", "velim_a2", "velim_a3", "velim_b1", "velim_b2", "velim_b3")
 VENT_AXLE_2 = 0b1100  # hold and vent magnet of axle 2
 WSP_CODES = (
@@ -32,12 +34,12 @@ WSP_CODES = (
 def diagnosed(rows):
     """Return the diagnosis of the samples of a stop, and its events as (code, fields)."""
     found = []
-    one = Diagnosis(lambda code, /, **fields: found.append((code, fields)))
+    one = Diagnosis(COACH, lambda code, /, **fields: found.append((code, fields)))
     columns = [
         rows[:, signals.column("time")].tolist(),
         rows[:, signals.column("vehicle_speed")].tolist(),
-        rows[:, signals.span("sliding")].tolist(),
-        rows[:, signals.span("valve")].tolist(),
+        rows[:, TABLE.span("sliding")].tolist(),
+        rows[:, TABLE.span("valve")].tolist(),
         rows[:, signals.column("wsp_reference_speed")].tolist(),
         rows[:, signals.column("brake_demand")].tolist(),
     ]
@@ -95,8 +97,8 @@ def test_a_unit_that_keeps_a_vent_open_after_the_slide_is_found_and_the_time_is_
 def findings_of_axle_1(sliding_m_s, valves):
     """Return the findings when the valve of axle 1 does this and the axle slides so much."""
     found = []
-    one = Diagnosis(lambda code, /, **fields: found.append(code))
-    still = [0.0] * (signals.AXLES - 1)
+    one = Diagnosis(COACH, lambda code, /, **fields: found.append(code))
+    still = [0.0] * (COACH.axles - 1)
     for cycle, (sliding, valve) in enumerate(zip(sliding_m_s, valves, strict=True)):
         one.look(
             Sample(
@@ -143,7 +145,7 @@ def test_a_wheel_that_slips_in_either_direction_slides(sliding_m_s):
 @pytest.mark.parametrize(("sliding", "swaps"), [((2,), [(1, 2)]), ((2, 3), [])])
 def test_swapped_axles_are_reported_only_where_one_other_axle_slides_unprotected(sliding, swaps):
     found = []
-    one = Diagnosis(lambda code, /, **fields: found.append((code, fields)))
+    one = Diagnosis(COACH, lambda code, /, **fields: found.append((code, fields)))
     for cycle in range(300):
         one.look(
             Sample(
@@ -235,7 +237,7 @@ def recorded_with(faults, folder):
         words += ["--set", setting]
     run = bench_process.run(folder, "--pacing", "free", *words).record
     events = [event for event in run.events if event.code in WSP_CODES]
-    return events, diagnosed(records.rows(run.table))[1]
+    return events, diagnosed(records.rows(run.table, run.signal_table))[1]
 
 
 def test_what_a_known_fault_explains_is_not_diagnosed_as_wiring_or_diameters(tmp_path):
@@ -250,10 +252,10 @@ def test_what_a_known_fault_explains_is_not_diagnosed_as_wiring_or_diameters(tmp
 
 def test_a_fault_explains_its_axle_until_the_axle_no_longer_slides():
     found = []
-    one = Diagnosis(lambda code, /, **fields: found.append((code, fields["axle"])))
-    still = [0.0] * (signals.AXLES - 1)
-    stuck = ["vent_magnet_stuck axle=1", *[""] * (signals.AXLES - 1)]
-    nothing = [""] * signals.AXLES
+    one = Diagnosis(COACH, lambda code, /, **fields: found.append((code, fields["axle"])))
+    still = [0.0] * (COACH.axles - 1)
+    stuck = ["vent_magnet_stuck axle=1", *[""] * (COACH.axles - 1)]
+    nothing = [""] * COACH.axles
     # until, valve of axle 1, its sliding, and the faults
     phases = (
         (1.0, 0.0, 0.0, stuck),
@@ -293,7 +295,7 @@ def test_a_fault_explains_its_axle_until_the_axle_no_longer_slides():
     ],
 )
 def test_a_fault_explains_the_axles_whose_valves_or_reference_it_falsifies(fault, axles):
-    assert catalogue.parse(fault, "fault").explains == axles
+    assert catalogue.parse(fault, COACH).explains == axles
 
 
 def test_the_events_of_a_sealed_rig_do_not_show_its_swapped_axles(tmp_path):
@@ -306,5 +308,5 @@ def test_the_events_of_a_sealed_rig_do_not_show_its_swapped_axles(tmp_path):
     run = bench_process.run(tmp_path / "run", *words, scenario=str(file)).record
     assert [event for event in run.events if event.code in WSP_CODES] == []
     # the axles are swapped all the same
-    one, _ = diagnosed(records.rows(run.table))
+    one, _ = diagnosed(records.rows(run.table, run.signal_table))
     assert one.wrong_axle_s > 10.0

@@ -13,7 +13,7 @@ def drifts(*settings):
     """Return the drifts of a short stop at mu_cd = 0.04."""
     all_settings = ("initial_speed_m_s=15.0", "adhesion.mu_cd=0.04", *settings)
     plan = scenario.load("velim_a1", settings=all_settings)
-    channels = pa.table(free.channels(free.simulate(plan)))
+    channels = pa.table(free.channels(free.simulate(plan), plan.table))
     return compare.drifts(records.Run(Path("run"), channels, plan.resolved, [], {}))
 
 

@@ -12,6 +12,7 @@ from bench_process import BenchProcess
 from generator import diagnoses
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import free, scenario
@@ -362,8 +363,9 @@ def test_every_cause_of_wheel_and_contact_becomes_keys_that_run_in_batch(name, t
     keys = tomllib.loads(model.read_text()).get("mechanisms", {})
     settings = ("initial_speed_m_s=6.0",)
     plan = scenario.load("velim_a1", str(model), settings)
-    extended = free.channels(free.simulate(plan))
-    plain = free.channels(free.simulate(scenario.load("velim_a1", settings=settings)))
+    extended = free.channels(free.simulate(plan), plan.table)
+    without = scenario.load("velim_a1", settings=settings)
+    plain = free.channels(free.simulate(without), without.table)
     differs = not np.array_equal(extended["wheel_speed_2_rad_s"], plain["wheel_speed_2_rad_s"])
     if name == "speed_sensor_delay":
         assert keys == {}
@@ -407,7 +409,7 @@ def test_friction_of_the_contaminant_alone_is_reported_in_words_and_does_not_cha
 
 def test_a_late_speed_sensor_is_noted_with_the_fault_that_does_it_on_the_bus() -> None:
     text = extended_model.toml(diagnosis_of(CAUSES["speed_sensor_delay"]))
-    fault = catalogue.parse(re.search(r"--fault '([^']+)'", text).group(1))
+    fault = catalogue.parse(re.search(r"--fault '([^']+)'", text).group(1), COACH)
     assert fault.values["delay_s"] == pytest.approx(0.025)
     assert fault.values["can_id"] == 0x190  # speeds of all axles
     on_one_axle = CAUSES["speed_sensor_delay"]._replace(axle=2)
@@ -430,7 +432,7 @@ def test_an_extended_model_is_the_same_plant_in_batch_and_in_the_bench(tmp_path)
     )
     assert bench.finish().status == 0, bench.stderr
     plan = scenario.load("velim_a1", str(model), settings)
-    batch = free.channels(free.simulate(plan))
+    batch = free.channels(free.simulate(plan), plan.table)
     run = bench.record
     assert run.column("transition_1").max() > 0.0
     for name in (

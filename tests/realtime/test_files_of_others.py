@@ -20,12 +20,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime import cli
 from rollerrig.realtime.commands import check
 from rollerrig.realtime.desk import library
 from rollerrig.realtime.record import channels, records, run_folder
 from rollerrig.realtime.reports import page, pdf
 from rollerrig.rig.identify.data import mdf
+from rollerrig.wsp_interface import signals
 
 # address space and resident memory of the child process; its libraries need about 300 MB
 ADDRESS_SPACE_BYTES = 6_000_000_000
@@ -357,7 +359,7 @@ def test_the_files_of_a_run_are_read_only_from_its_folder(tmp_path):
     (other / run_folder.SCENARIO).write_text(SCENARIO)
     (other / run_folder.SUMMARY).write_text("{}")
     (other / run_folder.EVENTS).write_text("")
-    channels.Channels(other).finish()
+    channels.Channels(other, signals.table(COACH).columns).finish()
     assert records.load(other).summary == {}
 
     for name in (run_folder.SCENARIO, run_folder.CHANNELS, run_folder.SUMMARY, run_folder.EVENTS):

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.firmware_sim.wsp.phases import Phase
 from rollerrig.realtime.bench import scenario, tick_data
@@ -11,6 +12,8 @@ from rollerrig.realtime.loop.held_rig import HOLDING, RELEASED, RUNNING
 from rollerrig.realtime.loop.tick import HELD, HOLD, TICK
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface import signals
+
+TABLE = signals.table(COACH)
 
 
 @pytest.fixture
@@ -22,7 +25,7 @@ def initial_m_s():
 def machine(request, initial_m_s):
     settings = (f"rig={request.param}", f"initial_speed_m_s={initial_m_s}")
     plan = scenario.load("velim_a1", settings=settings)
-    rows = ring.Ring(ring.place("held"), np.float64, 1 << 8, len(signals.COLUMNS))
+    rows = ring.Ring(ring.place("held"), np.float64, 1 << 8, len(TABLE.columns))
     made = tick_data.build(plan, rows)
     made.control[HOLD] = HOLDING
     yield made
@@ -32,7 +35,7 @@ def machine(request, initial_m_s):
 
 def published(machine):
     """The row of all signals that the tick published last."""
-    row = np.zeros(len(signals.COLUMNS))
+    row = np.zeros(signals.WIDTH)
     mailbox.fetch(machine.published, row)
     return row
 
@@ -42,10 +45,10 @@ def test_it_rolls_without_sliding_at_its_set_speed_and_time_stands_still(machine
         held_rig.roll(machine)
     row = published(machine)
     assert row[signals.column("vehicle_speed")] == 10.0
-    assert row[signals.span("wheel_circumferential_speed")] == pytest.approx([10.0] * 4)
-    assert row[signals.span("sliding")] == pytest.approx([0.0] * 4, abs=1e-9)
-    assert row[signals.span("wheel_angle")] == pytest.approx(
-        0.05 * row[signals.span("wheel_speed")], rel=1e-9
+    assert row[TABLE.span("wheel_circumferential_speed")] == pytest.approx([10.0] * 4)
+    assert row[TABLE.span("sliding")] == pytest.approx([0.0] * 4, abs=1e-9)
+    assert row[TABLE.span("wheel_angle")] == pytest.approx(
+        0.05 * row[TABLE.span("wheel_speed")], rel=1e-9
     )
     assert row[signals.column("time")] == 0.0
     assert row[signals.column("position")] == 0.0
@@ -97,7 +100,7 @@ class HeldWithUnit:
         self.machine = machine
         self.unit = logic.new_unit(logic.load())
         self.ticks_a_cycle = round(self.unit.params.cycle_s / machine.params.tick_s)
-        place = signals.BY_NAME["measured_speed"].places[0]
+        place = TABLE.by_name["measured_speed"].places[0]
         self.counts_a_rad_s = 1.0 / place.scale
         self.counts = np.zeros(4, dtype=np.int64)
 
@@ -110,7 +113,7 @@ class HeldWithUnit:
             self.unit,
             self.ticks_a_cycle,
             self.counts_a_rad_s,
-            signals.span("measured_speed").start,
+            TABLE.span("measured_speed").start,
             self.counts,
         )
 
@@ -156,7 +159,7 @@ def test_a_held_rig_has_not_settled_as_soon_as_another_speed_is_set(machine):
 @pytest.mark.parametrize("slowed_m_s", [3.0, 15.0, 30.0])
 def test_after_an_emergency_stop_a_held_rig_settles_no_earlier_than_the_unit(slowed_m_s):
     plan = scenario.load("velim_a1", settings=("initial_speed_m_s=40",))
-    rows = ring.Ring(ring.place("held"), np.float64, 1 << 8, len(signals.COLUMNS))
+    rows = ring.Ring(ring.place("held"), np.float64, 1 << 8, len(TABLE.columns))
     machine = tick_data.build(plan, rows)
     machine.control[HOLD] = HOLDING
     held = HeldWithUnit(machine)

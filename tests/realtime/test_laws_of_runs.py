@@ -9,9 +9,9 @@ import itertools
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.wsp_interface.signals import AXLES
 
 RIGS = {
     "rollers": ("rig=full_scale",),
@@ -42,7 +42,7 @@ class Record:
         self.plan = scenario.load("velim_a1", settings=settings)
         # a run without a unit has other kernels, which take long to compile for the coach in 3D
         protects = IDLE if unit == "none" else unit
-        self.columns = free.channels(free.simulate(self.plan, protects))
+        self.columns = free.channels(free.simulate(self.plan, protects), self.plan.table)
         self.time_s = self.columns["time_s"]
         self.speed_m_s = self.columns["vehicle_speed_m_s"]
         vehicle = self.plan["vehicle"]
@@ -60,7 +60,7 @@ class Record:
     def axles(self, name, unit=""):
         suffix = f"_{unit}" if unit else ""
         columns = []
-        for axle in range(1, AXLES + 1):
+        for axle in range(1, COACH.axles + 1):
             columns.append(self.columns[f"{name}_{axle}{suffix}"])
         return np.column_stack(columns)
 
@@ -112,7 +112,7 @@ def test_brake_and_contact_change_the_angular_momentum_of_each_wheelset(record):
     vehicle = record.plan["vehicle"]
     contact_Nm = vehicle["wheel_radius_m"] * record.contact_N
     angular_Nms = vehicle["wheelset_inertia_kgm2"] * record.wheel_rad_s
-    for axle in range(AXLES):
+    for axle in range(COACH.axles):
         driven_Nms = record.integral(contact_Nm[:, axle])
         braked_Nms = record.integral(record.axles("brake_torque", "Nm")[:, axle])
         assert braked_Nms > 1000.0
@@ -139,7 +139,7 @@ def test_motor_and_brake_change_the_momentum_of_each_wheelset_with_its_roller(re
     wheel_kg_m_s = vehicle["wheelset_inertia_kgm2"] / wheel_radius_m * wheel_rad_s
     motor_N = record.axles("motor_torque", "Nm") / roller_radius_m
     brake_N = record.axles("brake_torque", "Nm") / wheel_radius_m
-    for axle in range(AXLES):
+    for axle in range(COACH.axles):
         locks = np.append(np.flatnonzero(record.wheel_rad_s[:, axle] <= 0.0), len(record.time_s))[0]
         turns = slice(0, locks)
         time_s = record.time_s[turns]

@@ -15,6 +15,7 @@ import paced_writer
 import pytest
 from rerun.experimental import ViewerClient
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.telemetry import live, recorder, viewer, views
 from rollerrig.wsp_interface import signals
@@ -129,7 +130,7 @@ def run(tmp_path, monkeypatch):
     (tmp_path / "scenario.toml").write_text(paced_writer.SCENARIO)
     rings = paced_writer.rings()
     rows, _, events = rings
-    live_run = LiveRun(rings, live.start(tmp_path, rows, events))
+    live_run = LiveRun(rings, live.start(tmp_path, COACH, rows, events))
     live_run.wait_for_heartbeat()
 
     yield live_run
@@ -262,7 +263,7 @@ def test_a_feed_drops_the_oldest_rows_when_too_many_have_accumulated():
     rings = paced_writer.rings(8192)
     rows, _, events = rings
     try:
-        feed = live.Feed(rows, events, record_hz=100.0)
+        feed = live.Feed(paced_writer.TABLE, rows, events, record_hz=100.0)
         for number in range(3000):
             paced_writer.write(rings, number)
 

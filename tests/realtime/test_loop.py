@@ -7,18 +7,21 @@ import time
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime.bench import bench, scenario, tick_data
 from rollerrig.realtime.loop import clock, loop, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK, WORST_NS
 from rollerrig.wsp_interface import signals
 
+TABLE = signals.table(COACH)
+
 MS = 1_000_000
 
 
 def built(folder, duration_s):
     """The tick data of a stop that lasts at most this time."""
-    ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(signals.COLUMNS))
+    ring = rings.Ring(folder / "rows", np.float64, 1 << 12, len(TABLE.columns))
     plan = scenario.load("velim_a1", settings=(f"duration_max_s={duration_s}",))
     return tick_data.build(plan, ring)
 
@@ -165,7 +168,7 @@ def test_without_a_requested_priority_or_core_nothing_changes():
 def test_a_sample_has_the_worst_lateness_since_the_last_sample(machine):
     tick_data.warm_up(machine, "wall")
     wall(machine, time.monotonic_ns() - 15 * MS)
-    rows = machine.ring_rows[: machine.ring_header[rings.WRITTEN]]
+    rows = TABLE.rows_of_all(machine.ring_rows[: machine.ring_header[rings.WRITTEN]])
     late_us = rows[:, signals.column("tick_lateness")]
     # the first tick is due 1 ms after the beginning; the worst of all may come after the last row
     assert 14_000 <= late_us.max() <= machine.control[WORST_NS] / 1000.0 + 1e-3

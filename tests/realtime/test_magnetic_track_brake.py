@@ -1,7 +1,4 @@
-"""The magnetic track brake of a tram: laws over whole runs, from the recorded channels alone.
-
-A process simulates one kind of vehicle, so each run is a process.
-"""
+"""The magnetic track brake of a tram: laws over whole runs, from the recorded channels alone."""
 
 import json
 import tomllib
@@ -9,39 +6,21 @@ import tomllib
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import BOTH_BRAKES, python, rollerrig
+from program import BOTH_BRAKES, rollerrig
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import COACH, MOST_AXLES, Kind
+from rollerrig.firmware_sim import io401
 from rollerrig.rig import params, track_brake_params
 from rollerrig.wsp_interface import signals
 
-# they share the servers of programs of these vehicles, and runs
+# they share runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
 SCENARIOS = [BOTH_BRAKES, pytest.param("tram_emergency_magnetic", marks=pytest.mark.nightly)]
 WITHIN = 1e-3  # relative difference of two balances
 AXLES = range(1, 7)
-EQUIPPED = {
-    "ROLLERRIG_AXLES": "6",
-    "ROLLERRIG_EQUIPMENT": "dynamic_brake,magnetic_track_brake",
-}
 RAISED = "magnetic_track_brake.emergency_pressure_Pa=inf"
-
-# run in a process with the equipment: the objects of node 17, and a command over the bus
-NODE_PROGRAM = """
-import numpy as np
-from rollerrig.firmware_sim import io401
-from rollerrig.firmware_sim.cia301.objects import key
-from rollerrig.wsp_interface import signals
-
-magnets = np.zeros(6)
-row = np.zeros(len(signals.COLUMNS))
-node = io401.build(row, np.zeros(io401.COMMANDS), group=1, track_brake=magnets)
-node.objects.download(0x6200, 2, b"\\x01")
-print(magnets.tolist())
-node.device.fail_safe("a test")
-print(magnets.tolist())
-"""
 
 
 def run(scenario, folder, *words):
@@ -165,16 +144,24 @@ def test_below_the_cut_off_speed_the_magnets_are_switched_off(scenario, tmp_path
 
 
 def test_node_17_of_each_group_switches_its_magnets_and_loses_them_with_its_unit():
-    done = python("-c", NODE_PROGRAM, **EQUIPPED)
-    assert done.status == 0, done.messages
-    on, failed = done.printed.splitlines()
+    table = signals.table(Kind(6, magnetic_track_brake=True))
+    magnets = np.zeros(MOST_AXLES)
+    node = io401.build(
+        table,
+        np.zeros(signals.WIDTH),
+        np.zeros(io401.COMMANDS),
+        group=1,
+        track_brake=magnets,
+    )
+    node.objects.download(0x6200, 2, b"\x01")
     # the second group has axles 5 and 6
-    assert on == "[0.0, 0.0, 0.0, 0.0, 1.0, 1.0]"
-    assert "1.0" not in failed
+    assert np.flatnonzero(magnets).tolist() == [4, 5]
+    node.device.fail_safe("a test")
+    assert not magnets.any()
 
 
 def test_a_vehicle_without_magnets_has_no_channel_of_them():
-    assert not [name for name in signals.COLUMNS if name.startswith("track_brake")]
+    assert not [name for name in signals.table(COACH).columns if name.startswith("track_brake")]
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from rerun.chunk import RrdReader
 
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.realtime.bench import processes
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
@@ -123,7 +124,7 @@ def test_reading_a_killed_run_back_adds_what_the_file_did_not_yet_hold(run):
     if run.recorder_was_killed:
         # the tail has all rows since the start of the run
         tail_bytes = (run.folder / "channels.tail").stat().st_size
-        rows_in_tail = tail_bytes // (8 * len(signals.COLUMNS))
+        rows_in_tail = tail_bytes // (8 * paced_writer.WIDTH)
     assert len(time_s) == max(rows_in_file, rows_in_tail)
     assert time_s[-1] >= run.written_s - 1.0
     assert np.allclose(np.diff(time_s), 0.01)
@@ -170,7 +171,7 @@ def recording(folder):
     """Yield rings that this process writes, and the recorder that drains them into a folder."""
     (folder / "scenario.toml").write_text(paced_writer.SCENARIO)
     to = paced_writer.rings()
-    process = processes.record(folder, *to)
+    process = processes.record(folder, COACH, *to)
     try:
         yield to, process
     finally:
@@ -209,8 +210,9 @@ def test_a_finished_run_is_recorded_whole(finished):
     folder = finished
     run = records.load(folder)
     expected = np.array([paced_writer.row(number) for number in range(1000)])
-    assert run.table.column_names == list(signals.COLUMNS)
-    assert np.array_equal(records.rows(run.table), expected)
+    assert run.table.column_names == list(paced_writer.TABLE.columns)
+    rows = records.rows(run.table, paced_writer.TABLE)
+    assert np.array_equal(rows[:, paced_writer.TABLE.kept], expected)
     assert len((folder / "can.log").read_text().splitlines()) == 2000
     assert len(run.events) == 40
     assert run.summary["ended"] == "finished"
@@ -264,11 +266,34 @@ def test_the_recording_holds_the_values_of_the_channels(finished):
         found["/speeds/vehicle_speed"][:, 0], 3.6 * np.array(table["vehicle_speed_m_s"])
     )  # km/h
     assert found["/adhesion/adhesion_2"][:, 0].tolist() == table["adhesion_2"].to_pylist()
-    for axle in range(signals.AXLES):
+    for axle in paced_writer.TABLE.axles:
         assert (
-            found["/sliding/sliding"][:, axle].tolist()
-            == table[f"sliding_{axle + 1}_m_s"].to_pylist()
+            found["/sliding/sliding"][:, axle - 1].tolist()
+            == table[f"sliding_{axle}_m_s"].to_pylist()
         )
+
+
+def test_the_recorder_gets_the_vehicle_from_the_bench_and_not_from_the_scenario_file(tmp_path):
+    (tmp_path / "scenario.toml").write_text("this is no TOML")
+    kind = Kind(6, magnetic_track_brake=True)
+    columns = signals.table(kind).columns
+    to = paced_writer.rings(width=len(columns))
+    process = processes.record(tmp_path, kind, *to)
+    try:
+        assert processes.wait_ready(process, to[0])
+        for number in range(100):
+            values = np.zeros(len(columns))
+            values[columns.index("time_s")] = number / 100.0
+            to[0].push(values)
+        finish(to, process)
+    finally:
+        process.kill()
+        process.wait()
+        for one in to:
+            one.unlink()
+    assert pq.read_table(tmp_path / "channels.parquet").column_names == list(columns)
+    assert len(json.loads((tmp_path / "summary.json").read_text())["axles"]) == 6
+    assert last_drawn_s(tmp_path / "run.rrd") == 0.99
 
 
 def test_rows_that_were_overrun_are_counted_and_reported(begun):

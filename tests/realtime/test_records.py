@@ -7,12 +7,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.realtime.record import channels, records
 from rollerrig.realtime.record.channels import Channels
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, Event, make
-from rollerrig.wsp_interface.signals import COLUMNS
 
+TABLE = signals.table(COACH)
+COLUMNS = TABLE.columns
 RECORD_HZ = 100.0
 UNIT_LOST = make(1.5, Code.UNIT_LOST, node=32, silent_s=0.2)
 
@@ -20,7 +22,7 @@ UNIT_LOST = make(1.5, Code.UNIT_LOST, node=32, silent_s=0.2)
 def some_rows(first, count):
     """Return rows `first` to `first + count - 1` of a run: rising times and random values."""
     rows = np.random.default_rng(first).normal(size=(count, len(COLUMNS)))
-    rows[:, signals.column("time")] = np.arange(first, first + count) / RECORD_HZ
+    rows[:, COLUMNS.index("time_s")] = np.arange(first, first + count) / RECORD_HZ
     return rows
 
 
@@ -31,13 +33,13 @@ def rows_in_file(folder):
 
 def rows_read_from(folder):
     """Return the rows of the file and of the tail, shape (n, columns)."""
-    return records.rows(channels.load(folder))
+    return records.rows(channels.load(folder), TABLE)[:, TABLE.kept]
 
 
 @pytest.fixture
 def folder(tmp_path):
     """The folder of a run with 300 rows and one event."""
-    writer = Channels(tmp_path)
+    writer = Channels(tmp_path, COLUMNS)
     writer.add(some_rows(0, 300))
     writer.finish()
     (tmp_path / "scenario.toml").write_text('title = "a run"\n[loop]\ntick_hz = 1000\n')
@@ -47,23 +49,52 @@ def folder(tmp_path):
 
 def test_a_run_reads_back_as_it_was_written(folder):
     run = records.load(folder)
-    assert np.array_equal(records.rows(run.table), some_rows(0, 300))
+    assert np.array_equal(records.rows(run.table, TABLE)[:, TABLE.kept], some_rows(0, 300))
     assert run.column("time_s")[-1] == 2.99
     assert run.scenario["loop"]["tick_hz"] == 1000
     assert run.events == [UNIT_LOST]
     assert run.summary == {}
+    assert run.kind == COACH
+
+
+def test_a_run_knows_the_kind_of_its_vehicle_and_its_rows_have_places_for_all_signals(tmp_path):
+    kind = Kind(6, dynamic_brake=True)
+    table = signals.table(kind)
+    values = np.arange(len(table.columns), dtype=float)
+    writer = Channels(tmp_path, table.columns)
+    writer.add(np.array([values]))
+    writer.finish()
+    (tmp_path / "scenario.toml").write_text(
+        "[vehicle]\naxles = 6\n[dynamic_brake]\naxles = [1, 2]\n"
+    )
+    run = records.load(tmp_path)
+    assert run.kind == kind
+    [row] = records.rows(run.table, run.signal_table)
+    assert row.shape == (signals.WIDTH,)
+    for name in ("sliding", "dynamic_torque"):
+        for axle in table.axles:
+            column = signals.columns(table.by_name[name])[axle - 1]
+            assert row[signals.column(name, axle)] == values[table.columns.index(column)]
+    assert np.isnan(row[signals.column("sliding", 7)])
+    assert np.isnan(row[signals.column("track_brake_work")])
+
+
+def test_a_run_of_a_vehicle_that_there_cannot_be_is_refused(folder):
+    (folder / "scenario.toml").write_text("[vehicle]\naxles = 5\n")
+    with pytest.raises(ConfigError, match=r"axles = 5; it must be one of 2, 4"):
+        records.load(folder)
 
 
 # --- channels while a run goes on ---
 
 
 def test_channels_are_readable_from_the_first_moment(tmp_path):
-    Channels(tmp_path)
+    Channels(tmp_path, COLUMNS)
     assert pq.read_table(tmp_path / "channels.parquet").column_names == list(COLUMNS)
 
 
 def test_rows_that_are_only_in_the_tail_are_read_too(tmp_path):
-    writer = Channels(tmp_path)
+    writer = Channels(tmp_path, COLUMNS)
     writer.add(some_rows(0, 10))
     writer.write()
     writer.add(some_rows(10, 7))
@@ -75,7 +106,7 @@ def test_rows_that_are_only_in_the_tail_are_read_too(tmp_path):
 
 
 def test_rows_in_both_file_and_tail_are_read_once(tmp_path):
-    writer = Channels(tmp_path)
+    writer = Channels(tmp_path, COLUMNS)
     writer.add(some_rows(0, 10))
     tail = (tmp_path / "channels.tail").read_bytes()
     writer.write()
@@ -87,7 +118,7 @@ def test_rows_in_both_file_and_tail_are_read_once(tmp_path):
 
 
 def test_an_incomplete_last_row_of_the_tail_is_left_out(tmp_path):
-    writer = Channels(tmp_path)
+    writer = Channels(tmp_path, COLUMNS)
     writer.add(some_rows(0, 10))
     tail = tmp_path / "channels.tail"
     tail.write_bytes(tail.read_bytes()[:-100])
@@ -95,7 +126,7 @@ def test_an_incomplete_last_row_of_the_tail_is_left_out(tmp_path):
 
 
 def test_many_small_blocks_are_read_as_one_table(tmp_path):
-    writer = Channels(tmp_path)
+    writer = Channels(tmp_path, COLUMNS)
     for number in range(500):
         writer.add(some_rows(number, 1))
     writer.finish()
@@ -105,7 +136,7 @@ def test_many_small_blocks_are_read_as_one_table(tmp_path):
 
 
 def test_channels_are_not_written_before_they_are_due(tmp_path):
-    writer = Channels(tmp_path)
+    writer = Channels(tmp_path, COLUMNS)
     writer._due_s += 1000.0
     writer.add(some_rows(0, 10))
     writer.write_if_due()
@@ -119,8 +150,8 @@ def test_channels_are_not_written_before_they_are_due(tmp_path):
 def test_rows_can_be_added_while_a_long_file_is_written_block_by_block(tmp_path, monkeypatch):
     # each call of write_if_due writes one block of 100 rows
     monkeypatch.setattr(channels, "_STEP_S", 0.0)
-    monkeypatch.setattr(channels, "_BLOCK_BYTES", 100 * 8 * len(COLUMNS))
-    writer = Channels(tmp_path)
+    monkeypatch.setattr(channels, "_BLOCK_ROWS", 100)
+    writer = Channels(tmp_path, COLUMNS)
     writer.add(some_rows(0, 250))
     writer._due_s -= 1.0
     writer.write_if_due()

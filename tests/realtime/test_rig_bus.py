@@ -12,6 +12,7 @@ import pytest
 from bench_process import BenchProcess
 
 from rollerrig.configs.errors import BusError
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime.bench import rig_bus, scenario
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.codecs import CODECS
@@ -19,6 +20,8 @@ from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, UNIT_HEARTBEAT_ID
+
+TABLE = signals.table(COACH)
 
 SAVE = b"save"  # the signature in 1010h that stores the parameters
 # requests of SDO as they are on the bus: command specifier, index, sub-index
@@ -39,7 +42,7 @@ class Rig:
         rig_bus.RigBus(
             self.hub,
             plan,
-            np.zeros(len(signals.COLUMNS)),
+            np.zeros(signals.WIDTH),
             lambda row: None,
             events.ignore,
             lambda: 0,
@@ -89,7 +92,7 @@ class WatchedRig:
         self.bus = rig_bus.RigBus(
             hub,
             scenario.load("dry_stop"),
-            np.zeros(len(signals.COLUMNS)),
+            np.zeros(signals.WIDTH),
             lambda row: None,
             report,
             lambda: self.now_ns,

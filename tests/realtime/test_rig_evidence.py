@@ -25,7 +25,7 @@ def stop():
     plan = scenario.load(
         evidence.SLIPPERY, settings=("initial_speed_m_s=20.0", "adhesion.mu_cd=0.04")
     )
-    return plan, free.channels(free.moving(free.simulate(plan)))
+    return plan, free.channels(free.moving(free.simulate(plan)), plan.table)
 
 
 def test_the_losses_of_a_stop_account_for_its_kinetic_energy(stop):

@@ -16,10 +16,13 @@ import pytest
 from fmpy import fmi3
 from fmpy.validation import validate_fmu
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.wsp_interface import signals
+
+TABLE = signals.table(COACH)
 
 SETTINGS = ("--set", "duration_max_s=4")
 AXLES = range(1, 5)
@@ -88,7 +91,8 @@ def test_a_tool_without_python_steps_the_rig_and_gets_the_stop_of_a_free_run(imp
     assert lines[-1] == "end"
     assert not any(line.startswith("log") for line in lines)
     *speeds_m_s, time_s, after_reset_m_s = values(lines)
-    expected = free.channels(free.simulate(scenario.load("velim_a1", settings=SETTINGS[1:]), None))
+    plan = scenario.load("velim_a1", settings=SETTINGS[1:])
+    expected = free.channels(free.simulate(plan, None), plan.table)
     np.testing.assert_allclose(speeds_m_s, expected["vehicle_speed_m_s"][:100], rtol=1e-12)
     assert time_s == 1.0
     assert after_reset_m_s == speeds_m_s[0]
@@ -199,7 +203,7 @@ def test_its_stop_is_that_of_a_free_run(rig, tmp_path):
         return int(logic.cycle(wsp, counts)[0])
 
     plan = scenario.load("velim_a1", settings=SETTINGS[1:])
-    expected = free.channels(free.simulate(plan, magnets))
+    expected = free.channels(free.simulate(plan, magnets), plan.table)
     wsp = logic.new_unit(logic.load())
     description = fmpy.read_model_description(str(rig))
     reference = {one.name: one.valueReference for one in description.modelVariables}
@@ -214,8 +218,8 @@ def test_its_stop_is_that_of_a_free_run(rig, tmp_path):
     fmu.exitInitializationMode()
     # what the unit receives: outputs of the FMU, and the value of one count of each
     outputs = [f"{name}_{axle}" for name in ("wheel_speed", "cylinder_pressure") for axle in AXLES]
-    speed_scale = signals.BY_NAME["measured_speed"].places[0].scale
-    pressure_scale = signals.BY_NAME["cylinder_pressure"].places[0].scale
+    speed_scale = TABLE.by_name["measured_speed"].places[0].scale
+    pressure_scale = TABLE.by_name["cylinder_pressure"].places[0].scale
     scales = np.repeat((speed_scale, pressure_scale), len(AXLES))
     valves = [reference[f"{name}_{axle}"] for axle in AXLES for name in ("hold", "vent")]
     speeds_m_s = []

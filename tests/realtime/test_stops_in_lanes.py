@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, packed, stops_in_lanes, ticks_in_lanes
+from rollerrig.realtime.campaign import campaign, packed, stops_in_lanes
 from rollerrig.realtime.record import summary
 from rollerrig.wsp_interface import signals
 
+COLUMNS = signals.table(COACH).columns
 SHORT = ("initial_speed_m_s=8.0",)
 CASES = {
     "soap": ("velim_a1", SHORT),
@@ -44,7 +46,7 @@ NOT_COMPARED = {
 
 
 def simulate(plan):
-    return free.channels(free.simulate(plan))
+    return free.channels(free.simulate(plan), plan.table)
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +66,7 @@ def together(plans):
 def test_a_stop_among_others_is_the_stop_alone(case, plans, together):
     alone = simulate(plans[case])
     among = together[case].channels
-    for name in signals.COLUMNS:
+    for name in COLUMNS:
         if name not in NOT_COMPARED:
             np.testing.assert_allclose(among[name], alone[name], rtol=1e-6, atol=1e-6, err_msg=name)
 
@@ -82,14 +84,15 @@ def test_the_figures_of_a_stop_among_others_are_those_of_the_stop_alone(case, pl
 def test_the_stops_in_the_other_places_change_no_bit_of_a_stop(plans, together):
     [alone] = stops_in_lanes.together([("soap", plans["soap"])])
     among = together["soap"]
-    for name in signals.COLUMNS:
+    for name in COLUMNS:
         assert np.array_equal(alone.channels[name], among.channels[name], equal_nan=True), name
 
 
 def test_a_summary_needs_only_the_channels_that_a_campaign_keeps(plans):
+    names = summary.channels_of(COACH)
     [whole] = stops_in_lanes.together([("soap", plans["soap"])])
-    [kept] = stops_in_lanes.together([("soap", plans["soap"])], columns=summary.CHANNELS)
-    assert list(kept.channels) == list(summary.CHANNELS)
+    [kept] = stops_in_lanes.together([("soap", plans["soap"])], columns=names)
+    assert tuple(kept.channels) == names
     assert campaign.summarize(kept, "reference") == campaign.summarize(whole, "reference")
 
 
@@ -114,7 +117,7 @@ def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
     assert not stops_in_lanes.fits(plan)
     [among] = stops_in_lanes.together([(0, plan)])
     alone = simulate(plan)
-    for name in signals.COLUMNS:
+    for name in COLUMNS:
         assert np.array_equal(among.channels[name], alone[name], equal_nan=True), name
 
 
@@ -132,10 +135,3 @@ def flat(values):
     if isinstance(values, np.ndarray | tuple):
         return [number for value in values for number in flat(value)]
     return [values]
-
-
-def test_the_compiled_views_of_a_unit_are_those_of_the_unit():
-    buffer = np.arange(float(logic.SIZE))
-    compiled = ticks_in_lanes.see_unit.py_func(buffer)
-    for view, expected in zip(compiled, logic.views(buffer), strict=True):
-        assert np.array_equal(view, expected)

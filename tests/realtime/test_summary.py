@@ -9,10 +9,13 @@ import pytest
 import synthetic_stop
 from rich.console import Console
 
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.realtime.record import summary
 from rollerrig.realtime.record.figures import BY_NAME, FIGURES
-from rollerrig.wsp_interface.signals import COLUMNS
+from rollerrig.wsp_interface import signals
 
+TABLE = signals.table(COACH)
+COLUMNS = TABLE.columns
 SCENARIO = {"title": "a stop", "loop": {"tick_hz": 1000, "step_s": 1e-4, "record_hz": 100}}
 COUNTERS = {
     "version": "9.9",
@@ -39,7 +42,7 @@ HOLD = 1.0
 def stop():
     """The channels of a stop in which axle 1 locks."""
     rows = synthetic_stop.stop(speed_m_s=20.0, lock_axle=1)
-    return dict(zip(COLUMNS, rows.T, strict=True))
+    return dict(zip(COLUMNS, rows.T[TABLE.kept], strict=True))
 
 
 def braked(standing_s=2.0):
@@ -210,6 +213,13 @@ def test_a_run_without_a_sample_has_a_summary():
     assert result["samples"] == 0
     assert result["initial_speed_m_s"] is None
     assert result["axles"][0]["sliding_mean_m_s"] is None
+
+
+def test_the_kind_of_the_vehicle_counts_where_the_scenario_cannot_be_read():
+    assert len(summary.of(without_a_sample(), {}, {})["axles"]) == 4
+    assert len(summary.of({"time_s": np.empty(0)}, {}, {}, kind=Kind(8))["axles"]) == 8
+    scenario = {"vehicle": {"axles": 2}}
+    assert len(summary.of({"time_s": np.empty(0)}, {}, scenario)["axles"]) == 2
 
 
 def test_channels_that_were_not_recorded_give_null():

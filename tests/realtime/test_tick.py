@@ -3,13 +3,16 @@
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH, MOST_AXLES
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.loop import mailbox, tick
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop.tick import DEMAND, DONE, MAGNETS, REFERENCE, STOP, TICK
-from rollerrig.rig.state import SLOTS
+from rollerrig.rig.state import slots
 from rollerrig.wsp_interface import signals
+
+TABLE = signals.table(COACH)
 
 SETTINGS = ("duration_max_s=60", "stand_s=0.2")
 
@@ -20,7 +23,7 @@ def build(tmp_path):
     made = []
 
     def with_settings(*settings):
-        ring = rings.Ring(tmp_path / f"rows{len(made)}", np.float64, 1 << 14, len(signals.COLUMNS))
+        ring = rings.Ring(tmp_path / f"rows{len(made)}", np.float64, 1 << 14, len(TABLE.columns))
         made.append(ring)
         plan = scenario.load("velim_a1", settings=(*SETTINGS, *settings))
         return tick_data.build(plan, ring)
@@ -29,7 +32,8 @@ def build(tmp_path):
 
 
 def sampled(machine):
-    return machine.ring_rows[: machine.ring_header[rings.WRITTEN]]
+    """Return the samples as rows of all signals."""
+    return TABLE.rows_of_all(machine.ring_rows[: machine.ring_header[rings.WRITTEN]])
 
 
 def post_command(machine, magnets, demand_Pa=np.nan, reference=np.nan):
@@ -53,13 +57,13 @@ def test_a_sample_is_taken_every_tenth_tick_beginning_with_the_first_state(build
 def test_the_published_row_is_the_state_under_the_names_of_the_signals(build):
     machine = build()
     tick.run_ticks(machine, 300)
-    row = np.empty(len(signals.COLUMNS))
+    row = np.empty(signals.WIDTH)
     mailbox.fetch(machine.published, row)
-    shared = [signal for signal in signals.SIGNALS if signal.name in SLOTS]
+    shared = [signal for signal in TABLE.signals if signal.name in slots(4)]
     assert len(shared) > 20
     for signal in shared:
         np.testing.assert_array_equal(
-            row[signals.span(signal.name)], machine.buffer[SLOTS[signal.name]], signal.name
+            row[TABLE.span(signal.name)], machine.buffer[slots(4)[signal.name]], signal.name
         )
 
 
@@ -68,7 +72,7 @@ def test_every_signal_of_the_table_is_written(build):
     post_command(machine, (0, 0, 0, 0), reference=40.0)
     machine.row[:] = np.nan
     tick.run_ticks(machine, 20)
-    unwritten = np.array(signals.COLUMNS)[np.isnan(machine.row)]
+    unwritten = np.array(TABLE.columns)[np.isnan(machine.row[TABLE.kept])]
     assert unwritten.tolist() == []
 
 
@@ -77,7 +81,7 @@ def test_magnets_and_demand_of_the_mailbox_act_with_the_next_tick(build):
     post_command(machine, (1, 3, 0, 2))
     tick.run_ticks(machine, 1)
     assert machine.state.valve.tolist() == [1, 2, 0, 2]
-    assert machine.row[signals.span("magnets")].tolist() == [1, 3, 0, 2]
+    assert machine.row[TABLE.span("magnets")].tolist() == [1, 3, 0, 2]
 
     post_command(machine, (0, 0, 0, 0), demand_Pa=1e5)
     tick.run_ticks(machine, 6000)
@@ -124,16 +128,16 @@ def test_batches_of_any_length_make_the_same_run(build):
 
 def test_the_unit_in_the_tick_sees_counts_and_answers_a_cycle_later(build):
     machine = build()
-    unit = logic.new_unit(logic.load("reference"))
-    inputs = np.zeros(8, dtype=np.int64)
-    tick.run_ticks_with_units(machine, 4000, 10, (unit,), inputs)
-    speed = machine.row[signals.span("wheel_speed")]
+    units = tick.Units(np.zeros((1, logic.SIZE)), logic.load("reference"))
+    inputs = np.zeros(2 * MOST_AXLES, dtype=np.int64)
+    tick.run_ticks_with_units(machine, 4000, 10, units, inputs)
+    speed = machine.row[TABLE.span("wheel_speed")]
     assert np.abs(inputs[:4] * 0.01 - speed).max() < 0.5
     assert np.isfinite(machine.command[REFERENCE])
     assert np.isnan(machine.command[DEMAND])
     rows = sampled(machine)
-    assert rows[:, signals.span("magnets")].max() > 0
-    assert rows[0, signals.span("magnets")].max() == 0
+    assert rows[:, TABLE.span("magnets")].max() > 0
+    assert rows[0, TABLE.span("magnets")].max() == 0
 
 
 @pytest.mark.parametrize(

@@ -20,13 +20,16 @@ from bench_process import HEARTBEAT, MAGNETS, BenchProcess, SimpleUnit
 from process_tree import is_running
 from short_sequences import WALKING_PACE
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records, summary, validity
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
-from rollerrig.wsp_interface.signals import COLUMNS
+
+COLUMNS = signals.table(COACH).columns
 
 # a short stop, as words of the command line, without and with its verb and scenario
 SHORT_OPTIONS = ("--wsp", "none", "--pacing", "free", "--set", "initial_speed_m_s=3")
@@ -167,13 +170,13 @@ def test_a_silence_does_not_count_if_a_fault_causes_it_or_it_begins_after_stands
         ("node_off node=2", False),
         ("cylinder_leak axle=1", False),
     ):
-        fields = catalogue.parse(fault).event_fields
+        fields = catalogue.parse(fault, COACH).event_fields
         begins = make(0.5, Code.FAULT_BEGINS, **fields)
         assert (validity.silences([begins, SILENT], None) == []) == excused, fault
 
 
 def test_a_fault_of_one_unit_excuses_no_other_unit():
-    fields = catalogue.parse("wsp_frozen").event_fields | {"units": [64]}
+    fields = catalogue.parse("wsp_frozen", COACH).event_fields | {"units": [64]}
     begins = make(0.5, Code.FAULT_BEGINS, **fields)
     assert validity.silences([begins, SILENT], None) == [1.0]
     assert validity.losses([begins, LOST]) == [1.0]
@@ -214,7 +217,7 @@ def test_a_run_stays_valid_if_one_of_its_faults_freezes_the_unit(tmp_path):
     ],
 )
 def test_a_lost_unit_is_excused_by_a_fault_that_reaches_it_and_by_no_other(fault, reaches):
-    fields = catalogue.parse(fault).event_fields
+    fields = catalogue.parse(fault, COACH).event_fields
     begins = make(0.5, Code.FAULT_BEGINS, **fields)
     lifted = make(0.9, Code.FAULT_LIFTED, **fields, frames_met=None)
 

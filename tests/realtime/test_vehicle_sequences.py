@@ -1,7 +1,5 @@
 """Packaged sequences of the tram, the multiple unit and the bogie module, played in lockstep with
 their units on the bus; and copies with a flaw, which must fail.
-
-A process simulates one vehicle, so one command plays the sequences of each vehicle.
 """
 
 import json

@@ -1,7 +1,6 @@
 """Vehicles with two, six and eight axles: laws over whole runs, from the recorded channels alone.
 
-A process simulates one number of axles, so each of these runs is a process. The tests read its
-files as any other program does.
+The tests read the files of each run as any other program does.
 """
 
 import json
@@ -12,13 +11,14 @@ import cantools
 import numpy as np
 import pyarrow.parquet
 import pytest
-from program import BOTH_BRAKES, python, rollerrig
+from program import BOTH_BRAKES, rollerrig
 
-from rollerrig.configs import vehicle as constants
-from rollerrig.configs.errors import ConfigError, OtherAxlesError, OtherEquipmentError
-from rollerrig.realtime.bench import scenario
+from rollerrig.configs.errors import ConfigError
+from rollerrig.firmware_sim.faults import effects, panel
+from rollerrig.firmware_sim.modbus.pdu import RefusedError
+from rollerrig.realtime.bench import fault_registers, scenario
 
-# they share the servers of programs of these vehicles, and runs
+# they share runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
 AXLES = {
@@ -28,7 +28,7 @@ AXLES = {
     "multiple_unit_low": 8,
     "tram_low_dynamic": 6,
 }
-# each vehicle has its kernels, so all but one run every night
+# all but one run every night
 VEHICLES = [
     name if name == BOTH_BRAKES else pytest.param(name, marks=pytest.mark.nightly) for name in AXLES
 ]
@@ -159,7 +159,6 @@ def test_brake_and_contact_change_the_angular_momentum_of_each_wheelset_of_a_veh
 def test_on_low_adhesion_every_vehicle_stops_sooner_with_its_wsp_units(record, tmp_path):
     name = record.scenario
     folder = tmp_path / "none"
-    # on the bus, whose kernels are compiled already
     status, _, messages = rollerrig(
         *("run", name, "--pacing", "lockstep", "--wsp", "none", *ON_HUB, "--out", folder)
     )
@@ -285,9 +284,8 @@ def test_the_message_about_groups_without_units_has_the_command_that_starts_one(
     )
     assert status == 2
     assert "720h (group 1, axles 1 to 4) and 740h (group 2, axles 5 to 6)" in messages
-    assert "ROLLERRIG_AXLES=6" in messages
     assert "rollerrig wsp --bus" in messages
-    assert "--group 2" in messages
+    assert "--axles 6 --dynamic-brake --group 2" in messages
 
 
 @pytest.mark.parametrize(
@@ -323,41 +321,6 @@ def test_a_motor_magnet_or_fault_that_the_vehicle_cannot_have_is_refused_before_
     assert not (tmp_path / "run").exists()
 
 
-# run in a process whose vehicles have motors and magnets: a fault over Modbus, at running time
-FAULT_OVER_MODBUS = """
-import sys
-
-import numpy as np
-
-from rollerrig.firmware_sim.faults import effects, panel
-from rollerrig.firmware_sim.modbus.pdu import RefusedError
-from rollerrig.realtime.bench import fault_registers
-
-events = []
-
-
-def record(code, /, **fields):
-    events.append((code.value, fields))
-
-
-array = np.zeros(effects.SIZE)
-sections = {
-    "dynamic_brake": {"axles": [1, 2, 5, 6]},
-    "magnetic_track_brake": {"bogies": [1, 2]},
-}
-faults = panel.Panel((), record, sections)
-faults.connect(panel.Site(array, lambda: None))
-write = fault_registers.FaultRegisters(faults, record).writers()
-write["fault"](int(sys.argv[1]), False)
-write["fault_target"](int(sys.argv[2]), False)
-try:
-    write["inject_fault"](1, False)
-except RefusedError:
-    print("refused")
-print(events, array.any())
-"""
-
-
 @pytest.mark.parametrize(
     ("number", "target", "message"),
     [
@@ -374,18 +337,33 @@ print(events, array.any())
 def test_a_running_rig_refuses_the_fault_of_a_motor_or_magnet_that_is_not_there(
     number, target, message
 ):
-    equipment = "dynamic_brake,magnetic_track_brake"
-    environment = {"ROLLERRIG_AXLES": "6", "ROLLERRIG_EQUIPMENT": equipment}
-    done = python("-c", FAULT_OVER_MODBUS, number, target, **environment)
-    assert done.status == 0, done.messages
-    begins = not message
-    assert done.printed.startswith("refused") != begins
-    assert ("fault.begins" in done.printed) == begins
+    events = []
+
+    def record(code, /, **fields):
+        events.append((code.value, fields))
+
+    array = np.zeros(effects.SIZE)
+    sections = {
+        "vehicle": {"axles": 6},
+        "dynamic_brake": {"axles": [1, 2, 5, 6]},
+        "magnetic_track_brake": {"bogies": [1, 2]},
+    }
+    faults = panel.Panel((), record, sections)
+    faults.connect(panel.Site(array, lambda: None))
+    write = fault_registers.FaultRegisters(faults, record).writers()
+    write["fault"](number, False)
+    write["fault_target"](target, False)
+    if message:
+        with pytest.raises(RefusedError):
+            write["inject_fault"](1, False)
+    else:
+        write["inject_fault"](1, False)
+    assert ("fault.begins" in [code for code, _ in events]) != bool(message)
     # the number of the target reaches the fault
-    assert f"={target}" in done.printed
-    assert message in done.printed
+    assert f"={target}" in str(events)
+    assert message in str(events)
     # a fault that is refused has no effect
-    assert done.printed.strip().endswith(str(begins))
+    assert array.any() != bool(message)
 
 
 SEQUENCE_OF_A_TRAM = """
@@ -425,27 +403,24 @@ def test_the_faults_of_a_sequence_are_checked_for_the_vehicle_of_the_sequence(
 def test_a_unit_for_a_group_that_is_not_there_is_refused():
     status, _, messages = rollerrig("wsp", "--group", "2")
     assert status == 2
-    assert "ROLLERRIG_AXLES" in messages
+    assert "a vehicle with 4 axles has 1 group" in messages
 
 
-@pytest.mark.parametrize("axles", [0, 1, 3, 5, 14, -4, 4.0, "four", True])
-def test_a_number_of_axles_that_is_not_allowed_is_refused_with_those_that_are(axles):
-    with pytest.raises(ConfigError, match="must be one of 2, 4, 6, 8, 10, 12"):
-        constants.check_axles(axles, "my.toml [vehicle] axles")
+def test_one_command_plays_sequences_of_different_vehicles():
+    names = ("emergency_120", "tram_loss_of_unit", "multiple_unit_dynamic_low", "bogie_low_120")
+    status, printed, messages = rollerrig("sequence", *names, "--check", "--json")
+    assert status == 0, messages
+    assert json.loads(printed)["checked"] == list(names)
 
 
-def test_a_process_refuses_a_vehicle_with_another_number_of_axles_and_names_the_remedy():
-    with pytest.raises(OtherAxlesError, match="ROLLERRIG_AXLES=6") as caught:
-        scenario.load("tram_low")
-    assert caught.value.axles == 6
-
-
-def test_a_process_refuses_a_vehicle_with_other_equipment_and_names_the_remedy():
-    with pytest.raises(OtherEquipmentError, match="ROLLERRIG_EQUIPMENT=dynamic_brake"):
-        scenario.load("velim_a1", settings=("dynamic_brake.axles=[1, 2]",))
-    with pytest.raises(OtherAxlesError, match="ROLLERRIG_EQUIPMENT=dynamic_brake") as caught:
-        scenario.load("tram_low_dynamic")
-    assert caught.value.environment["ROLLERRIG_AXLES"] == "6"
+@pytest.mark.parametrize("name", ["ROLLERRIG_AXLES", "ROLLERRIG_EQUIPMENT"])
+def test_a_former_variable_of_the_environment_has_no_effect_which_one_line_reports(name, tmp_path):
+    words = ("run", "dry_stop", "--wsp", "none", "--pacing", "free", "--out", tmp_path / "run")
+    short = ("--set", "initial_speed_m_s=2", "--json")
+    done = rollerrig(*words, *short, **{name: "6"})
+    assert done.status == 0, done.messages
+    assert len(json.loads(done.printed)["axles"]) == 4
+    assert done.messages.count(name) == 1
 
 
 def test_a_vehicle_without_a_dynamic_brake_does_not_have_its_channels(record):

@@ -1,35 +1,84 @@
 """Stops of vehicles with other numbers of axles, in vector lanes, against the same stops alone."""
 
 import json
-from pathlib import Path
 
+import numpy as np
 import program
 import pytest
 
-# they share the servers of programs of these vehicles, and runs
+from rollerrig.realtime.bench import free, scenario
+from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.rig.lanes.layout import rigs_of
+from rollerrig.wsp_interface import signals
+
+# they share runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
-# the packaged scenarios that fit into lanes, by the number of axles
-FITTING = {2: {"bogie_low"}, 6: {"tram_low"}, 8: {"multiple_unit_low"}}
+# the packaged scenarios of other vehicles that fit into lanes, by the number of axles
+FITTING = {2: "bogie_low", 6: "tram_low", 8: "multiple_unit_low"}
+
+
+def plans_of(name, axles):
+    """Return scenarios of short stops of a vehicle, with more of them than places.
+
+    They differ in speed and contaminant, and a place is used twice.
+    """
+    return {
+        f"{name} {number}": scenario.load(
+            name,
+            settings=(
+                f"initial_speed_m_s={6.0 + number}",
+                f"adhesion.mu_cd={0.03 + 0.01 * number}",
+            ),
+        )
+        for number in range(rigs_of(axles) + 1)
+    }
+
+
+def distance_m(channels):
+    return float(channels["position_m"][-1])
+
+
+def assert_agrees(among, alone, table):
+    """Check that a stop among others has the samples of the same stop alone, to rounding."""
+    assert len(among["time_s"]) == len(alone["time_s"])
+    assert distance_m(among) == pytest.approx(distance_m(alone), rel=1e-7)
+    for name in table.columns:
+        # the tracking error is a small difference of large numbers
+        if not name.startswith("tracking_error"):
+            differs = np.abs(among[name] - alone[name]) / (1.0 + np.abs(alone[name]))
+            assert np.nanmax(differs, initial=0.0) < 1e-6, name
 
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("axles", FITTING)
 def test_stops_of_a_vehicle_in_lanes_are_the_stops_alone(axles):
-    text = Path(__file__).with_name("lanes_of_vehicle.py").read_text()
-    done = program.python("-c", text, ROLLERRIG_AXLES=str(axles))
-    assert done.status == 0, done.messages
-    found = json.loads(done.printed)
-    assert set(found) == FITTING[axles]
-    for figures in found.values():
-        assert figures["same_samples"]
-        assert figures["distance"] < 1e-7
-        assert figures["channel"] < 1e-6
-        assert not figures["depends_on_others"]
+    plans = plans_of(FITTING[axles], axles)
+    for finished in stops_in_lanes.together(plans.items()):
+        plan = plans[finished.tag]
+        assert plan.kind.axles == axles
+        assert stops_in_lanes.fits(plan)
+        assert_agrees(finished.channels, free.channels(free.simulate(plan), plan.table), plan.table)
+        [without_others] = stops_in_lanes.together([(0, plan)])
+        for name in plan.table.columns:
+            expected = finished.channels[name]
+            np.testing.assert_array_equal(without_others.channels[name], expected, err_msg=name)
+
+
+def test_stops_of_several_vehicles_run_in_one_call():
+    names = ("bogie_low", "velim_a1", "tram_low", "dry_stop", "multiple_unit_low")
+    plans = {name: scenario.load(name, settings=("initial_speed_m_s=3",)) for name in names}
+    found = {finished.tag: finished for finished in stops_in_lanes.together(plans.items())}
+    assert set(found) == set(names)
+    for name, plan in plans.items():
+        assert tuple(found[name].channels) == signals.table(plan.kind).columns
+        assert_agrees(
+            found[name].channels, free.channels(free.simulate(plan), plan.table), plan.table
+        )
 
 
 @pytest.mark.nightly
-def test_a_campaign_of_another_vehicle_may_draw_its_values_and_starts_by_itself(tmp_path):
+def test_a_campaign_of_another_vehicle_may_draw_its_values(tmp_path):
     plan = tmp_path / "plan.toml"
     plan.write_text(
         'title = "two axles"\nscenario = "bogie_low"\ndesign = "random"\nruns = 2\n'

@@ -225,7 +225,7 @@ def test_a_dataset_made_of_a_run_reads_back_within_its_declared_accuracy(rows, t
     assert np.isinf(data.sections["contact"]["roller_radius_m"])
     speed_error = data.runs[0].speed_m_s - true[:, signals.column("vehicle_speed")]
     assert speed_error.std() == pytest.approx(0.03, rel=0.15)
-    torque = true[:, signals.span("brake_torque")]
+    torque = true[:, velim.TABLE.span("brake_torque")]
     torque_error = data.runs[0].torque_Nm - torque
     assert torque_error.std() == pytest.approx(0.015 * torque.max(), rel=0.15)
 

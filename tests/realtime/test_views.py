@@ -17,6 +17,7 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
+from rollerrig.configs.vehicle import ALLOWED_AXLES, COACH, Kind
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.pictures import colours
@@ -24,13 +25,16 @@ from rollerrig.realtime.record import channels, records
 from rollerrig.realtime.reports import stop as run_stop
 from rollerrig.realtime.telemetry import drawing, scene, viewer, views
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.signals import SIGNALS
 
+TABLE = signals.table(COACH)
+COLUMNS = TABLE.columns
 TIME = signals.column("time")
-GROUPS = sorted({signal.group for signal in SIGNALS if signal.group})
+GROUPS = sorted({signal.group for signal in TABLE.signals if signal.group})
 
 # Signals that are an entity of scalars in a group. The valves are states, not scalars.
-SCALARS_OF_GROUPS = [signal for signal in SIGNALS if signal.group and signal.name != "valve"]
+SCALARS_OF_GROUPS = [s for s in TABLE.signals if s.group and s.name != "valve"]
+
+AXLE_COLOURS = colours.AXLES[: COACH.axles]
 
 # components of entities
 SCALARS = "Scalars:scalars"
@@ -57,15 +61,15 @@ def strict():
 
 @pytest.fixture(scope="module")
 def stop():
-    """The rows of a stop in which axle 1 locks, shape (n, columns)."""
+    """The rows of all signals of a stop in which axle 1 locks."""
     return synthetic_stop.stop(speed_m_s=20.0, lock_axle=1)
 
 
 def recorded(path, rows):
     """Make the folder of a recorded run; return it."""
     path.mkdir()
-    writer = channels.Channels(path)
-    writer.add(rows)
+    writer = channels.Channels(path, COLUMNS)
+    writer.add(rows[:, TABLE.kept])
     writer.finish()
     (path / "scenario.toml").write_text('title = "a run"\n[contact]\nroller_radius_m = 0.75\n')
     return path
@@ -82,8 +86,8 @@ def drawn(tmp_path_factory, stop):
     """The entities of a run that is drawn in blocks of rows, see `entities`."""
     path = tmp_path_factory.mktemp("drawn") / "run.rrd"
     stream = rr.RecordingStream(views.APPLICATION)
-    stream.set_sinks(rr.FileSink(path), default_blueprint=views.blueprint())
-    run = drawing.Drawing(stream, {})
+    stream.set_sinks(rr.FileSink(path), default_blueprint=views.blueprint(TABLE))
+    run = drawing.Drawing(stream, TABLE, {})
     block_rows = 70
     for first in range(0, len(stop), block_rows):
         run.rows(stop[first : first + block_rows])
@@ -130,17 +134,17 @@ def values_of(samples):
 
 def lines_with(column):
     """Return the entities of scalars that show a column of a row."""
-    return [line for line in views.lines() if column in line.columns]
+    return [line for line in views.lines(TABLE) if column in line.columns]
 
 
 # --- entities and layout ---
 
 
 def test_every_recorded_column_is_drawn_exactly_once():
-    columns = [TIME, *range(len(signals.COLUMNS))[signals.span("valve")]]
-    for line in views.lines():
+    columns = [TIME, *range(signals.WIDTH)[TABLE.span("valve")]]
+    for line in views.lines(TABLE):
         columns += line.columns
-    assert sorted(columns) == list(range(len(signals.COLUMNS)))
+    assert sorted(columns) == TABLE.kept.tolist()
 
 
 @pytest.mark.parametrize("signal", SCALARS_OF_GROUPS, ids=lambda signal: signal.name)
@@ -168,7 +172,7 @@ def paths_shown_by(view):
 @pytest.mark.parametrize("group", GROUPS)
 def test_every_group_is_shown_by_a_view(group):
     paths = []
-    for view in views_in(views.blueprint().root_container):
+    for view in views_in(views.blueprint(TABLE).root_container):
         paths += paths_shown_by(view)
     assert any(str(path).startswith(f"/{group}") for path in paths)
 
@@ -177,7 +181,7 @@ def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
     file = tmp_path / "run.rrd"
     stream = rr.RecordingStream(views.APPLICATION)
     stream.set_sinks(rr.FileSink(file))
-    drawing.Drawing(stream, {}, everything=False).rows(stop[:10])
+    drawing.Drawing(stream, TABLE, {}, everything=False).rows(stop[:10])
     stream.disconnect()
     assert not [path for path in entities(file) if path.startswith("/more")]
 
@@ -186,7 +190,7 @@ def test_signals_of_no_group_can_be_left_out(tmp_path, stop):
 
 
 def test_one_colour_means_one_axle_in_every_view():
-    for signal in SIGNALS:
+    for signal in TABLE.signals:
         has_axle_colours = signal.axles > 1 and signal.name not in views.COLOUR_OF_SIGNAL
         if not has_axle_colours or signal.name == "valve":
             continue
@@ -198,7 +202,7 @@ def test_one_colour_means_one_axle_in_every_view():
 
 
 def test_the_colours_of_axles_and_limits_differ():
-    shades = np.array([*colours.AXLES, colours.VEHICLE, colours.REFERENCE, colours.LIMIT])
+    shades = np.array([*AXLE_COLOURS, colours.VEHICLE, colours.REFERENCE, colours.LIMIT])
     for first, second in itertools.combinations(shades, 2):
         assert np.abs(first - second).sum() > 60
 
@@ -206,7 +210,7 @@ def test_the_colours_of_axles_and_limits_differ():
 def test_a_spike_of_one_sample_is_drawn_at_its_full_height(tmp_path):
     stream = rr.RecordingStream(views.APPLICATION)
     stream.set_sinks(rr.FileSink(tmp_path / "run.rrd"))
-    views.log_styles(stream)
+    views.log_styles(stream, TABLE)
     stream.disconnect()
 
     policies = {}
@@ -216,7 +220,7 @@ def test_a_spike_of_one_sample_is_drawn_at_its_full_height(tmp_path):
             policies[str(chunk.entity_path)] = batch[AGGREGATION].to_pylist()
 
     min_and_max = rr.components.AggregationPolicy.MinMax.value
-    assert policies == {line.path: [[min_and_max]] for line in views.lines()}
+    assert policies == {line.path: [[min_and_max]] for line in views.lines(TABLE)}
 
 
 # --- what is drawn of a run ---
@@ -225,7 +229,7 @@ def test_a_spike_of_one_sample_is_drawn_at_its_full_height(tmp_path):
 def test_the_drawn_values_are_the_recorded_values(drawn, stop):
     # the timeline holds whole nanoseconds
     times_s = np.rint(stop[:, TIME] * 1e9) / 1e9
-    for line in views.lines():
+    for line in views.lines(TABLE):
         samples = drawn[line.path][SCALARS]
         expected = line.factor * stop[:, line.columns]
         assert np.array_equal(times_of(samples), times_s)
@@ -323,7 +327,7 @@ def test_events_are_drawn_with_level_time_and_text(drawn):
     ],
 )
 def test_the_rig_of_any_scenario_can_be_drawn(scenario):
-    place = scene.geometry(scenario)
+    place = scene.geometry(COACH, scenario)
     ahead_m, _, height_m = place.wheels.T
 
     # the wheels are on the rollers, or on rails at height 0
@@ -341,6 +345,13 @@ def test_the_rig_of_any_scenario_can_be_drawn(scenario):
     assert memory.num_msgs() > 10
 
 
+@pytest.mark.parametrize("axles", ALLOWED_AXLES)
+def test_the_rig_of_any_vehicle_can_be_drawn_without_a_scenario(axles):
+    place = scene.geometry(Kind(axles), {})
+    assert len(place.wheels) == len(place.rollers) == axles
+    assert np.all(np.diff(place.wheels[:, 0]) < 0.0)
+
+
 # --- the viewer ---
 
 
@@ -354,6 +365,23 @@ def test_several_runs_are_drawn_in_one_recording_under_their_names(stop, tmp_pat
     of_third = "/ref/second_run_2/sliding/sliding"
     assert set(overlay) >= {of_first, of_second, of_third}
     assert overlay[of_first] == overlay[of_second]
+
+
+def test_runs_of_different_vehicles_are_drawn_in_one_recording(folder, tmp_path):
+    table = signals.table(Kind(6, dynamic_brake=True))
+    tram = tmp_path / "tram"
+    tram.mkdir()
+    writer = channels.Channels(tram, table.columns)
+    values = np.zeros((10, len(table.columns)))
+    values[:, table.columns.index("time_s")] = np.arange(10) / 100.0
+    writer.add(values)
+    writer.finish()
+    (tram / "scenario.toml").write_text("[vehicle]\naxles = 6\n[dynamic_brake]\naxles = [1, 2]\n")
+    overlay = entities(viewer.overlay([folder, tram], tmp_path / "both.rrd"))
+    assert "/adhesion/adhesion_4" in overlay
+    assert "/adhesion/adhesion_5" not in overlay
+    assert "/ref/tram/adhesion/adhesion_6" in overlay
+    assert "/ref/tram/dynamic_torques/dynamic_torque" in overlay
 
 
 def test_without_a_display_the_result_is_a_command_for_a_browser(folder, monkeypatch):
@@ -405,7 +433,7 @@ def test_a_picture_shows_every_axle_in_its_colour(folder, tmp_path):
 
     image = np.asarray(Image.open(png).convert("RGB")).astype(int)
     assert image.shape == (800, 1200, 3)
-    for colour in colours.AXLES:
+    for colour in AXLE_COLOURS:
         difference = np.abs(image - colour).sum(axis=2)
         assert (difference < 40).sum() > 200
 
@@ -425,8 +453,8 @@ def reported(tmp_path, stop):
     """The folder of a run with a whole scenario."""
     path = tmp_path / "first"
     path.mkdir()
-    writer = channels.Channels(path)
-    writer.add(stop)
+    writer = channels.Channels(path, COLUMNS)
+    writer.add(stop[:, TABLE.kept])
     writer.finish()
     (path / "scenario.toml").write_text(scenario.dump(scenario.load("velim_a1")))
     return path
@@ -439,7 +467,7 @@ def test_a_picture_for_a_report_is_light_and_shows_every_axle_in_its_colour(repo
     assert image.shape == (900, 1200, 3)
     assert (image[[0, -1]] == 255).all()
     assert (image == 255).all(axis=2).mean() > 0.7
-    for colour in colours.AXLES:
+    for colour in AXLE_COLOURS:
         difference = np.abs(image - colour).sum(axis=2)
         assert (difference < 40).sum() > 100
 

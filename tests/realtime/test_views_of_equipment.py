@@ -1,46 +1,46 @@
-"""The layout in Rerun of vehicles with motors, magnets or more than four axles.
-
-A process has the signals of one kind of vehicle, so each layout is made in a process.
-"""
+"""The layout in Rerun of vehicles with motors, magnets or more than four axles."""
 
 import functools
-import json
+from typing import NamedTuple
 
 import pytest
-from program import python
 
-# they share the servers of programs of these vehicles, and runs
-pytestmark = pytest.mark.xdist_group("vehicles")
-
-# prints the titles of all tabs and plots of the default layout, and the paths of all entities
-PROGRAM = """
-import json
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.realtime.telemetry import views
+from rollerrig.wsp_interface import signals
 
-names = []
-contents = []
-
-def walk(part):
-    names.append(getattr(part, "name", None))
-    for path in getattr(part, "contents", []):
-        if isinstance(path, str):
-            contents.append(path)
-        else:
-            walk(path)
-
-walk(views.blueprint().root_container)
-entities = [(line.path, line.names) for line in views.lines()]
-print(json.dumps({"names": names, "contents": contents, "entities": entities}))
-"""
 TAB = "Motors and magnets"
-BOTH = "dynamic_brake,magnetic_track_brake"
+BOTH = Kind(6, dynamic_brake=True, magnetic_track_brake=True)
+
+
+class Layout(NamedTuple):
+    """The default layout of a vehicle.
+
+    `names` are those of all tabs and plots, `contents` the paths that they show, and `entities` the
+    paths of all entities with the names of their series.
+    """
+
+    names: list
+    contents: list
+    entities: list
 
 
 @functools.cache
-def layout(axles, equipment):
-    done = python(*("-c", PROGRAM), ROLLERRIG_AXLES=str(axles), ROLLERRIG_EQUIPMENT=equipment)
-    assert done.status == 0, done.messages
-    return json.loads(done.printed)
+def layout(kind):
+    table = signals.table(kind)
+    names = []
+    contents = []
+
+    def walk(part):
+        names.append(getattr(part, "name", None))
+        for path in getattr(part, "contents", []):
+            if isinstance(path, str):
+                contents.append(path)
+            else:
+                walk(path)
+
+    walk(views.blueprint(table).root_container)
+    return Layout(names, contents, [(line.path, line.names) for line in views.lines(table)])
 
 
 @pytest.mark.parametrize(
@@ -51,18 +51,17 @@ def layout(axles, equipment):
     ],
 )
 def test_motors_and_magnets_have_a_tab_of_the_default_layout(groups):
-    found = layout(6, BOTH)
-    assert found["names"].count(TAB) == 1
+    found = layout(BOTH)
+    assert found.names.count(TAB) == 1
     for group in groups:
-        assert found["contents"].count(f"/{group}/**") == 1
-        paths = [path for path, _ in found["entities"] if path.startswith(f"/{group}/")]
+        assert found.contents.count(f"/{group}/**") == 1
+        paths = [path for path, _ in found.entities if path.startswith(f"/{group}/")]
         assert paths, group
 
 
 def test_the_lines_of_a_plot_of_motors_have_different_names():
-    found = layout(6, BOTH)
     of_plot = {}
-    for path, names in found["entities"]:
+    for path, names in layout(BOTH).entities:
         group = path.split("/")[1]
         if group.startswith(("dynamic_", "track_brake")):
             of_plot.setdefault(group, []).extend(names)
@@ -71,17 +70,15 @@ def test_the_lines_of_a_plot_of_motors_have_different_names():
         assert len(set(names)) == len(names), group
 
 
-@pytest.mark.nightly
 def test_a_vehicle_without_motors_and_magnets_has_no_tab_of_them():
-    found = layout(4, "")
-    assert TAB not in found["names"]
-    assert "Axle by axle" in found["names"]
-    assert not [path for path, _ in found["entities"] if "track_brake" in path or "dynamic" in path]
+    found = layout(COACH)
+    assert TAB not in found.names
+    assert "Axle by axle" in found.names
+    assert not [path for path, _ in found.entities if "track_brake" in path or "dynamic" in path]
 
 
-@pytest.mark.nightly
 def test_each_group_of_axles_has_a_tab_with_a_column_for_each_of_its_axles():
-    names = layout(8, "")["names"]
+    names = layout(Kind(8)).names
     assert "Axles 1 to 4" in names
     assert "Axles 5 to 8" in names
     for axle in range(1, 9):

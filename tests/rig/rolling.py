@@ -5,7 +5,7 @@ import numpy as np
 from rollerrig.firmware_sim import rig_control
 from rollerrig.rig import params, plant
 from rollerrig.rig.compiled.kernel import kernel_with_memory
-from rollerrig.rig.state import SLOTS
+from rollerrig.rig.state import NAMES, slots
 from rollerrig.wsp_interface.magnets import FILLING, HOLDING, VENTING
 
 # patterns of the valve magnets
@@ -43,16 +43,17 @@ def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, controlled, para
 class History:
     """The states of a number of ticks; the first one is the state before them.
 
-    Each slot of the state is an attribute: `history.wheel_speed` has shape (n, 4).
+    Each slot of the state is an attribute: `history.wheel_speed` has shape (n, axles).
     """
 
-    def __init__(self, log):
+    def __init__(self, log, axles):
         self.log = log
+        self.axles = axles
 
     def __getattr__(self, name):
-        if name not in SLOTS:
+        if name not in NAMES:
             raise AttributeError(name)
-        values = self.log[:, SLOTS[name]]
+        values = self.log[:, slots(self.axles)[name]]
         if values.shape[1] == 1:
             return values[:, 0]
         return values
@@ -129,4 +130,4 @@ class Rig:
             log[1:],
         )
         self.tick += ticks
-        return History(log)
+        return History(log, self.params.axles)

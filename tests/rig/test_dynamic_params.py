@@ -23,7 +23,7 @@ def build(traction=(), **values):
 
 
 def test_a_vehicle_without_driven_axles_has_no_dynamic_brake():
-    assert dynamic_params.build(physics.check({}, "my.toml"), STEP_S) is None
+    assert not dynamic_params.build(physics.check({}, "my.toml"), STEP_S).acts
 
 
 def test_a_motor_has_constant_force_up_to_the_corner_speed_and_constant_power_above():

@@ -14,7 +14,7 @@ from rollerrig.rig.identify.replay import replay
 from rollerrig.rig.mechanisms import applied as effects
 from rollerrig.rig.mechanisms import friction, table
 from rollerrig.rig.plant import Plant
-from rollerrig.rig.state import SIZE, SLOTS, views
+from rollerrig.rig.state import SIZE, slots, views
 
 TICKS = 3000
 
@@ -46,7 +46,7 @@ def test_mechanisms_at_zero_change_no_bit_even_when_they_are_computed(base) -> N
     )
     with_them = braked(forced).buffer
     without = braked(base).buffer
-    for name, at in SLOTS.items():
+    for name, at in slots(4).items():
         if name not in ("sliding_distance", "rail_work", "braked_angle"):
             assert np.array_equal(with_them[at], without[at], equal_nan=True), name
 
@@ -95,7 +95,7 @@ def test_resistance_gradient_radius_and_layer_are_built_in(base) -> None:
 
 def torque(capacity_Nm: float, axle: int, work_J: float, mechanisms) -> float:
     """Return the torque of an axle whose brake has done this work."""
-    state = views(np.zeros(SIZE))
+    state = views(np.zeros(SIZE), 4)
     state.brake_work[:] = work_J
     return effects.torque(capacity_Nm, state, axle, 0.0, mechanisms)
 
@@ -419,7 +419,7 @@ def test_with_such_wheels_and_memory_halving_the_step_still_quarters_the_error(m
 def test_with_such_wheels_and_memory_the_energy_of_a_stop_balances() -> None:
     rig, run = stop_with_such_wheels()
     assert np.isfinite(run.log).all()
-    inertia_kgm2 = rig.params.wheels.table[vehicle.INERTIA_KGM2 : vehicle.INERTIA_KGM2 + 4]
+    inertia_kgm2 = rig.params.wheels.table[vehicle.INERTIA_KGM2]
     vehicle_v2 = run.vehicle_speed[0] ** 2 - run.vehicle_speed[-1] ** 2
     wheels_v2 = run.wheel_speed[0] ** 2 - run.wheel_speed[-1] ** 2
     lost_J = 0.5 * (rig.params.vehicle.mass_kg * vehicle_v2 + inertia_kgm2 @ wheels_v2)

@@ -16,7 +16,7 @@ COLD = ("brake.disc_cooling_time_s=100000", "drive.thermal_time_constant_s=10000
 
 def bodies(**changes):
     """Return a state at rest and the heat parameters of the shipped rig, with changes."""
-    state = views(np.zeros(SIZE))
+    state = views(np.zeros(SIZE), 4)
     constants = scenario.load("velim_a1").params.heat._replace(**changes)
     heat.begin(state, constants)
     return state, constants

@@ -16,10 +16,12 @@ from rollerrig.rig import heat, plant, vehicle, wheelset
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.lanes import layout, quiet_tick, rail_cleaning, step
-from rollerrig.rig.lanes.layout import LANES, RIGS
+from rollerrig.rig.lanes.layout import rigs_of
 from rollerrig.rig.mechanisms import applied
-from rollerrig.rig.state import AXLES, SLOTS, views
+from rollerrig.rig.state import NAMES, views
 
+AXLES = 4
+RIGS = rigs_of(AXLES)
 MODES = ("track", "contaminated_rollers")
 CLOSE = 1e-9
 # slots of a stage of a step, not of the state
@@ -35,6 +37,8 @@ ORDER = (
     "finish",
     "move",
 )
+# kernels of the vehicles; the others are of the axles
+OF_RIGS = ("predict", "move")
 # rows that a kernel writes, and the slot of the plant's state with the same value after that step
 WRITTEN_ROWS = {
     "pneumatics_and_motors": {
@@ -137,7 +141,7 @@ def set_random_state(rng, rig):
     v = 0.0 if rng.random() < 0.1 else 10.0 ** rng.uniform(-3.0, 1.8)
     creepage = 10.0 ** rng.uniform(-6.0, 0.0, shape) * rng.choice([1.0, 1.0, 1.0, -1.0], shape)
     creepage[rng.random(4) < 0.15] = 1.0  # locked
-    radius_m = p.wheels.table[vehicle.RADIUS_M : vehicle.RADIUS_M + AXLES]
+    radius_m = p.wheels.table[vehicle.RADIUS_M]
     s.vehicle_speed[0] = v
     s.standing[0] = float(v == 0.0)
     if p.mode == 0:
@@ -194,19 +198,22 @@ class Case:
             scatter(self.w, number, rig.state, self.targets[number])
             self.before.append(rig.plant.buffer.copy())
             buffer = rig.plant.buffer.copy()
-            plant_step(views(buffer), self.targets[number], rig.params)
-            self.after.append(views(buffer))
+            plant_step(views(buffer, AXLES), self.targets[number], rig.params)
+            self.after.append(views(buffer, AXLES))
 
     def row(self, name):
         """Return a row of the lanes, (rigs, axles)."""
         at = getattr(layout, name)
-        return self.w[at : at + LANES].reshape(RIGS, AXLES)
+        return self.w[at : at + RIGS * AXLES].reshape(RIGS, AXLES)
 
     def run_up_to(self, name):
         """Run the kernels of a step up to the first of this name."""
         for each in ORDER[: ORDER.index(name) + 1]:
             lanes_kernel = getattr(step, each)
-            lanes_kernel(self.w)
+            if each in OF_RIGS:
+                lanes_kernel(self.w, RIGS, AXLES)
+            else:
+                lanes_kernel(self.w, RIGS * AXLES)
 
     def moving(self):
         """Return the rigs that move before and after the step."""
@@ -225,11 +232,11 @@ def of_the_step(name):
 
 
 def whole_step(case):
-    step.step(case.w)
+    step.step(case.w, RIGS, AXLES)
     for n, expected in enumerate(case.after):
-        gathered = views(case.before[n].copy())
+        gathered = views(case.before[n].copy(), AXLES)
         gather(case.w, n, gathered)
-        for name in SLOTS:
+        for name in NAMES:
             if name not in OF_A_STAGE:
                 assert_close(getattr(gathered, name), getattr(expected, name), name)
 
@@ -238,9 +245,9 @@ def round_trip(case):
     # the lanes carry everything that a step of the plant changes
     for n, expected in enumerate(case.after):
         scatter(case.w, n, expected, 0.0)
-        gathered = views(case.before[n].copy())
+        gathered = views(case.before[n].copy(), AXLES)
         gather(case.w, n, gathered)
-        for name in SLOTS:
+        for name in NAMES:
             if name not in OF_A_STAGE:
                 assert np.array_equal(getattr(gathered, name), getattr(expected, name)), name
 
@@ -274,18 +281,18 @@ def end_of_tick(state, params):
 
 def quiet(case):
     # after a step, as after the steps of a tick
-    step.step(case.w)
+    step.step(case.w, RIGS, AXLES)
     for n, rig in enumerate(case.rigs):
-        expected = views(case.before[n].copy())
+        expected = views(case.before[n].copy(), AXLES)
         gather(case.w, n, expected)
         end_of_tick(expected, rig.params)
-        assert_close(layout.air_NL(case.w, n), expected.air_consumption[0])
-        quiet_tick.end(case.w, n)
-        gathered = views(case.before[n].copy())
+        assert_close(layout.air_NL(case.w, AXLES * n, AXLES), expected.air_consumption[0])
+        quiet_tick.end(case.w, AXLES * n, AXLES)
+        gathered = views(case.before[n].copy(), AXLES)
         gather(case.w, n, gathered)
         # the lanes do not have the speed of the rims
         gathered.wheel_circumferential_speed[:] = expected.wheel_circumferential_speed
-        for name in SLOTS:
+        for name in NAMES:
             assert_close(getattr(gathered, name), getattr(expected, name), name)
         assert np.all(case.row("AIR_NL")[n] == 0.0)
 
@@ -307,19 +314,19 @@ def cleaning(case):
             params = rig.params._replace(effects=effects)
             assert rail_cleaning.is_alone(params)
             assert not rail_cleaning.is_alone(rig.params)
-            state = views(case.before[n].copy())
+            state = views(case.before[n].copy(), AXLES)
             state.friction_degraded[:] = params.law.mu_cd
             state.friction_recovered[:] = params.law.mu_cr
             layout.load_constants(case.w, n, params)
             scatter(case.w, n, state, 0.0)
             friction_of_next_tick(state, params)
             states.append(state)
-        rail_cleaning.write_energy(case.w)
+        rail_cleaning.write_energy(case.w, RIGS * AXLES)
         for n in case.moving():
             # below SMALL_M_S the lanes have the secant at that sliding; 150 J/m clean the rail
             expected = states[n].dissipated_energy
             np.testing.assert_allclose(case.row("ENERGY")[n], expected, rtol=CLOSE, atol=1e-6)
-            rail_cleaning.clean(case.w, n)
+            rail_cleaning.clean(case.w, AXLES * n, AXLES)
             expected = states[n].rail_work
             np.testing.assert_allclose(case.row("RAIL_WORK")[n], expected, rtol=CLOSE, atol=1e-6)
             assert_close(case.row("MU_CD")[n], states[n].friction_degraded)
@@ -328,10 +335,10 @@ def cleaning(case):
 
 def force_of(case, n, j):
     """Return (T, secant slope) of an axle at the beginning of the step, by `wheelset`."""
-    s = views(case.before[n])
+    s = views(case.before[n], AXLES)
     p = case.rigs[n].params
     surface = s.vehicle_speed[0] if p.mode == 0 else p.drive.roller_radius_m * s.roller_speed[j]
-    sliding = surface - p.wheels.table[vehicle.RADIUS_M + j] * s.wheel_speed[j]
+    sliding = surface - p.wheels.table[vehicle.RADIUS_M, j] * s.wheel_speed[j]
     at = max(abs(sliding), wheelset.SMALL_M_S)
     T, _, _ = wheelset.contact_force(
         at,
@@ -352,9 +359,9 @@ def of_the_contacts(name):
         case.run_up_to(name)
         if name == "contacts":
             # the kernel begins with a solution of a moment before, which the first step has not
-            step.contacts_outside_domain(case.w)
+            step.contacts_outside_domain(case.w, RIGS * AXLES)
             case.row("SOLVED")[:] += case.rng.uniform(-2e-4, 2e-4, (RIGS, AXLES))
-            step.contacts(case.w)
+            step.contacts(case.w, RIGS * AXLES)
         inside = 0
         for n in case.moving():
             for j in range(AXLES):
@@ -370,7 +377,7 @@ def of_the_contacts(name):
 
 def stages_of(case, n, j):
     """Return slopes, pull and acting brake of the first stage, by `wheelset`."""
-    s = views(case.before[n])
+    s = views(case.before[n], AXLES)
     after = case.after[n]
     p = case.rigs[n].params
     T, g = force_of(case, n, j)
@@ -393,7 +400,7 @@ def stage(w, j, wheel, brake_Nm, motor_Nm):
 def one_stage(case):
     case.run_up_to("contacts_outside_domain")
     for n in case.moving():
-        s = views(case.before[n])
+        s = views(case.before[n], AXLES)
         for j in range(AXLES):
             result = stage(
                 case.w, AXLES * n + j, s.wheel_speed[j], s.brake_capacity[j], s.motor_before[j]
@@ -404,7 +411,7 @@ def one_stage(case):
 def prediction(case):
     case.run_up_to("predict")
     for n in case.moving():
-        s = views(case.before[n])
+        s = views(case.before[n], AXLES)
         p = case.rigs[n].params
         v = s.vehicle_speed[0]
         felt = s.felt_acceleration[0]
@@ -412,7 +419,7 @@ def prediction(case):
         resistance_N = vehicle.resistance(v, p.vehicle)
         pulls_N = sum(stages_of(case, n, j)[2] for j in range(AXLES))
         braking_N = resistance_N + pulls_N
-        assert_close(step.total(case.w, AXLES * n, 0.0) + resistance_N, braking_N)
+        assert_close(step.total(case.w, AXLES * n, AXLES, 0.0) + resistance_N, braking_N)
         rate = -braking_N / p.vehicle.mass_kg
         felt_end = felt + h * (rate - felt) / p.vehicle.pitch_time_constant_s
         assert_close(case.row("V_END")[n], np.full(AXLES, v + h * rate))
@@ -421,12 +428,12 @@ def prediction(case):
 
 def standstill(case):
     for n, rig in enumerate(case.rigs):
-        step.broadcast(case.w, layout.V, AXLES * n, 0.001)
-        step.settle(case.w, AXLES * n)
+        step.broadcast(case.w, layout.V, AXLES * n, AXLES, 0.001)
+        step.settle(case.w, AXLES * n, AXLES)
         rig.state.standing[0] = 0.0
         rig.state.vehicle_speed[0] = 0.001
         vehicle.settle(rig.state)
-        gathered = views(case.before[n].copy())
+        gathered = views(case.before[n].copy(), AXLES)
         gather(case.w, n, gathered)
         for name in (
             "vehicle_speed",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rolling import FILL, SOAP, TRACK, VENT, Rig
 
+from rollerrig.configs.vehicle import COACH_AXLES
 from rollerrig.rig import brake, params, vehicle
 from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Cause
@@ -73,7 +74,7 @@ for _row in table.TABLE:
         continue
     for _shape in shapes_of(_row):
         # all axles, or all and the first one
-        for _axle in _row.axles[:2]:
+        for _axle in _row.places(COACH_AXLES)[:2]:
             CASES.append(Case(_row, _shape, _axle))
 IN_PLANT_CASES = [case for case in CASES if case.row.mechanism in IN_PLANT]
 

@@ -8,7 +8,7 @@ from rollerrig.configs import store
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig.lanes import layout
 from rollerrig.rig.mechanisms import pads
-from rollerrig.rig.state import SLOTS
+from rollerrig.rig.state import NAMES
 
 VARYING = {
     "speed_loss": 0.2,
@@ -37,7 +37,7 @@ def test_pads_that_do_not_vary_change_no_bit_even_when_they_are_computed():
     forced.params = forced.params._replace(pads=forced.params.pads._replace(vary=True))
     plain = rig.roll(8.0)
     computed = forced.roll(8.0)
-    for name in SLOTS:
+    for name in NAMES:
         if name != "clamp_pressure":
             equal = np.array_equal(getattr(plain, name), getattr(computed, name), equal_nan=True)
             assert equal, name

@@ -1,19 +1,24 @@
 """The state in kernels: one address, whose fields are those of Python's named tuple."""
 
+import itertools
+
 import numpy as np
 import pytest
 from numba.core.errors import TypingError
 
+from rollerrig.configs.vehicle import ALLOWED_AXLES
 from rollerrig.rig import state as states
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.multibody import coach_state
 
+ALL_AXLES = pytest.mark.parametrize("axles", ALLOWED_AXLES)
+
 
 @kernel
 def _write(state):
-    for j in range(states.AXLES):
+    for j in range(state.axles):
         state.wheel_speed[j] += 10.0 + j
-    state.rail_work[3] = state.time[0]
+    state.rail_work[state.axles - 1] = state.time[0]
 
 
 @kernel
@@ -38,30 +43,47 @@ def _unknown(state):
     return state.colour[0]
 
 
-def _numbered(size=states.SIZE):
-    buffer = np.arange(float(size))
-    return buffer, states.views(buffer)
+def _numbered(axles=4, more=0):
+    buffer = np.arange(float(states.SIZE + more))
+    return buffer, states.views(buffer, axles)
 
 
-def test_a_kernel_writes_where_python_reads():
-    buffer, state = _numbered()
+@ALL_AXLES
+def test_a_kernel_writes_where_python_reads(axles):
+    buffer, state = _numbered(axles)
+    slots = states.slots(axles)
     expected = buffer.copy()
-    expected[states.SLOTS["wheel_speed"]] += [10.0, 11.0, 12.0, 13.0]
-    expected[states.SLOTS["rail_work"].stop - 1] = expected[0]
+    expected[slots["wheel_speed"]] += 10.0 + np.arange(axles)
+    expected[slots["rail_work"].stop - 1] = expected[0]
     _write(state)
     np.testing.assert_array_equal(buffer, expected)
-    np.testing.assert_array_equal(state.wheel_speed, expected[states.SLOTS["wheel_speed"]])
+    np.testing.assert_array_equal(state.wheel_speed, expected[slots["wheel_speed"]])
 
 
-def test_fields_have_the_same_shape_in_a_kernel_and_in_python():
-    _, state = _numbered()
-    assert _sizes(state) == (1, states.AXLES, state.wheel_load[1:3].sum())
+@ALL_AXLES
+def test_fields_have_the_same_shape_in_a_kernel_and_in_python(axles):
+    _, state = _numbered(axles)
+    assert _sizes(state) == (1, axles, state.wheel_load[1:3].sum())
     assert _sizes.py_func(state) == _sizes(state)
+
+
+def test_one_kernel_serves_all_numbers_of_axles():
+    for axles in ALLOWED_AXLES:
+        _write(_numbered(axles)[1])
+    assert len(_write.signatures) == 1
+
+
+@ALL_AXLES
+def test_every_slot_has_a_place_of_its_own(axles):
+    places = list(states.slots(axles).values())
+    assert places[0].start == 0
+    assert all(place.stop <= after.start for place, after in itertools.pairwise(places))
+    assert places[-1].stop <= states.SIZE
 
 
 def test_a_kernel_sees_the_coach_only_where_the_state_has_one():
     _, planar = _numbered()
-    whole, with_coach = _numbered(states.SIZE + coach_state.SIZE)
+    whole, with_coach = _numbered(more=coach_state.SIZE)
     assert _coach_end(planar) == 0.0
     assert _coach_end(with_coach) == whole[-1]
 

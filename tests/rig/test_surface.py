@@ -7,7 +7,7 @@ from rolling import SOAP, TRACK, VENT, Rig
 from rollerrig.rig import surface
 from rollerrig.rig.lanes import layout
 from rollerrig.rig.mechanisms import friction
-from rollerrig.rig.state import SLOTS
+from rollerrig.rig.state import NAMES
 
 # two sanders that give sand for 3.5 s
 SANDING = {"axle": 1, "second_axle": 3, "from_s": 0.5, "until_s": 4.0}
@@ -98,7 +98,7 @@ def test_faults_change_rate_and_lag_of_one_sander():
 def test_sanders_without_a_command_change_no_bit():
     plain = Rig(25.0, adhesion=SOAP).roll(4.0)
     fitted = Rig(25.0, adhesion=SOAP, sanders={"axle": 2}).roll(4.0)
-    for name in SLOTS:
+    for name in NAMES:
         if name not in (*SLOTS_OF_THE_PLACE, "sand_box"):
             assert np.array_equal(getattr(plain, name), getattr(fitted, name), equal_nan=True), name
     assert friction.dose_share(0.0, 0.004) == 0.0

@@ -10,7 +10,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.rig.lanes import layout
 from rollerrig.rig.mechanisms import wheel_flat
-from rollerrig.rig.state import SLOTS
+from rollerrig.rig.state import NAMES
 
 WEAR = {"wear_mm3_J": 0.002}
 ICE = {"mu_cd": 0.03, "tau_m_J": 0.0}
@@ -107,7 +107,7 @@ def test_the_energy_of_a_stop_with_acting_flats_balances():
 def test_wear_without_a_lock_and_a_lock_without_wear_change_no_bit():
     plain = Rig(30.0).roll(3.0, FREE)
     worn = Rig(30.0, flats=WEAR).roll(3.0, FREE)
-    for name in SLOTS:
+    for name in NAMES:
         if name != "sliding_work_before":
             assert np.array_equal(getattr(plain, name), getattr(worn, name), equal_nan=True), name
     _, run = locked({})
@@ -128,7 +128,7 @@ def test_a_flat_gives_repeatable_noise_only_at_the_sensor_of_its_wheel():
 
     def channels(*more):
         plan = scenario.load("velim_a1", "", (*settings, *more), faults=fault)
-        return free.channels(free.simulate(plan, "none"))
+        return free.channels(free.simulate(plan, "none"), plan.table)
 
     noisy = channels()
     repeated = channels()

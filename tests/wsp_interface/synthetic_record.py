@@ -3,7 +3,7 @@
 import numpy as np
 
 from rollerrig.realtime.bench import scenario
-from rollerrig.wsp_interface.harness_client import COLUMNS
+from rollerrig.wsp_interface.harness_client import reception
 from rollerrig.wsp_interface.sequences.measures import Record
 
 GOOD = """title = "A stop from forty on soap"
@@ -34,10 +34,11 @@ def record(sends_reference: bool = True, vents: float = 0.0) -> Record:
     sends_reference: whether the unit sends a reference speed.
     vents: how often the dump valve of axle 2 vents.
     """
-    plan = scenario.load("velim_a1").resolved
+    scenario_of_stop = scenario.load("velim_a1")
+    plan = scenario_of_stop.resolved
     time_s = np.round(np.arange(0.0, COAST_S + SPEED_M_S / RATE_M_S2 + 1.0, 0.01), 2)
     speed = np.clip(SPEED_M_S - RATE_M_S2 * np.clip(time_s - COAST_S, 0.0, None), 0.0, None)
-    columns = {name: np.zeros(len(time_s)) for name in COLUMNS}
+    columns = {name: np.zeros(len(time_s)) for name in reception(scenario_of_stop.table).columns}
     columns["time_s"] = time_s
     columns["vehicle_speed_m_s"] = speed
     travelled_m = np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(time_s))

@@ -12,12 +12,14 @@ import cantools
 import numpy as np
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import encoder406, io401, sander401
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.wsp_interface import descriptions, signals
 from rollerrig.wsp_interface.bus.connection_set import NMT, SDO_REPLY, SYNC, TPDO
 from rollerrig.wsp_interface.bus.frames import Frame
 
+TABLE = signals.table(COACH)
 RATED_Nm = 5000.0
 # attributes of an object that its EDS must have
 ATTRIBUTES = (
@@ -47,22 +49,22 @@ FIELD = Path(__file__).parent.parent / "data" / "field" / "eds_tools"
 @pytest.fixture
 def rig():
     """The nodes by number, and the live row of signals that they read."""
-    row = np.zeros(len(signals.COLUMNS))
+    row = np.zeros(signals.WIDTH)
     nodes = [
         drive.build(node, axle, row, {"rated_torque_Nm": RATED_Nm})
-        for axle, node in enumerate(signals.DRIVE_NODES, 1)
+        for axle, node in enumerate(TABLE.drive_nodes, 1)
     ]
     nodes += [
-        encoder406.build(row),
-        io401.build(row, np.zeros(io401.COMMANDS)),
-        sander401.build(row, np.zeros(signals.AXLES)),
+        encoder406.build(TABLE, row),
+        io401.build(TABLE, row, np.zeros(io401.COMMANDS)),
+        sander401.build(TABLE, row, np.zeros(COACH.axles)),
     ]
     return {node.node_id: node for node in nodes}, row
 
 
 @pytest.fixture
 def folder(rig, tmp_path):
-    descriptions.write(tmp_path, [node.dictionary for node in rig[0].values()])
+    descriptions.write(tmp_path, TABLE, [node.dictionary for node in rig[0].values()])
     return tmp_path
 
 
@@ -187,9 +189,10 @@ def test_the_same_dictionary_gives_the_same_file(rig):
 
 def test_cantools_decodes_the_frames_of_a_sync_into_the_signals_of_the_table(rig, folder):
     nodes, row = rig
-    row[:] = np.linspace(1.0, 40.0, len(row))
-    row[signals.span("cylinder_pressure")] = [1e5, 2e5, 3e5, 3.8e5]
-    row[signals.span("sand_rate")] = [0.01, 0.067, 0.1, 0.2]
+    row[:] = np.nan
+    row[TABLE.kept] = np.linspace(1.0, 40.0, len(TABLE.kept))
+    row[TABLE.span("cylinder_pressure")] = [1e5, 2e5, 3e5, 3.8e5]
+    row[TABLE.span("sand_rate")] = [0.01, 0.067, 0.1, 0.2]
     database = cantools.database.load_file(folder / "rig.dbc")
     decoded = {}
     for node in nodes.values():
@@ -205,13 +208,14 @@ def test_cantools_decodes_the_frames_of_a_sync_into_the_signals_of_the_table(rig
     assert set(expected) <= set(decoded)
     for name, place in expected.items():
         count = place.scale * (RATED_Nm if place.of else 1.0)
-        assert decoded[name] == pytest.approx(row[signals.COLUMNS.index(name)], abs=0.5001 * count)
+        true = row[TABLE.kept[TABLE.columns.index(name)]]
+        assert decoded[name] == pytest.approx(true, abs=0.5001 * count)
 
 
 def expected_signals():
     """Return the place of each column that the nodes send by default."""
     columns = {}
-    for signal in signals.SIGNALS:
+    for signal in TABLE.signals:
         if signal.direction != signals.OUT or not signal.places:
             continue
         place = signal.places[0]
@@ -242,7 +246,7 @@ def test_the_dbc_names_the_magnets(folder):
 
 def test_the_dbc_has_the_cycle_times_of_messages_that_are_sent_regularly(rig, tmp_path):
     dictionaries = [node.dictionary for node in rig[0].values()]
-    descriptions.write(tmp_path, dictionaries, sync_period_s=0.02)
+    descriptions.write(tmp_path, TABLE, dictionaries, sync_period_s=0.02)
     database = cantools.database.load_file(tmp_path / "rig.dbc")
     cycle_ms = {message.name: message.cycle_time for message in database.messages}
     assert cycle_ms["SYNC"] == 20
@@ -288,9 +292,9 @@ def test_every_identifier_and_every_name_of_a_signal_is_in_the_dbc_only_once(fol
 
 
 def test_the_signal_table_has_a_row_for_every_signal():
-    text = descriptions.signal_table()
-    assert len(text.splitlines()) == len(signals.SIGNALS) + 2
-    for signal in signals.SIGNALS:
+    text = descriptions.signal_table(TABLE)
+    assert len(text.splitlines()) == len(TABLE.signals) + 2
+    for signal in TABLE.signals:
         assert f"| `{signal.name}` |" in text
         for place in signal.places:
             assert f"{place.index:04X}h" in text

@@ -20,7 +20,8 @@ from rollerrig.realtime import cli
 from rollerrig.wsp_interface import own_bench
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.harness_client import COLUMNS, TimeOutError
+from rollerrig.wsp_interface.harness import COLUMNS
+from rollerrig.wsp_interface.harness_client import TimeOutError
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 
@@ -91,6 +92,7 @@ def test_the_commands_of_a_harness_take_effect_on_the_rig(tmp_path):
             r"not come true in 0\.1 s; last values: <Harness at",
         ):
             rig.until(lambda: rig.vehicle_speed_m_s > 50.0, timeout_s=0.1)
+        assert rig.columns == COLUMNS
         assert len(rig.trace[0]) == len(COLUMNS)
 
     events = own_bench.summary(tmp_path / "run")["events"]
@@ -98,6 +100,17 @@ def test_the_commands_of_a_harness_take_effect_on_the_rig(tmp_path):
     assert {"note": "the driver looks out"} in notes
     begun = [event["fields"] for event in events if event["code"] == Code.FAULT_BEGINS]
     assert any("speed_sensor_dropout axle=2" in fields["fault"] for fields in begun)
+
+
+@pytest.mark.parametrize("pacing", ["lockstep", "wall"])
+def test_a_harness_learns_the_vehicle_from_its_bench(tmp_path, pacing):
+    scenario = "tram_emergency_magnetic"
+    with own_bench.start(tmp_path / "run", scenario, pacing=pacing) as rig:
+        assert rig.table.kind.axles == len(rig.axles("cylinder_pressure")) == 6
+        assert rig.table.kind.magnetic_track_brake
+        assert rig.read("track_brake_force") == (0.0,) * 6
+        rig.friction(0.02)
+        assert rig.commanded_friction() == pytest.approx(dict.fromkeys(range(1, 7), 0.02))
 
 
 @pytest.fixture

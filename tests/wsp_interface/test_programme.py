@@ -74,7 +74,9 @@ def files(tmp_path):
     return write(tmp_path)
 
 
-@pytest.mark.parametrize("name", store.names("programmes"))
+@pytest.mark.parametrize(
+    "name", [*store.names("programmes"), *store.names_of_vehicles("programmes")]
+)
 def test_every_packaged_programme_and_its_sequences_are_valid(name):
     loaded = programme.load(name)
     kinds = [group.kind for group in loaded.groups]
@@ -83,17 +85,6 @@ def test_every_packaged_programme_and_its_sequences_are_valid(name):
     # what a programme contains is not read from a standard
     for group in loaded.groups:
         assert group.source.startswith(("recollection, to be checked against", "assumption"))
-
-
-@pytest.mark.parametrize("name", store.names_of_vehicles("programmes"))
-def test_every_packaged_programme_of_another_vehicle_and_its_sequences_are_valid(name, tmp_path):
-    loaded = programme.load(name)
-    kinds = [group.kind for group in loaded.groups]
-    assert {programme.MANDATORY, programme.BY_AGREEMENT, programme.APART} <= set(kinds)
-    # the process starts itself again for the vehicle
-    done = program.rollerrig("programme", name, "--check", folder=tmp_path)
-    assert done.status == 0, done.messages
-    assert f"{len(loaded.sequences)} sequences are valid" in done.printed + done.messages
 
 
 @pytest.mark.parametrize(

@@ -334,8 +334,7 @@ def test_names_of_marks_do_not_overlap_and_stay_in_the_picture(tmp_path):
     marks += [stop.Mark(20.9, stop.STEP, "the driver releases the brake, and the train rolls on")]
     figure = Figure(figsize=(11.0, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
-    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
-    stop.draw(figure, record.columns.__getitem__, radius_m, marks)
+    stop.draw(figure, stop.motion_of_record(record), marks)
     figure.canvas.draw()
     names = {mark.name for mark in marks}
     boxes = [
@@ -454,8 +453,7 @@ def test_the_name_of_a_mark_begins_or_ends_at_its_line(tmp_path, time_s):
     mark = stop.Mark(time_s, stop.FAULT, "vent_magnet_dead axle=3 lifted, and the brake goes on")
     figure = Figure(figsize=(11.0, 9.5), layout="constrained")
     FigureCanvasAgg(figure)
-    radius_m = record.scenario["vehicle"]["wheel_radius_m"]
-    stop.draw(figure, record.columns.__getitem__, radius_m, [mark])
+    stop.draw(figure, stop.motion_of_record(record), [mark])
     figure.canvas.draw()
     (name,) = (text for text in figure.findobj(Annotation) if text.get_text() == mark.name)
     box = name.get_window_extent()

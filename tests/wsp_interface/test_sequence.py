@@ -1,8 +1,6 @@
 """Sequences: how they are read, what is refused with which line, and the packaged library."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,8 +8,11 @@ from synthetic_record import GOOD
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import COACH, Kind
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
+from rollerrig.realtime.commands import sequence as verb_sequence
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import conditions, sequence, verdict
 
 
@@ -123,72 +124,69 @@ def test_a_limit_of_the_sequence_replaces_that_of_its_profile(tmp_path):
 
 
 def test_a_condition_of_every_axle_needs_all_and_of_any_needs_one():
-    every = conditions.condition("every cylinder_pressure > 1 bar", "here")
-    some = conditions.condition("any cylinder_pressure > 1 bar", "here")
+    coach = signals.table(COACH)
+    every = conditions.condition("every cylinder_pressure > 1 bar", "here", coach)
+    some = conditions.condition("any cylinder_pressure > 1 bar", "here", coach)
     values = dict(zip(every.columns, (2e5, 2e5, 2e5, 0.0), strict=True))
     assert not every.holds(values)
     assert some.holds(values)
     assert not some.holds(dict.fromkeys(every.columns, float("nan")))
 
 
-@pytest.mark.parametrize("name", store.names("sequences"))
+# those of the coach, and those of other vehicles
+PACKAGED = (*store.names("sequences"), *store.names_of_vehicles("sequences"))
+
+
+@pytest.mark.parametrize("name", PACKAGED)
 def test_every_packaged_sequence_is_in_order_and_has_limits(name):
     loaded = sequence.load(name, catalogue.parse)
     assert loaded.criteria.limits
     assert loaded.steps
 
 
-def of_vehicle(vehicle: str) -> list[str]:
-    """Return the names of the packaged sequences of a vehicle other than the coach."""
-    found = []
+@pytest.mark.parametrize("vehicle", sorted(set(store.names("vehicles")) - {"uic_z1"}))
+def test_every_shipped_vehicle_has_sequences(vehicle):
+    scenarios = []
     for name in store.names_of_vehicles("sequences"):
         content, _ = store.load("sequences", name)
-        scenario, _ = store.load("scenarios", content["scenario"])
-        if scenario["vehicle"] == vehicle:
-            found.append(name)
-    return found
-
-
-def check(*names: str) -> tuple[int, str]:
-    """Check sequences in a process, as a user does; return the exit status and the messages."""
-    # by hand and not forked: a process that needs another kind of vehicle starts itself again
-    words = [sys.executable, "-m", "rollerrig.realtime.cli", "sequence", "--check", *names]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
-    return done.returncode, done.stderr
-
-
-@pytest.mark.nightly
-@pytest.mark.parametrize("vehicle", sorted(set(store.names("vehicles")) - {"uic_z1"}))
-def test_every_shipped_vehicle_has_sequences_that_are_in_order_and_have_limits(vehicle):
-    names = of_vehicle(vehicle)
-    assert names
-    status, messages = check(*names)
-    assert status == 0, messages
-    for name in names:
-        content, _ = store.load("sequences", name)
-        assert content.get("measure") or content.get("criteria", "none") != "none", name
+        scenarios.append(content["scenario"])
+    vehicles = {store.load("scenarios", name)[0]["vehicle"] for name in scenarios}
+    assert vehicle in vehicles
 
 
 def test_no_two_packaged_sequences_have_the_same_name():
     assert not set(store.names("sequences")) & set(store.names_of_vehicles("sequences"))
 
 
+def test_one_command_plays_sequences_of_several_vehicles():
+    loaded = verb_sequence.load(["dry_120", "tram_dynamic_brake_lost", "multiple_unit_dynamic_low"])
+    kinds = [sequence.kind for sequence in loaded]
+    assert kinds == [COACH, Kind(6, True, True), Kind(8, True, False)]
+    # the kind by the texts is that of the bench
+    assert kinds == [verb_sequence.scenario_of(sequence).kind for sequence in loaded]
+
+
 @pytest.mark.parametrize(
-    "other", ["dry_120", pytest.param("multiple_unit_dynamic_low", marks=pytest.mark.nightly)]
+    ("old", "new", "expected"),
+    [
+        ("timeout =", "friction = { mu = 0.05, axles = [7] }\ntimeout =", "numbers from 1 to 6"),
+        ("timeout =", 'fault = "speed_sensor_stuck axle=7"\ntimeout =', "allowed 1 to 6"),
+        ("vehicle_speed < 1 km/h", "cylinder_pressure_7 > 1 bar", "there are axles 1 to 6"),
+        ('"tram_low"', '"trams_low"', "no scenario is called 'trams_low'"),
+    ],
 )
-def test_sequences_of_two_vehicles_in_one_command_are_refused_with_a_name_of_each(other):
-    status, messages = check("tram_dynamic_brake_lost", other)
-    assert status == 2
-    assert "tram_dynamic_brake_lost" in messages
-    assert other in messages
-    assert "one command for each vehicle" in messages
-    assert "Traceback" not in messages
+def test_a_sequence_has_the_axles_of_its_vehicle(tmp_path, old, new, expected):
+    of_tram = GOOD.replace("[start]", 'scenario = "tram_low"\n[start]')
+    conditions_of_step = read(tmp_path, of_tram).steps[0]
+    assert conditions_of_step.until.columns == ("vehicle_speed_m_s",)
+    with pytest.raises(ConfigError, match=expected):
+        read(tmp_path, of_tram.replace(old, new, 1))
 
 
 @pytest.mark.conformance("Faults", "every fault has a sequence in the library")
 def test_the_library_has_every_fault_of_the_catalogue():
     used = set()
-    for name in store.names("sequences"):
+    for name in PACKAGED:
         for step in sequence.load(name, catalogue.parse).steps:
             used |= {text.split()[0] for text in step.faults}
     missing = {kind.name for kind in catalogue.CATALOGUE} - used

@@ -7,7 +7,8 @@ import cantools
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.wsp_interface import rig_objects
+from rollerrig.configs.vehicle import COACH
+from rollerrig.wsp_interface import rig_objects, signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.connection_set import SYNC
 from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, UNIT_HEARTBEAT_ID
@@ -35,6 +36,7 @@ BO_ 1633 VALVES: 3 UNIT
 BO_ 145 TAKEN: 1 UNIT
  SG_ T1 : 0|8@1+ (1,0) [0|1] "" RIG
 """
+TABLE = signals.table(COACH)
 SPEEDS = 1632  # messages of the unit
 VALVES = 1633
 
@@ -96,19 +98,19 @@ def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
     with (
         buses.open_client(address) as rig,
         buses.open_client(address) as unit,
-        gateway.companion(files())(address),
+        gateway.companion(files(), TABLE)(address),
     ):
         thread = threading.Thread(target=play_unit, args=(unit, database))
         thread.start()
         until(rig, UNIT_HEARTBEAT_ID)
         # one cycle of the rig, at 20 rad/s
         send(rig, SYNC, b"")
-        send(rig, rig_objects.SPEEDS.can_id, (2000).to_bytes(2, "little") * 4)
-        send(rig, rig_objects.PRESSURES.can_id, bytes(8))
+        send(rig, rig_objects.SPEEDS_ID, (2000).to_bytes(2, "little") * 4)
+        send(rig, rig_objects.PRESSURES_ID, bytes(8))
         thread.join(5.0)
         reference = 0
         while reference == 0:
-            message = until(rig, rig_objects.REFERENCE_SPEED.can_id)
+            message = until(rig, rig_objects.REFERENCE_SPEED_ID)
             reference = int.from_bytes(message.data, "little")
         byte = until(rig, MAGNETS_ID).data[0]
     # 20 rad/s at 0.445 m are 8.9 m/s
@@ -129,9 +131,9 @@ def test_a_plain_unit_gets_its_speeds_and_moves_the_magnets(start_hub, files):
     ],
 )
 def test_a_wrong_mapping_is_refused(files, old, new, expected):
-    mapping.load(files())
+    mapping.load(files(), TABLE)
     with pytest.raises(ConfigError) as refusal:
-        mapping.load(files(MAP.replace(old, new)))
+        mapping.load(files(MAP.replace(old, new)), TABLE)
     assert expected in str(refusal.value)
 
 
@@ -140,7 +142,7 @@ def refusal(files, dbc=DBC, text=MAP):
     path = files(text)
     (path.parent / "unit.dbc").write_text(dbc)
     with pytest.raises(ConfigError) as refused:
-        mapping.load(path)
+        mapping.load(path, TABLE)
     return str(refused.value)
 
 
@@ -148,7 +150,7 @@ def with_dbc(files, dbc, text=MAP, encoding="utf-8"):
     """Return the mapping that a text and a DBC make."""
     path = files(text)
     (path.parent / "unit.dbc").write_bytes(dbc.encode(encoding))
-    return mapping.load(path)
+    return mapping.load(path, TABLE)
 
 
 class Log:

@@ -13,8 +13,10 @@ from dataclasses import dataclass
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
+from rollerrig.configs.vehicle import MOST_GROUPS
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.harness_client import COLUMNS
+from rollerrig.wsp_interface.harness_client import reception
+from rollerrig.wsp_interface.signals import Table
 
 # unit as a person writes it: (unit in the table of signals, factor to it)
 UNITS: dict[str, tuple[str, float]] = {
@@ -50,7 +52,7 @@ RANGES: dict[str, tuple[float, float]] = {
     "measured_speed": (0.0, 327.67),
     "wheel_circumferential_speed": (0.0, 100.0),
     "sliding": (-100.0, 100.0),
-    **dict.fromkeys(signals.REFERENCE_SPEEDS, (0.0, 327.67)),
+    **dict.fromkeys(map(signals.reference_speed_name, range(MOST_GROUPS)), (0.0, 327.67)),
     "vehicle_acceleration": (-20.0, 20.0),
 }
 _OPERATORS: dict[str, Callable[[float, float], bool]] = {
@@ -61,8 +63,6 @@ _OPERATORS: dict[str, Callable[[float, float], bool]] = {
 }
 _QUANTITY = re.compile(r"\s*([-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?)\s*([A-Za-z%][A-Za-z0-9/%]*)?\s*$")
 _CONDITION = re.compile(r"\s*(?:(every|any)\s+)?([a-z_0-9]+)\s*(<=|>=|<|>)\s*(.+)$")
-# the signals that the harness receives
-_KNOWN = tuple(signal.name for signal in signals.SIGNALS if signals.columns(signal)[0] in COLUMNS)
 _NO_UNIT = "the unit is missing"
 _NO_RANGE = (-float("inf"), float("inf"))
 
@@ -131,8 +131,8 @@ def _form(unit: str) -> str:
     return f"a number with its unit ({allowed})"
 
 
-def condition(text: object, where: str) -> Condition:
-    """Return a condition from its text.
+def condition(text: object, where: str, table: Table) -> Condition:
+    """Return a condition from its text, for the vehicle with these signals.
 
     Raises ConfigError for an unknown signal or unit, and for a condition that can never be met.
     """
@@ -143,8 +143,8 @@ def condition(text: object, where: str) -> Condition:
             "'vehicle_speed < 5 km/h' or 'every cylinder_pressure > 3 bar'"
         )
     quantifier, written_name, compare, written_bound = match.groups()
-    name, columns = _columns(written_name, where)
-    unit = signals.BY_NAME[name].unit
+    name, columns = _columns(written_name, where, table)
+    unit = table.by_name[name].unit
     bound = quantity(written_bound, unit, f"{where}: {written_name}")
     low, high = RANGES.get(name, _NO_RANGE)
     if _is_impossible(compare, bound, low, high):
@@ -174,14 +174,15 @@ def _is_impossible(compare: str, bound: float, low: float, high: float) -> bool:
     return bound > high
 
 
-def _columns(name: str, where: str) -> tuple[str, tuple[str, ...]]:
+def _columns(name: str, where: str, table: Table) -> tuple[str, tuple[str, ...]]:
     """Return the signal and the columns of a name, with or without an axle."""
+    received = reception(table).received
     stem, _, axle = name.rpartition("_")
-    if axle.isdecimal() and stem in _KNOWN:
-        signal = signals.BY_NAME[stem]
+    if axle.isdecimal() and stem in received:
+        signal = table.by_name[stem]
         if not 1 <= int(axle) <= signal.axles:
             raise ConfigError(f"{where}: '{name}': there are axles 1 to {signal.axles}")
         return stem, (signals.columns(signal)[int(axle) - 1],)
-    if name not in _KNOWN:
-        raise ConfigError(f"{where}: no signal is called '{name}'{nearest(name, _KNOWN)}")
-    return name, signals.columns(signals.BY_NAME[name])
+    if name not in received:
+        raise ConfigError(f"{where}: no signal is called '{name}'{nearest(name, received)}")
+    return name, signals.columns(table.by_name[name])

@@ -28,8 +28,9 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.vehicle import (
-    AXLES,
+    Kind,
     brake_torque_Nm_Pa,
+    kind_of,
     running_resistance,
     track_gradient,
     weighed_share,
@@ -46,7 +47,6 @@ LOCKED_MJ = 1.0
 SLIDING_MJ = 100.0
 FULL_BRAKE = 0.9  # share of the demanded pressure that counts as full brake
 _TINY_S = 1e-9
-_AXLES = range(1, AXLES + 1)
 NAN = float("nan")
 
 
@@ -70,6 +70,16 @@ class Record:
     fault_s: float = NAN
 
     @cached_property
+    def kind(self) -> Kind:
+        """The kind of the vehicle."""
+        return kind_of(self.scenario, "the scenario")
+
+    @property
+    def axles(self) -> range:
+        """The axles of the vehicle, counted from 1."""
+        return range(1, self.kind.axles + 1)
+
+    @cached_property
     def braking(self) -> slice:
         """The rows from the first brake demand to standstill, or to the end."""
         begin = braking.begin(self.columns["brake_demand_Pa"]) or 0
@@ -82,13 +92,13 @@ class Record:
         return self.columns[name][self.braking]
 
     def wheelsets(self, name: str, unit: str = "") -> np.ndarray:
-        """Return a signal of every wheelset over the braking, shape (4, n)."""
-        return np.array([self.braked(f"{name}_{axle}{unit}") for axle in _AXLES])
+        """Return a signal of every wheelset over the braking, shape (axles, n)."""
+        return np.array([self.braked(f"{name}_{axle}{unit}") for axle in self.axles])
 
     @cached_property
     def diagnosis(self) -> Diagnosis:
         """What the braking shows of the unit's wiring and reference speed."""
-        found = Diagnosis(events.ignore)
+        found = Diagnosis(self.kind, events.ignore)
         sliding_m_s = self.wheelsets("sliding", "_m_s").T.tolist()
         valves = self.wheelsets("valve").T.tolist()
         for sample in zip(
@@ -108,7 +118,7 @@ def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
     """Return the force at the rim of all wheelsets at a cylinder pressure."""
     brake = record.scenario["brake"]
     return (
-        AXLES
+        record.kind.axles
         * brake_torque_Nm_Pa(brake)
         / record.scenario["vehicle"]["wheel_radius_m"]
         * np.maximum(0.0, np.asarray(pressure_Pa) - brake["spring_pressure_Pa"])
@@ -118,7 +128,7 @@ def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
 def dynamic_mass_kg(record: Record) -> float:
     """Return the mass of the vehicle, with the equivalent mass of its wheelsets and motors."""
     vehicle = record.scenario["vehicle"]
-    inertia_kgm2 = AXLES * vehicle["wheelset_inertia_kgm2"]
+    inertia_kgm2 = record.kind.axles * vehicle["wheelset_inertia_kgm2"]
     motors = record.scenario.get("dynamic_brake")
     if motors:
         inertia_kgm2 += len(motors["axles"]) * motors["rotor_inertia_kgm2"]
@@ -192,12 +202,12 @@ def _until_standstill(record: Record, name: str) -> float:
 
 
 def sliding(record: Record) -> np.ndarray:
-    """Return the sliding of each wheelset over the braking, shape (4, n), in m/s."""
+    """Return the sliding of each wheelset over the braking, shape (axles, n), in m/s."""
     return record.wheelsets("sliding", "_m_s")
 
 
 def measured_sliding(record: Record) -> np.ndarray:
-    """Return the sliding that follows from the measured speeds, shape (4, n), in m/s.
+    """Return the sliding that follows from the measured speeds, shape (axles, n), in m/s.
 
     The unit sees this sliding. It is wrong if a speed sensor is.
     """
@@ -314,9 +324,8 @@ def _full_brake_after_s(record: Record) -> float:
     """Return the time from the first fault until every cylinder has 90 % of the demand."""
     time_s = record.columns["time_s"]
     wanted_Pa = FULL_BRAKE * record.columns["brake_demand_Pa"]
-    reached = np.all(
-        [record.columns[f"cylinder_pressure_{axle}_Pa"] >= wanted_Pa for axle in _AXLES], axis=0
-    )
+    pressures_Pa = [record.columns[f"cylinder_pressure_{axle}_Pa"] for axle in record.axles]
+    reached = np.all(np.array(pressures_Pa) >= wanted_Pa, axis=0)
     after = np.flatnonzero(reached & (time_s >= record.fault_s))
     if not after.size:
         return math.inf

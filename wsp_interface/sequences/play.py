@@ -22,7 +22,7 @@ from rollerrig.configs.errors import BusError, RollerrigError, UnitError
 from rollerrig.wsp_interface import braking, events, own_bench, unit_choice
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
 from rollerrig.wsp_interface.events import Code
-from rollerrig.wsp_interface.harness_client import COLUMNS, Event, Harness, TimeOutError
+from rollerrig.wsp_interface.harness_client import Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import running_bench, verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.sequences.measures import Record
@@ -214,7 +214,7 @@ def observed(harness: Harness) -> dict[str, Any]:
 
     The bus does not show lateness.
     """
-    time_column = COLUMNS.index("time_s")
+    time_column = harness.columns.index("time_s")
     times_s = np.array([row[time_column] for row in harness.trace])
     steps_s = np.diff(times_s[np.isfinite(times_s)])
     cycle_s = math.nan
@@ -232,8 +232,10 @@ def _why_lost(error: BusError, harness: Harness | None, remedy: str) -> str:
     """Return why a bench was lost, with the `remedy` if it has ended after the stop."""
     if harness is None or not harness.trace:
         return str(error)
-    speed_m_s = np.array([row[COLUMNS.index("vehicle_speed_m_s")] for row in harness.trace])
-    time_s = np.array([row[COLUMNS.index("time_s")] for row in harness.trace])
+    speed_column = harness.columns.index("vehicle_speed_m_s")
+    speed_m_s = np.array([row[speed_column] for row in harness.trace])
+    time_column = harness.columns.index("time_s")
+    time_s = np.array([row[time_column] for row in harness.trace])
     rolls = np.flatnonzero(speed_m_s > braking.STANDS_M_S)
     since = int(rolls[-1]) + 1 if rolls.size else 0
     if since == len(harness.trace):
@@ -440,7 +442,7 @@ def _record_of(
     ]
     values = np.array(harness.trace).T
     return Record(
-        columns=dict(zip(COLUMNS, values, strict=True)),
+        columns=dict(zip(harness.columns, values, strict=True)),
         demands=tuple(harness.demands),
         finals=finals,
         scenario=scenario,
@@ -479,5 +481,5 @@ def _write_trace(folder: Path, harness: Harness) -> None:
         new.open("w", newline="", encoding="utf-8") as file,
     ):
         out = csv.writer(file)
-        out.writerow(COLUMNS)
+        out.writerow(harness.columns)
         out.writerows([f"{value:.9g}" for value in row] for row in harness.trace)

@@ -27,12 +27,7 @@ COUNTED = (MANDATORY, BY_AGREEMENT)
 
 # Names of the signals of any vehicle. A programme is read before it is known which vehicle its
 # sequences have, and a record without a signal of this list is an error in the evidence.
-_SIGNALS = tuple(
-    dict.fromkeys(
-        signal.name
-        for signal in (*signals.SIGNALS, *signals.OF_DYNAMIC_BRAKE, *signals.OF_TRACK_BRAKE)
-    )
-)
+_SIGNALS = tuple(signal.name for signal in signals.ALL_SIGNALS)
 _KEYS = ("title", "source", "notes", "log", "group")
 _GROUP_KEYS = ("title", "kind", "source", "sequences", "reason")
 

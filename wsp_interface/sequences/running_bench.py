@@ -20,7 +20,7 @@ from rollerrig.wsp_interface.sequences.sequence import Sequence
 # programme of the brake, which the sequence replaces; the speed is compared as it is on the bus
 _NOT_COMPARED = ("title", "demand", "duration_max_s", "stand_s", "initial_speed_m_s")
 _TABLES_NOT_COMPARED = ("loop", "bus", "modbus")
-# the harness has columns for this number of axles
+# the conditions and commands of a sequence are those of a vehicle with this number of axles
 _ALWAYS_STATED = ("vehicle.axles",)
 _INITIAL_ADHESION = "adhesion.initial_adhesion"
 # differences that a warning lists

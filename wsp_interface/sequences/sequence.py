@@ -27,13 +27,16 @@ from typing import Any
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
-from rollerrig.wsp_interface import unit_choice
+from rollerrig.configs.vehicle import Kind
+from rollerrig.wsp_interface import own_bench, signals, unit_choice
 from rollerrig.wsp_interface.sequences import conditions, verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
-from rollerrig.wsp_interface.signals import AXLES
+from rollerrig.wsp_interface.signals import Table
 from rollerrig.wsp_interface.unit_choice import AllowList
 
 Where = Callable[[str], str]  # returns the place of a key, for messages
+# raises ConfigError for a text that is no fault of a kind of vehicle
+CheckFault = Callable[[str, Kind], Any]
 
 DEFAULT_TIMEOUT_S = 300.0
 # node 17 refuses a higher demand
@@ -142,6 +145,7 @@ class Sequence:
     wsp: the unit, as the option of `rollerrig run`; started only if `allowed_unit` returns it.
     wsp_at: file and line of the unit, for messages.
     tables: changes of the scenario.
+    kind: the kind of the vehicle, by scenario and tables.
     notes: operator's notes for the events of the run.
     before, after: pre-conditions and post-conditions.
     criteria: the limits for its measures.
@@ -156,6 +160,7 @@ class Sequence:
     speed_m_s: float | None
     adhesion: str
     tables: dict[str, Any]
+    kind: Kind
     notes: tuple[str, ...]
     before: tuple[Condition, ...]
     after: tuple[Condition, ...]
@@ -227,11 +232,8 @@ class _Source:
         return text
 
 
-def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None) -> Sequence:
-    """Return a sequence by name or path.
-
-    `check_fault(text)` raises ConfigError for a text that is no fault. Raises ConfigError.
-    """
+def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) -> Sequence:
+    """Return a sequence by name or path. Raises ConfigError."""
     path = name if isinstance(name, Path) else store.find("sequences", name)
     content = store.parse(path)
     source = _Source(path)
@@ -248,12 +250,19 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
 
     speed_m_s = _optional(start, "speed", "m_s", in_start)
     tables = _tables(content, in_start)
+    scenario = str(content.get("scenario", ""))
+    try:
+        kind = own_bench.kind_of_scenario(scenario, tables, "the scenario")
+    except ConfigError as error:
+        raise ConfigError(f"{path} [start]: {error}") from None
+    vehicle = signals.table(kind)
     gradient = tables.get("mechanisms", {}).get("track_gradient_gradient", 0.0)
     is_downhill = gradient < 0.0
     steps = tuple(
         _steps(
             content.get("step", []),
             source,
+            vehicle,
             # downhill a vehicle may become faster
             highest_speed_m_s=None if is_downhill else speed_m_s,
             check_fault=check_fault,
@@ -275,15 +284,16 @@ def load(name: str | Path, check_fault: Callable[[str], Any] = lambda text: None
         name=path.stem,
         path=path,
         title=title,
-        scenario=str(content.get("scenario", "")),
+        scenario=scenario,
         wsp=unit,
         wsp_at=in_head("wsp"),
         speed_m_s=speed_m_s,
         adhesion=str(start.get("adhesion", "")),
         tables=tables,
+        kind=kind,
         notes=_texts(content, "notes", in_head),
-        before=_conditions(content, "before", in_head),
-        after=_conditions(content, "after", in_head),
+        before=_conditions(content, "before", in_head, vehicle),
+        after=_conditions(content, "after", in_head, vehicle),
         steps=steps,
         criteria=profile.with_limits(limits),
     )
@@ -327,8 +337,9 @@ def _tables(content: Mapping[str, Any], at: Where) -> dict[str, Any]:
 def _steps(
     tables: Any,
     source: _Source,
+    vehicle: Table,
     highest_speed_m_s: float | None,
-    check_fault: Callable[[str], Any],
+    check_fault: CheckFault,
 ) -> Iterable[Step]:
     """Yield the checked steps. `highest_speed_m_s` is None if the vehicle may become faster."""
     if not isinstance(tables, list):
@@ -337,10 +348,10 @@ def _steps(
     for number, table in enumerate(tables):
         at = partial(source.where, "step", number)
         known(table, STEP, at)
-        step = _step(table, at, source.line("step", number))
+        step = _step(table, at, source.line("step", number), vehicle)
         for text in step.faults:
             try:
-                check_fault(text)
+                check_fault(text, vehicle.kind)
             except ConfigError as error:
                 raise ConfigError(f"{at('fault')}: {error}") from None
         _check_durations(step, table, at, passed_s)
@@ -353,7 +364,7 @@ def _steps(
         yield step
 
 
-def _step(table: Mapping[str, Any], at: Where, line: int) -> Step:
+def _step(table: Mapping[str, Any], at: Where, line: int, vehicle: Table) -> Step:
     commands = table.get("set", {})
     if not isinstance(commands, dict):
         raise ConfigError(f"{at('set')} = {commands!r}: allowed is a table")
@@ -366,7 +377,7 @@ def _step(table: Mapping[str, Any], at: Where, line: int) -> Step:
             )
     until = None
     if "until" in table:
-        until = conditions.condition(table["until"], at("until"))
+        until = conditions.condition(table["until"], at("until"), vehicle)
     brake_Pa = None
     if "brake_demand" in commands:
         brake_Pa = _pressure(commands["brake_demand"], at("set"))
@@ -385,11 +396,11 @@ def _step(table: Mapping[str, Any], at: Where, line: int) -> Step:
         brake_Pa=brake_Pa,
         sand=sand,
         ramp=_ramp(table.get("ramp"), at("ramp")),
-        friction=_patch(table.get("friction"), at("friction")),
+        friction=_patch(table.get("friction"), at("friction"), vehicle.kind.axles),
         faults=_texts(table, "fault", at),
         lifts=_texts(table, "lift", at),
         notes=_texts(table, "note", at),
-        expects=_conditions(table, "expect", at),
+        expects=_conditions(table, "expect", at, vehicle),
     )
 
 
@@ -459,7 +470,8 @@ def _ramp(content: Any, where: str) -> Ramp | None:
     return Ramp(_pressure(content["brake_demand"], where), in_s)
 
 
-def _patch(content: Any, where: str) -> Patch | None:
+def _patch(content: Any, where: str, most: int) -> Patch | None:
+    """Return the friction of a step, under axles from 1 to `most`."""
     if content is None:
         return None
     if not isinstance(content, dict) or not {"mu"} <= set(content) <= {"mu", "axles"}:
@@ -467,14 +479,14 @@ def _patch(content: Any, where: str) -> Patch | None:
             f"{where} = {content!r}: write friction = {{ mu = 0.05, axles = [1, 2] }}"
         )
     mu = content["mu"]
-    axles = content.get("axles", list(range(1, AXLES + 1)))
+    axles = content.get("axles", list(range(1, most + 1)))
     if not isinstance(mu, int | float) or not (mu == 0 or LEAST_MU <= mu <= HIGHEST_MU):
         raise ConfigError(
             f"{where}: mu = {mu!r}: from {LEAST_MU:g} to {HIGHEST_MU:g}, "
             "or 0 for that of the scenario"
         )
-    if not axles or not all(type(axle) is int and 1 <= axle <= AXLES for axle in axles):
-        raise ConfigError(f"{where}: axles = {axles!r}: a list of axle numbers from 1 to {AXLES}")
+    if not axles or not all(type(axle) is int and 1 <= axle <= most for axle in axles):
+        raise ConfigError(f"{where}: axles = {axles!r}: a list of axle numbers from 1 to {most}")
     return Patch(float(mu), tuple(axles))
 
 
@@ -487,5 +499,8 @@ def _texts(table: Mapping[str, Any], key: str, at: Where) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def _conditions(table: Mapping[str, Any], key: str, at: Where) -> tuple[Condition, ...]:
-    return tuple(conditions.condition(text, at(key)) for text in _texts(table, key, at))
+def _conditions(
+    table: Mapping[str, Any], key: str, at: Where, vehicle: Table
+) -> tuple[Condition, ...]:
+    texts = _texts(table, key, at)
+    return tuple(conditions.condition(text, at(key), vehicle) for text in texts)

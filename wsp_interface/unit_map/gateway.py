@@ -35,21 +35,18 @@ from rollerrig.wsp_interface.rig_objects import (
     FAILURE,
     GENERIC_ERROR,
     MAGNETS_ID,
-    PRESSURES,
-    REFERENCE_SPEED,
-    SPEEDS,
     UNIT_EMERGENCY_ID,
     UNIT_HAS_FAILED,
     UNIT_HEARTBEAT_ID,
+    unit_frames,
 )
-from rollerrig.wsp_interface.signals import BENCH_NODE, WSP_NODE
+from rollerrig.wsp_interface.signals import BENCH_NODE, Table
 from rollerrig.wsp_interface.unit_map import fields
 from rollerrig.wsp_interface.unit_map.mapping import (
-    SOURCE_OF_COLUMN,
-    SOURCES,
     Outgoing,
     UnitMap,
     load,
+    source_of_column,
 )
 
 OPERATIONAL = 5  # NMT state in a heartbeat
@@ -72,7 +69,9 @@ class Gateway:
     def __init__(self, bus: can.BusABC, mapping: UnitMap) -> None:
         self.bus = bus
         self.mapping = mapping
-        self.values = dict.fromkeys(SOURCES, 0.0)
+        self._frames = unit_frames(mapping.vehicle, 0)
+        self._sources = source_of_column(mapping.vehicle)
+        self.values = dict.fromkeys(self._sources.values(), 0.0)
         self.answers = 0
         self.failure = ""
         self.breakdown = ""
@@ -139,10 +138,10 @@ class Gateway:
                 self._alive = False
         elif can_id == incoming.frame_id and message.is_extended_id == incoming.is_extended_frame:
             self._translate_answer(bytes(message.data))
-        elif can_id == SPEEDS.can_id:
-            self._store(SPEEDS.read(message.data))
-        elif can_id == PRESSURES.can_id:
-            values = PRESSURES.read(message.data)
+        elif can_id == self._frames.speeds.can_id:
+            self._store(self._frames.speeds.read(message.data))
+        elif can_id == self._frames.pressures.can_id:
+            values = self._frames.pressures.read(message.data)
             self._store(values)
             if values:
                 # pressures come last in a cycle, so all values are now of the same SYNC
@@ -150,7 +149,7 @@ class Gateway:
 
     def _store(self, values: Mapping[str, float]) -> None:
         for column, value in values.items():
-            self.values[SOURCE_OF_COLUMN[column]] = value
+            self.values[self._sources[column]] = value
 
     def _send_to_unit(self) -> None:
         for number, outgoing in enumerate(self.mapping.outgoing):
@@ -210,9 +209,10 @@ class Gateway:
         if mapping.reference:
             raw = signals.count(
                 float(content[mapping.reference]) * mapping.reference_factor,
-                signals.place("wsp_reference_speed", WSP_NODE),
+                signals.first_place("wsp_reference_speed"),
             )
-            self._send(REFERENCE_SPEED.can_id, REFERENCE_SPEED.struct.pack(raw))
+            frame = self._frames.reference_speed
+            self._send(frame.can_id, frame.struct.pack(raw))
 
         pairs = []
         for hold, vent in zip(mapping.hold, mapping.vent, strict=True):
@@ -246,9 +246,12 @@ class Gateway:
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
-def companion(path: Path) -> Callable[[str], AbstractContextManager[Gateway]]:
-    """Return a context manager that runs a gateway during a bench, given the address of its bus."""
-    mapping = load(path)
+def companion(path: Path, vehicle: Table) -> Callable[[str], AbstractContextManager[Gateway]]:
+    """Return a context manager that runs a gateway during a bench, given the address of its bus.
+
+    `vehicle`: the signals of the vehicle of the bench.
+    """
+    mapping = load(path, vehicle)
 
     @contextlib.contextmanager
     def run_gateway(address: str) -> Iterator[Gateway]:

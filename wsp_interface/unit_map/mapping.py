@@ -34,7 +34,6 @@ from cantools.database.can import Message as DbcMessage
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
-from rollerrig.configs.vehicle import GROUPS, UNIT_AXLES
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus.connection_set import (
     LSS_ANSWER,
@@ -44,17 +43,10 @@ from rollerrig.wsp_interface.bus.connection_set import (
     SYNC,
     TIME,
 )
-from rollerrig.wsp_interface.signals import AXLES, BENCH_NODE
+from rollerrig.wsp_interface.signals import BENCH_NODE, Table
 from rollerrig.wsp_interface.unit_map import fields
 from rollerrig.wsp_interface.unit_map.fields import CHECKSUMS, Checksum, Filled
 
-# the nodes of all groups of axles; a further group has a TPDO of the harness with the identifiers
-# of a node below that of the bench
-_NODES = (
-    *signals.RIG_NODES,
-    *signals.WSP_NODES,
-    *range(BENCH_NODE - GROUPS + 1, BENCH_NODE + 1),
-)
 # the service codes of nodes in the predefined connection set: EMCY to SDO, and heartbeat
 _SERVICES = (*range(1, 13), 14)
 _SERVICE_BITS = 7  # the service code is above the bits of the node's number
@@ -67,19 +59,22 @@ _CHECKSUM_KEYS = ("signal", "kind", "prefix")
 _CAN_BYTES = 8
 _BOTH_WAYS = "a mapping has at least one [[to_unit]] and one [from_unit]"
 
-# the names of the quantities in a mapping: their columns without the unit
-SOURCE_OF_COLUMN = {
-    column: f"{name}_{axle}"
-    for name in ("measured_speed", "cylinder_pressure")
-    for axle, column in enumerate(signals.columns(signals.BY_NAME[name]), start=1)
-}
-SOURCES = tuple(SOURCE_OF_COLUMN.values())
-# those of a unit that protects one group, with its axles counted from 1
-SOURCES_OF_GROUP = tuple(
-    f"{name}_{axle}"
-    for name in ("measured_speed", "cylinder_pressure")
-    for axle in range(1, UNIT_AXLES + 1)
-)
+_QUANTITIES = ("measured_speed", "cylinder_pressure")
+
+
+def source_of_column(table: Table) -> dict[str, str]:
+    """Return the names of the quantities in a mapping: their columns without the unit."""
+    found = {}
+    for name in _QUANTITIES:
+        for axle, column in enumerate(signals.columns(table.by_name[name]), start=1):
+            found[column] = f"{name}_{axle}"
+    return found
+
+
+def sources_of_group(unit_axles: int) -> tuple[str, ...]:
+    """Return the quantities of a unit that protects one group, with its axles counted from 1."""
+    axles = range(1, unit_axles + 1)
+    return tuple(f"{name}_{axle}" for name in _QUANTITIES for axle in axles)
 
 
 @dataclass(frozen=True)
@@ -96,6 +91,7 @@ class Outgoing:
 class UnitMap:
     """A checked mapping of a unit with CAN messages."""
 
+    vehicle: Table  # the signals of the vehicle
     outgoing: tuple[Outgoing, ...]
     incoming: DbcMessage
     hold: tuple[str, ...]  # the unit's signals of the hold magnets, one for each axle
@@ -119,8 +115,8 @@ class FmuMap(NamedTuple):
     reference_factor: float
 
 
-def load_fmu_map(path: Path) -> FmuMap:
-    """Return the mapping of an FMU. Raises ConfigError."""
+def load_fmu_map(path: Path, unit_axles: int) -> FmuMap:
+    """Return the mapping of an FMU with variables for so many axles. Raises ConfigError."""
     content = store.parse(path)
     known(
         content,
@@ -132,7 +128,7 @@ def load_fmu_map(path: Path) -> FmuMap:
         where = f"{path} [[to_unit]] {number}"
         known(table, ("signals", "factor"), lambda key, where=where: where)
         factor = _factor(table, "factor", where)
-        for name, source in _sources(table, where, SOURCES_OF_GROUP).items():
+        for name, source in _sources(table, where, sources_of_group(unit_axles)).items():
             inputs[name] = (source, factor)
 
     from_unit = content.get("from_unit")
@@ -140,7 +136,7 @@ def load_fmu_map(path: Path) -> FmuMap:
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
     known(from_unit, _FMU_KEYS, lambda key: where)
-    hold, vent = _magnets(from_unit, where, UNIT_AXLES)
+    hold, vent = _magnets(from_unit, where, unit_axles)
     return FmuMap(
         inputs=inputs,
         hold=hold,
@@ -150,8 +146,8 @@ def load_fmu_map(path: Path) -> FmuMap:
     )
 
 
-def load(path: Path) -> UnitMap:
-    """Return a mapping with its DBC.
+def load(path: Path, vehicle: Table) -> UnitMap:
+    """Return a mapping with its DBC, for the vehicle with these signals.
 
     Raises ConfigError for an unknown message or signal, or an identifier that the rig uses.
     """
@@ -161,21 +157,22 @@ def load(path: Path) -> UnitMap:
 
     outgoing = []
     for number, table in enumerate(content.get("to_unit", []), start=1):
-        outgoing.append(_outgoing(table, database, f"{path} [[to_unit]] {number}"))
+        outgoing.append(_outgoing(table, database, f"{path} [[to_unit]] {number}", vehicle))
 
     from_unit = content.get("from_unit")
     if not outgoing or not isinstance(from_unit, dict):
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
     known(from_unit, _FROM_UNIT_KEYS, lambda key: where)
-    incoming = _message(from_unit, database, where)
-    hold, vent = _magnets(from_unit, where, AXLES)
+    incoming = _message(from_unit, database, where, vehicle)
+    hold, vent = _magnets(from_unit, where, vehicle.kind.axles)
     _check_signals(hold, incoming, f"{where}: hold")
     _check_signals(vent, incoming, f"{where}: vent")
     reference = str(from_unit.get("reference", ""))
     if reference:
         _check_signals((reference,), incoming, f"{where}: reference")
     return UnitMap(
+        vehicle=vehicle,
         outgoing=tuple(outgoing),
         incoming=incoming,
         hold=hold,
@@ -206,10 +203,10 @@ def _database(path: Path, name: Any) -> Any:
         raise ConfigError(f"{path}: dbc = {name!r}: cannot be read: {error}") from None
 
 
-def _outgoing(table: Any, database: Any, where: str) -> Outgoing:
+def _outgoing(table: Any, database: Any, where: str, vehicle: Table) -> Outgoing:
     known(table, _TO_UNIT_KEYS, lambda key: where)
-    message = _message(table, database, where)
-    sources = _sources(table, where, SOURCES)
+    message = _message(table, database, where, vehicle)
+    sources = _sources(table, where, tuple(source_of_column(vehicle).values()))
     _check_signals(tuple(sources), message, f"{where}: signals")
     filled = Filled(
         constants=_constants(table, message, where),
@@ -353,7 +350,7 @@ def _magnets(
     return hold, vent
 
 
-def _message(table: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
+def _message(table: Mapping[str, Any], database: Any, where: str, vehicle: Table) -> DbcMessage:
     """Return the message of a table. Raises ConfigError when the rig uses its identifier."""
     name = table.get("message")
     messages: dict[str, DbcMessage] = {}
@@ -377,30 +374,33 @@ def _message(table: Mapping[str, Any], database: Any, where: str) -> DbcMessage:
         message.refresh(strict=True)
     except (cantools.Error, ValueError) as error:
         raise ConfigError(f"{where}: message = {name!r}: {error}; correct the DBC") from None
-    if _is_used_by_rig(message):
+    if _is_used_by_rig(message, vehicle):
         raise ConfigError(
             f"{where}: {name} has the identifier {message.frame_id:X}h, which the rig "
-            f"uses{_group_of(message)}; give the unit another, or 29-bit identifiers"
+            f"uses{_group_of(message, vehicle)}; give the unit another, or 29-bit identifiers"
         )
     return message
 
 
-def _is_used_by_rig(message: DbcMessage) -> bool:
+def _is_used_by_rig(message: DbcMessage, vehicle: Table) -> bool:
     """Return whether a message is in the predefined connection set of the rig's nodes."""
     if message.is_extended_frame:
         return False
     can_id = message.frame_id
     if can_id in (NMT, SYNC, TIME, LSS_ANSWER, LSS_REQUEST):
         return True
-    return can_id & NODE_MASK in _NODES and can_id >> _SERVICE_BITS in _SERVICES
+    # a further group has a TPDO of the harness with the identifiers of a node below node 127
+    of_bench = range(BENCH_NODE - vehicle.kind.groups + 1, BENCH_NODE + 1)
+    nodes = (*vehicle.rig_nodes, *vehicle.wsp_nodes, *of_bench)
+    return can_id & NODE_MASK in nodes and can_id >> _SERVICE_BITS in _SERVICES
 
 
-def _group_of(message: DbcMessage) -> str:
+def _group_of(message: DbcMessage, vehicle: Table) -> str:
     """Return which group of axles uses the identifier of a message, where there are several."""
     node = message.frame_id & NODE_MASK
-    if GROUPS == 1 or node not in (*signals.RIG_NODES, *signals.WSP_NODES):
+    if vehicle.kind.groups == 1 or node not in (*vehicle.rig_nodes, *vehicle.wsp_nodes):
         return ""
-    axles = signals.axles_of(signals.group_of(node))
+    axles = vehicle.axles_of(signals.group_of(node))
     return f" for group {signals.group_of(node) + 1} (axles {axles[0]} to {axles[-1]})"
 
 

@@ -16,9 +16,8 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.realtime.bench import scenario, tick_data
 from rollerrig.realtime.bench.free import Stop
 from rollerrig.realtime.loop import ring, tick
-from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.magnets import HOLD_MAGNET, VENT_MAGNET
-from rollerrig.wsp_interface.signals import AXLES
+from rollerrig.wsp_interface.signals import Table
 
 # resources of the FMU: the resolved scenario, and the name of the model
 SCENARIO = "scenario.toml"
@@ -90,7 +89,7 @@ class Rig:
         self._make()
 
     def _make(self) -> None:
-        data = tick_data.build(self._plan, ring.Memory(1, len(signals.COLUMNS)))
+        data = tick_data.build(self._plan, ring.Memory(1, self._plan.table))
         data = data._replace(end_tick=_ENDLESS, stand_ticks=_ENDLESS)
         self._stop = Stop(self._plan, data, "none")
         tick_data.warm_up(self._stop.data, "free")
@@ -160,14 +159,15 @@ class Rig:
         """Yield all variables in the order of their value references, inputs first after time."""
         yield Port("time", "time of the importing tool", "s", lambda: self.time_s)
         command = self._stop.data.commands.values
-        for axle in range(AXLES):
+        axles = self._plan.kind.axles
+        for axle in range(axles):
             yield _magnet_port(command, axle, "hold", HOLD_MAGNET)
             yield _magnet_port(command, axle, "vent", VENT_MAGNET)
         yield _demand_port(command)
-        for axle in range(AXLES):
+        for axle in range(axles):
             yield _friction_port(command, axle)
         for name, signal, unit in _OUTPUTS:
-            yield from _output_ports(self._stop.data.row, name, signal, unit)
+            yield from _output_ports(self._plan.table, self._stop.data.row, name, signal, unit)
 
 
 def _magnet_port(command: np.ndarray, axle: int, magnet: str, bit: int) -> Port:
@@ -225,14 +225,16 @@ def _friction_port(command: np.ndarray, axle: int) -> Port:
     )
 
 
-def _output_ports(row: np.ndarray, name: str, signal: str, unit: str | None) -> Iterator[Port]:
+def _output_ports(
+    table: Table, row: np.ndarray, name: str, signal: str, unit: str | None
+) -> Iterator[Port]:
     """Yield the ports of a signal, one for each axle that it has."""
-    place = signals.span(signal)
-    many = signals.BY_NAME[signal].axles > 1
+    place = table.span(signal)
+    many = table.by_name[signal].axles > 1
     for at in range(place.start, place.stop):
         yield Port(
             f"{name}_{at - place.start + 1}" if many else name,
-            signals.BY_NAME[signal].text,
+            table.by_name[signal].text,
             unit,
             lambda at=at: float(row[at]),
         )

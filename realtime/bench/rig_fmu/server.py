@@ -12,7 +12,7 @@ import struct
 import sys
 from typing import Any
 
-from rollerrig.configs.errors import OtherVehicleError, RollerrigError
+from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes import children
 from rollerrig.realtime.bench.rig_fmu.rig import RefusedError, Rig
 
@@ -33,10 +33,6 @@ def main() -> int:
     children.keep_working_folder_out()
     try:
         rig = Rig(sys.argv[1])
-    except OtherVehicleError as error:
-        # a process simulates vehicles with one number of axles; nothing has been received yet
-        os.dup2(connection.fileno(), 0)
-        children.start_again(**error.environment)
     except RollerrigError as error:
         _send(connection, _REFUSED + str(error).encode())
         return 2

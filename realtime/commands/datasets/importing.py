@@ -95,10 +95,10 @@ def call(options: argparse.Namespace) -> int:
         for path in options.file:
             at = str(path)
             files.append(imported.read(path, head))
-    found = proposal.propose(files[0].contents, options.kind, mapped, given_units)
+    axles = imported.axles_of(options.vehicle)
+    found = proposal.propose(files[0].contents, options.kind, mapped, given_units, axles)
     for key in mapped:
-        imported.check_key(found.kind, key)
-    imported.wheel_radius_m(options.vehicle)  # raises ConfigError if there is no such vehicle
+        imported.check_key(found.kind, key, axles)
     imported.check_same_columns(files, found)
 
     missing = _missing(files, found)

@@ -16,8 +16,9 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 
-from rollerrig.configs import unpacking, user_files
+from rollerrig.configs import store, unpacking, user_files
 from rollerrig.configs.output_files import make_folder, write_text, writing
+from rollerrig.configs.vehicle import kind_of
 from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.reports import page, pdf
 from rollerrig.wsp_interface import signals
@@ -50,8 +51,10 @@ def recorded(folder: Path) -> list[str]:
     user_files.check(path, user_files.PARQUET, within=folder)
     unpacking.check_parquet(path, pq.read_metadata(path))
     table = pq.read_table(path)
+    resolved = store.parse(folder / run_folder.SCENARIO, within=folder)
+    kind = kind_of(resolved, str(folder / run_folder.SCENARIO))
     found = []
-    for signal in signals.SIGNALS:
+    for signal in signals.table(kind).signals:
         columns = signals.columns(signal)
         if all(name in table.column_names and _has_numbers(table, name) for name in columns):
             found.append(signal.name)

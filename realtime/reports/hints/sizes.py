@@ -5,7 +5,7 @@ A row has the factor from the first parameter of the cause to the number in the 
 
 from typing import NamedTuple
 
-from rollerrig.configs.vehicle import wheelsets_of
+from rollerrig.configs.vehicle import MOST_AXLES, wheelsets_of
 from rollerrig.rig.mechanisms.table import BY_NAME
 
 
@@ -64,6 +64,7 @@ def in_words(name: str, size: float, digits: int = 2) -> str:
 def place_in_words(axle: int) -> str:
     """Return where a cause acts: a wheelset, a bogie, or all wheelsets."""
     if axle < 0:
-        wheelsets = " and ".join(str(wheelset) for wheelset in wheelsets_of(axle))
+        # a bogie has the same wheelsets in all vehicles
+        wheelsets = " and ".join(str(wheelset) for wheelset in wheelsets_of(axle, MOST_AXLES))
         return f"bogie {-axle} (wheelsets {wheelsets})"
     return f"wheelset {axle}" if axle else "all wheelsets"

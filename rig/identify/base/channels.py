@@ -13,7 +13,7 @@ from scipy.optimize import linear_sum_assignment
 
 from rollerrig.rig.identify.base.findings import Code, Finding
 from rollerrig.rig.identify.data import units
-from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
 # The correlations of two exchanged channels must grow by this, their sum over both wheelsets, if
@@ -51,7 +51,7 @@ def _check_exchanged(data: Dataset) -> list[Finding]:
         return []
     mean = known.mean(axis=0)
     _, torque_of = linear_sum_assignment(-mean)
-    axles = np.arange(AXLES)
+    axles = np.arange(data.axles)
     wrong = np.flatnonzero(torque_of != axles)
     if not wrong.size:
         return []
@@ -84,7 +84,7 @@ def _correlations(run: Run, vehicle: dict[str, float]) -> np.ndarray | None:
     width = max(int(1.0 / step_s), 4)
     inertial = []
     braking = []
-    for j in range(AXLES):
+    for j in range(run.axles):
         rate = smoothed(run.wheel_speed_rad_s[:, j], window, 3, 1, step_s)
         inertial.append(units.fast_part(vehicle["wheelset_inertia_kgm2"] * rate, width, is_moving))
         torque_Nm = smoothed(run.torque_Nm[:, j], window, 3)
@@ -97,7 +97,7 @@ def _check_equal(data: Dataset) -> list[Finding]:
 
     Torques that are the same at all axles are no mistake: they are computed from one pressure.
     """
-    pairs = tuple(combinations(range(AXLES), 2))
+    pairs = tuple(combinations(range(data.axles), 2))
     findings: list[Finding] = []
     for quantity, unit in (("wheel_speed", "rad_s"), ("brake_torque", "Nm")):
         equal = []
@@ -156,7 +156,7 @@ def load_to_front(run: Run) -> float | None:
     step_s = float(np.mean(np.diff(run.time_s)))
     width = LOAD_SMOOTHING_S / step_s
     deceleration = -np.gradient(gaussian_filter1d(run.speed_m_s, width)) / step_s
-    half = AXLES // 2
+    half = run.axles // 2
     to_front_N = run.load_N[:, :half].sum(axis=1) - run.load_N[:, half:].sum(axis=1)
     to_front_N = gaussian_filter1d(to_front_N, width)
     if deceleration.std() < 1e-9 or to_front_N.std() < 1e-9:

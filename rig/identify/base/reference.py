@@ -9,7 +9,7 @@ import numpy as np
 
 from rollerrig.rig.identify.base.findings import Code, Finding
 from rollerrig.rig.identify.data.preparation import estimated_noise
-from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 
 # A sample equals a function of the wheels if it differs by less than this share of the noise of one
 # rim. Of independent samples at most 0.08 do so. Chosen.
@@ -21,7 +21,7 @@ _SCALE = 0.05
 
 
 def functions_of_rims(rims_m_s: np.ndarray) -> dict[str, np.ndarray]:
-    """Return usual references of the rims' speeds (n, AXLES) by their names, (n,) each."""
+    """Return usual references of the rims' speeds (n, axles) by their names, (n,) each."""
     order = np.sort(rims_m_s, axis=1)
     functions = {
         "the fastest wheelset": order[:, -1],
@@ -30,7 +30,7 @@ def functions_of_rims(rims_m_s: np.ndarray) -> dict[str, np.ndarray]:
         "the median of all wheelsets": np.median(rims_m_s, axis=1),
         "the mean of the two fastest wheelsets": order[:, -2:].mean(axis=1),
     }
-    for axle in range(AXLES):
+    for axle in range(rims_m_s.shape[1]):
         functions[f"wheelset {axle + 1}"] = rims_m_s[:, axle]
     return functions
 

@@ -13,7 +13,7 @@ from scipy.ndimage import uniform_filter1d
 
 from rollerrig.rig.identify.base.findings import Code, Finding
 from rollerrig.rig.identify.data.preparation import samples_before_braking
-from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 
 # Largest deviation of the ratio that all wheelsets share. It is below 0.0002 on 105 sets of three
 # generators. Chosen between this and the 0.015 that made every score overflow.
@@ -36,7 +36,7 @@ WINDOW_S = 0.5
 
 
 class Rolling(NamedTuple):
-    """How fast the wheelsets of a dataset roll, as ratios [B1], shape (AXLES,) each."""
+    """How fast the wheelsets of a dataset roll, as ratios [B1], shape (axles,) each."""
 
     is_released: bool  # whether the brake is released somewhere
     ratio: np.ndarray  # while the brake is released; else the largest of any half second
@@ -46,8 +46,9 @@ class Rolling(NamedTuple):
 def measure(data: Dataset) -> Rolling | None:
     """Return the rolling ratios of a dataset; None if no run is fast and long enough."""
     radius_m = data.sections["vehicle"]["wheel_radius_m"]
-    rims_m = np.zeros(AXLES)  # distances of the rims and of the surface with a released brake
-    surface_m = np.zeros(AXLES)
+    # distances of the rims and of the surface with a released brake
+    rims_m = np.zeros(data.axles)
+    surface_m = np.zeros(data.axles)
     released_s = 0.0
     largest = []
     for run in data.runs:
@@ -62,7 +63,9 @@ def measure(data: Dataset) -> Rolling | None:
             of_surface = np.maximum(uniform_filter1d(surface_m_s, window, axis=0), 1e-9)
             largest.append((means / of_surface)[fast].max(axis=0))
 
-        released = min(samples_before_braking(run.torque_Nm[:, j], step_s) for j in range(AXLES))
+        released = min(
+            samples_before_braking(run.torque_Nm[:, j], step_s) for j in range(run.axles)
+        )
         is_rolling = fast[:released]
         rims_m += rim_m_s[:released][is_rolling].sum(axis=0) * step_s
         surface_m += surface_m_s[:released][is_rolling].sum(axis=0) * step_s
@@ -99,10 +102,10 @@ def odd_radius(data: Dataset) -> OddRadius | None:
 
 
 def surface_speed(run: Run) -> np.ndarray:
-    """Return the speed of the surface under each wheelset, shape (n, AXLES)."""
+    """Return the speed of the surface under each wheelset, shape (n, axles)."""
     if run.surface_m_s is not None:
         return run.surface_m_s
-    return np.repeat(run.speed_m_s[:, None], AXLES, axis=1)
+    return np.repeat(run.speed_m_s[:, None], run.axles, axis=1)
 
 
 def check(data: Dataset) -> list[Finding]:

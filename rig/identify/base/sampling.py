@@ -39,7 +39,8 @@ def check(data: Dataset) -> list[Finding]:
 
 def _channels(run: Run) -> dict[str, np.ndarray]:
     """Return the channels that the filters compare with a model, by their columns."""
-    wheels = zip(columns_of_axles("wheel_speed", "rad_s"), run.wheel_speed_rad_s.T, strict=True)
+    names = columns_of_axles("wheel_speed", "rad_s", run.axles)
+    wheels = zip(names, run.wheel_speed_rad_s.T, strict=True)
     return {"vehicle_speed_m_s": run.speed_m_s, **dict(wheels)}
 
 

@@ -20,7 +20,6 @@ from rollerrig.rig.identify.causes.courses import of_run, vehicle_samples
 from rollerrig.rig.identify.causes.table import Search, Shape
 from rollerrig.rig.identify.data import parameters, pulses
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.identify.replay.sensitivity import F00, Inputs, LinearisedReplay
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, TORQUE, VEHICLE
@@ -202,10 +201,11 @@ def time_derivative(design: Design, values: np.ndarray) -> np.ndarray:
 
 def sum_of_wheelsets(design: Design, values: np.ndarray, axle: int = 0) -> np.ndarray:
     """Return the sum over wheelsets (`wheelsets_of`: all by default), shape (vehicle samples,)."""
-    axles = wheelsets_of(axle)
+    axles = wheelsets_of(axle, design.axles)
     sums = []
     for run in range(design.mass_kg.size):
-        sums.append(sum(values[design.span(AXLES * run + j - 1)] for j in axles))
+        first = design.axles * run
+        sums.append(sum(values[design.span(first + j - 1)] for j in axles))
     return np.concatenate(sums)
 
 
@@ -232,7 +232,8 @@ def build(
 
     _add_base(writer)
     for row, shape in wanted:
-        writer.add_variants(row.name, _parts(writer, row, shape, constants), shape, row.axles)
+        parts = _parts(writer, row, shape, constants)
+        writer.add_variants(row.name, parts, shape, row.places(design.axles))
     bins: list[_Bins] = []
     if search:
         bins = _add_bins(writer)
@@ -326,7 +327,7 @@ def _add_base(writer: _Writer) -> None:
     writer.add(
         BASE, "torque_gain", torque, writer.vehicle_acceleration(felt, 0), prior=gain_tolerance
     )
-    for j in range(AXLES):
+    for j in range(design.axles):
         writer.add(
             BASE,
             f"torque_gain_{j}",
@@ -561,7 +562,7 @@ def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
     """
     design = writer.design
     friction = writer.rate("friction")
-    each_axle = range(1, AXLES + 1)
+    each_axle = range(1, design.axles + 1)
 
     def add_along(name: str, changes: Iterable[np.ndarray], axles: Iterable[int] = (0,)) -> None:
         """Add changes of friction."""
@@ -573,7 +574,9 @@ def _add_smooth_functions(writer: _Writer, swings: bool) -> None:
 
     # a different friction on each wheelset; the last one has the level of the run
     course = writer.add_course(friction)
-    columns = [writer.add("along axle", str(j), course, axle=j + 1) for j in range(AXLES - 1)]
+    columns = []
+    for j in range(design.axles - 1):
+        columns.append(writer.add("along axle", str(j), course, axle=j + 1))
     writer.variants.append(Variant("along axle", tuple(columns), {}, 0))
 
     # A change on one wheelset at some time. Its mean is removed, so that a change that lasts all

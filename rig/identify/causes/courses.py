@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES, wheelsets_of
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.rig.compiled.generated import elementwise
 from rollerrig.rig.identify.causes.table import BY_NAME, Shape
 from rollerrig.rig.identify.data.preparation import Design
@@ -94,7 +94,7 @@ def acts_on(design: Design, axle: int) -> np.ndarray:
 
     0 means all wheelsets, -n those of bogie n (`configs.vehicle.wheelsets_of`).
     """
-    return np.isin(design.axle + 1, wheelsets_of(axle))
+    return np.isin(design.axle + 1, wheelsets_of(axle, design.axles))
 
 
 def of_axle(design: Design, axle: int) -> np.ndarray:
@@ -112,4 +112,5 @@ def vehicle_samples(design: Design, values: np.ndarray) -> np.ndarray:
 
     A vehicle has as many samples as its first wheelset, at the same times.
     """
-    return np.concatenate([values[design.span(AXLES * run)] for run in range(design.mass_kg.size)])
+    firsts = range(0, design.segments, design.axles)
+    return np.concatenate([values[design.span(first)] for first in firsts])

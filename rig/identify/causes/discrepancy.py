@@ -21,7 +21,6 @@ import numpy as np
 
 from rollerrig.rig.identify.data import parameters, pulses
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.data.runs import AXLES
 
 # --- the shape of the brake inside its calibration ---
 
@@ -60,7 +59,7 @@ def modes(design: Design) -> list[Mode]:
     """Return the modes of the brake in the runs of a design."""
     found = []
     for run in range(design.mass_kg.size):
-        for axle in range(1, AXLES + 1):
+        for axle in range(1, design.axles + 1):
             for k in range(MODES):
                 label = f"{BRAKE}_{run}_{axle}_{k}"
                 found.append(Mode(label, run, axle, k, SHARE_OF_MODE * design.calibration))
@@ -106,9 +105,9 @@ def brake_share(design: Design, base: dict[str, float]) -> np.ndarray | None:
     found = modes(design)
     courses = {number: course(design, number) for number in {mode.number for mode in found}}
     for mode in found:
-        axles = range(1, AXLES + 1) if mode.axle == ALL_AXLES else (mode.axle,)
+        axles = range(1, design.axles + 1) if mode.axle == ALL_AXLES else (mode.axle,)
         for axle in axles:
-            at = design.span(AXLES * mode.run + axle - 1)
+            at = design.span(design.axles * mode.run + axle - 1)
             change[at] += present.get(mode.label, 0.0) * courses[mode.number][at]
     return change
 
@@ -121,13 +120,14 @@ def common_share(design: Design, base: dict[str, float]) -> float:
     """
     shares = []
     for run in range(design.mass_kg.size):
-        at = design.span(AXLES * run)
+        first = design.axles * run
+        at = design.span(first)
         change = np.zeros(design.time_s[at].size)
         for mode in common_modes(design):
             if mode.run == run:
                 change += base.get(mode.label, 0.0) * course(design, mode.number)[at]
-        torques_Nm = [design.brake_Nm[design.span(AXLES * run + axle)] for axle in range(AXLES)]
-        torque_Nm = np.mean(torques_Nm, axis=0)
+        of_run = range(first, first + design.axles)
+        torque_Nm = np.mean([design.brake_Nm[design.span(s)] for s in of_run], axis=0)
         shares.append(np.abs(change * torque_Nm) / np.sqrt(np.mean(torque_Nm**2)))
     return float(np.quantile(np.concatenate(shares), SHARE_OF_TIME))
 

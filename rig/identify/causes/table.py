@@ -9,7 +9,7 @@ causes have their columns in `columns`.
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from rollerrig.configs.vehicle import AXLES, AXLES_OF_BOGIE
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.rig.mechanisms.mechanism import Mechanism
 
@@ -68,16 +68,20 @@ class Search(NamedTuple):
         """The formula and the parameters of the cause."""
         return mechanisms.BY_NAME[self.name]
 
-    @property
-    def axles(self) -> tuple[int, ...]:
-        """The places on which the cause is searched for, as in `configs.vehicle.wheelsets_of`."""
+    def places(self, axles: int) -> tuple[int, ...]:
+        """Return where the cause is searched for on a vehicle with this number of axles.
+
+        A place is one of `configs.vehicle.wheelsets_of`.
+        """
         if not self.mechanism.axlewise:
             return (0,)
-        single = tuple(range(1, AXLES + 1))
+        single = tuple(range(1, axles + 1))
         if self.single_axles_only:
             return single
-        bogies = tuple(range(-1, -AXLES // AXLES_OF_BOGIE - 1, -1)) if self.on_bogies else ()
-        return (0, *single, *bogies)
+        if not self.on_bogies:
+            return (0, *single)
+        bogies = range(1, axles // AXLES_OF_BOGIE + 1)
+        return (0, *single, *(-bogie for bogie in bogies))
 
 
 def _shapes(key: str, *values: float) -> tuple[Shape, ...]:

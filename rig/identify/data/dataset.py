@@ -18,7 +18,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, flag, number
 from rollerrig.rig import params
 from rollerrig.rig.identify.data import mdf, pressures, quality
-from rollerrig.rig.identify.data.runs import AXLES, LARGEST_ADHESION, Curve, Dataset, Run
+from rollerrig.rig.identify.data.runs import LARGEST_ADHESION, Curve, Dataset, Run
 from rollerrig.rig.identify.files import channels, tables, units
 from rollerrig.rig.identify.files.channels import Source
 from rollerrig.rig.identify.files.tables import Table
@@ -66,20 +66,24 @@ ACCURACY = (
 )
 
 
-def columns_of_axles(quantity: str, unit: str) -> tuple[str, ...]:
+def columns_of_axles(quantity: str, unit: str, axles: int) -> tuple[str, ...]:
     """Return the column names of a quantity, one for each wheelset."""
-    return tuple(f"{quantity}_{axle}_{unit}" for axle in range(1, AXLES + 1))
+    return tuple(f"{quantity}_{axle}_{unit}" for axle in range(1, axles + 1))
 
 
-CHANNELS = (
-    "vehicle_speed_m_s",
-    "position_m",
-    *columns_of_axles("wheel_speed", "rad_s"),
-    *columns_of_axles("wheel_load", "N"),
-    *columns_of_axles("brake_torque", "Nm"),
-    *columns_of_axles("brake_pressure", "Pa"),
-    *columns_of_axles("surface_speed", "m_s"),
-)
+def channels_of(axles: int) -> tuple[str, ...]:
+    """Return the columns of braking runs of a vehicle with this number of axles, without time_s."""
+    return (
+        "vehicle_speed_m_s",
+        "position_m",
+        *columns_of_axles("wheel_speed", "rad_s", axles),
+        *columns_of_axles("wheel_load", "N", axles),
+        *columns_of_axles("brake_torque", "Nm", axles),
+        *columns_of_axles("brake_pressure", "Pa", axles),
+        *columns_of_axles("surface_speed", "m_s", axles),
+    )
+
+
 # the columns of a creep curve
 CURVE_CHANNELS = ("creepage", "adhesion", "speed_m_s", "wheel_load_N", "series")
 # the keys of an entry of [channels]
@@ -142,13 +146,14 @@ def load(folder: Path | str) -> Dataset:
     if head["note"]:
         dataset.warnings.append(head["note"])
 
-    keys = ("time_s", *CHANNELS)
+    keys = ("time_s", *channels_of(dataset.axles))
     if head["kind"] == "creep_curve":
         keys = CURVE_CHANNELS
     reading = _Reading(
         form={"separator": head["separator"], "decimal": head["decimal"]},
         sources=_read_sources(toml_tables.get("channels", {}), keys, f"{path} [channels]"),
         radius_m=sections["vehicle"]["wheel_radius_m"],
+        axles=dataset.axles,
     )
     if head["kind"] == "creep_curve":
         return dataset._replace(curve=_creep_curve(dataset, head, toml_tables, reading))
@@ -286,11 +291,13 @@ class _Reading(NamedTuple):
     form: the keys `separator` and `decimal` of dataset.toml.
     sources: of the channels in [channels], by key.
     radius_m: of the wheels, for wheel speeds that are given in m/s or km/h.
+    axles: of the vehicle.
     """
 
     form: dict[str, Any]
     sources: dict[str, Source]
     radius_m: float
+    axles: int
 
     def column(self, key: str) -> str:
         """Return the name of the column of a channel."""
@@ -328,9 +335,10 @@ class _DataFile(NamedTuple):
         factor = channels.factor(self.path, source, key, key_unit, found, self.reading.radius_m)
         return values if factor == 1.0 else factor * values
 
-    def axles(self, quantity: str, unit: str) -> np.ndarray:
-        """Return a quantity of all wheelsets, shape (samples, AXLES). Raises ConfigError."""
-        return np.column_stack([self.channel(key) for key in columns_of_axles(quantity, unit)])
+    def of_axles(self, quantity: str, unit: str) -> np.ndarray:
+        """Return a quantity of all wheelsets, shape (samples, axles). Raises ConfigError."""
+        keys = columns_of_axles(quantity, unit, self.reading.axles)
+        return np.column_stack([self.channel(key) for key in keys])
 
     def _check_finite(self, column: str, values: np.ndarray) -> None:
         """Raise ConfigError if a value is not a finite number."""
@@ -360,7 +368,7 @@ def _read_sources(content: Any, keys: tuple[str, ...], where: str) -> dict[str, 
         if key not in keys:
             raise ConfigError(
                 f"{where}: {key} is no channel{table.nearest(key, keys)}; allowed: "
-                f"{', '.join(name for name in keys if not re.search('_[2-9]_', name))}, and so on "
+                f"{', '.join(name for name in keys if not re.search('_([2-9]|[0-9][0-9])_', name))}, and so on "
                 "for each wheelset"
             )
         row = table.read(
@@ -378,7 +386,7 @@ def _read_sources(content: Any, keys: tuple[str, ...], where: str) -> dict[str, 
 class _ReadRun(NamedTuple):
     """A run that is not checked yet.
 
-    pressure_Pa: of the brake cylinders, (n, AXLES), if the file has no torques. Then the torques of
+    pressure_Pa: of the brake cylinders, (n, axles), if the file has no torques. Then the torques of
     the run are zero.
     """
 
@@ -409,19 +417,19 @@ def _run(
     position_m = file.channel("position_m") if file.has("position_m") else None
     surface_m_s = None
     if file.has("surface_speed_1_m_s"):
-        surface_m_s = file.axles("surface_speed", "m_s")
+        surface_m_s = file.of_axles("surface_speed", "m_s")
 
     # the first missing column is reported, in the order of the documents
     time_s = file.channel("time_s")
     speed_m_s = file.channel("vehicle_speed_m_s")
-    wheel_speed_rad_s = file.axles("wheel_speed", "rad_s")
-    load_N = file.axles("wheel_load", "N")
+    wheel_speed_rad_s = file.of_axles("wheel_speed", "rad_s")
+    load_N = file.of_axles("wheel_load", "N")
     pressure_Pa = None
     if file.has("brake_pressure_1_Pa") and not file.has("brake_torque_1_Nm"):
-        pressure_Pa = file.axles("brake_pressure", "Pa")
-        torque_Nm = np.zeros((time_s.size, AXLES))
+        pressure_Pa = file.of_axles("brake_pressure", "Pa")
+        torque_Nm = np.zeros((time_s.size, dataset.axles))
     else:
-        torque_Nm = file.axles("brake_torque", "Nm")
+        torque_Nm = file.of_axles("brake_torque", "Nm")
 
     run = Run(
         name=path.stem,
@@ -447,7 +455,7 @@ def _open(dataset: Dataset, path: Path, reading: _Reading) -> _DataFile:
         return _DataFile(path, content, reading)
 
     user_files.check(path, user_files.MDF, dataset.folder, tables.FILE_REMEDY)
-    names = tuple(reading.column(key) for key in CHANNELS)
+    names = tuple(reading.column(key) for key in channels_of(dataset.axles))
     mapped = {source.column for source in reading.sources.values()}
     content = mdf.read(
         path,

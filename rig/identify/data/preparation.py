@@ -24,7 +24,7 @@ from rollerrig.rig.compiled.kernel import kernel_with_memory
 from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import RADIUS, base_parameters
 from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
-from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
 WINDOW_S = 0.21  # window of the derivative of wheel speed, s
@@ -50,10 +50,11 @@ LEAST_TORQUE_NOISE_NM = 5.0
 class Design(NamedTuple):
     """Prepared runs.
 
-    Segment s = run * AXLES + axle has the samples start[s]:start[s+1] of the flat arrays.
+    Segment s = run * axles + axle has the samples start[s]:start[s+1] of the flat arrays.
     """
 
     names: tuple[str, ...]
+    axles: int  # of the vehicle
     step_s: float
     start: np.ndarray  # (segments + 1,)
     run: np.ndarray  # (segments,) number of the run
@@ -121,8 +122,9 @@ class Design(NamedTuple):
         return (self.speed_m_s - self.sliding_m_s) / self.base[RADIUS]
 
     def by_axle(self, flat: np.ndarray, run: int) -> np.ndarray:
-        """Return the part of a flat array that belongs to a run, shape (samples, AXLES)."""
-        return np.column_stack([flat[self.span(AXLES * run + axle)] for axle in range(AXLES)])
+        """Return the part of a flat array that belongs to a run, shape (samples, axles)."""
+        first = self.axles * run
+        return np.column_stack([flat[self.span(first + axle)] for axle in range(self.axles)])
 
 
 @kernel_with_memory
@@ -243,13 +245,13 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
                 resistance,
             )
         )
-    # (samples, AXLES) of each run becomes one flat array, wheelset after wheelset
+    # (samples, axles) of each run becomes one flat array, wheelset after wheelset
     flat = {key: np.concatenate([part[key].T.ravel() for part in parts]) for key in parts[0]}
 
     # (segments, 2): mean torque of the released brake and its standard error
     released_rows = []
     for run in runs:
-        for axle in range(AXLES):
+        for axle in range(data.axles):
             released_rows.append(_released_torque(run.torque_Nm[:, axle], step_s))
     released = np.array(released_rows)
 
@@ -263,10 +265,11 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
 
     return Design(
         names=tuple(run.name for run in runs),
+        axles=data.axles,
         step_s=step_s,
-        start=np.concatenate([[0], np.cumsum(np.repeat(sizes, AXLES))]),
-        run=np.repeat(np.arange(len(runs)), AXLES),
-        axle=np.tile(np.arange(AXLES), len(runs)),
+        start=np.concatenate([[0], np.cumsum(np.repeat(sizes, data.axles))]),
+        run=np.repeat(np.arange(len(runs)), data.axles),
+        axle=np.tile(np.arange(data.axles), len(runs)),
         mass_kg=np.array([run.mass_kg for run in runs]),
         **flat,
         vehicle_start=np.concatenate([[0], np.cumsum(sizes)]),
@@ -352,7 +355,7 @@ def _flat_fields(
     torque_noise_Nm: float,
     resistance: np.ndarray,
 ) -> dict[str, np.ndarray]:
-    """Return the part of one run in the flat arrays of `Design`, each of shape (n, AXLES)."""
+    """Return the part of one run in the flat arrays of `Design`, each of shape (n, axles)."""
     measured_m_s = run.speed_m_s
     window = max(5, 2 * int(0.5 * WINDOW_S / step_s) + 1)  # samples, odd
 
@@ -390,7 +393,7 @@ def _flat_fields(
     # speed of the surface under the wheels: of the rollers, or of the vehicle on a track
     surface_m_s = speed_m_s[:, None] if run.surface_m_s is None else run.surface_m_s
     surface_m_s = np.maximum(
-        np.broadcast_to(surface_m_s, (measured_m_s.size, AXLES)), LEAST_SURFACE_SPEED_M_S
+        np.broadcast_to(surface_m_s, (measured_m_s.size, run.axles)), LEAST_SURFACE_SPEED_M_S
     )
 
     # adhesion and specific work of each wheelset
@@ -426,7 +429,7 @@ def _flat_fields(
         "brake_Nm": brake_Nm,
         "load_N": load_N,
         "speed_m_s": surface_m_s,
-        "time_s": np.repeat(run.time_s[:, None] - run.time_s[0], AXLES, axis=1),
+        "time_s": np.repeat(run.time_s[:, None] - run.time_s[0], run.axles, axis=1),
         "place_m": place_m,
         "sliding_m_s": sliding_m_s,
         "adhesion": adhesion,
@@ -435,14 +438,14 @@ def _flat_fields(
         "heat_MJ": np.cumsum(heat_W, axis=0) * step_s / 1e6,
         "slid_m": np.cumsum(np.abs(sliding_m_s), axis=0) * step_s,
         "braked_rad": np.cumsum(turned_rad * braked, axis=0),
-        "deceleration_m_s2": np.repeat(deceleration_m_s2[:, None], AXLES, axis=1),
+        "deceleration_m_s2": np.repeat(deceleration_m_s2[:, None], run.axles, axis=1),
         # the last sample counts half: the angle at the time of the sample
         "angle_rad": np.cumsum(run.wheel_speed_rad_s, axis=0) * step_s - 0.5 * turned_rad,
     }
 
 
 def _work_in_front(place_m: np.ndarray, energy_J_m: np.ndarray) -> np.ndarray:
-    """Return the work that the wheels in front have done on each metre of rail, (n, AXLES).
+    """Return the work that the wheels in front have done on each metre of rail, (n, axles).
 
     The leading wheelset has no wheels in front.
     """

@@ -46,7 +46,7 @@ def with_torques(
     sections: Mapping[str, Mapping[str, Any]],
     where: str,
 ) -> tuple[list[Run], Gain]:
-    """Return the runs with the torques of their pressures (n, AXLES), and the gain between both.
+    """Return the runs with the torques of their pressures (n, axles), and the gain between both.
 
     Raises ConfigError if the runs to fit do not give the factor, or if it is far from 1.
     """

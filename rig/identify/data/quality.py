@@ -186,7 +186,7 @@ def _check_sliding(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: l
 def _strongest_sliding_m_s(run: Run, vehicle: Mapping[str, Any]) -> np.ndarray:
     """Return the mean sliding of each wheelset over the LEAST_SLIDING_S of its strongest sliding.
 
-    m/s, shape (AXLES,). These samples need not follow one another. Running means over a tenth of
+    m/s, shape (axles,). These samples need not follow one another. Running means over a tenth of
     this time keep noise out.
     """
     sliding_m_s = run.speed_m_s[:, None] - vehicle["wheel_radius_m"] * run.wheel_speed_rad_s

@@ -5,15 +5,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.state import AXLES as AXLES
-
 # adhesion of a measured creep curve: wheels with grousers on sand reach 2.2, tyres of racing cars
 # 3.9 in single samples at small loads
 LARGEST_ADHESION = 4.0
 
 
 class Run(NamedTuple):
-    """One measured stop. Arrays have the shape (n,), or (n, AXLES) with one column per wheelset."""
+    """One measured stop. Arrays have the shape (n,), or (n, axles) with one column per wheelset."""
 
     name: str
     group: str  # "tune" or "validate"
@@ -25,7 +23,12 @@ class Run(NamedTuple):
     load_N: np.ndarray
     torque_Nm: np.ndarray
     position_m: np.ndarray | None  # None: not measured
-    surface_m_s: np.ndarray | None  # roller surface speed on a rig, (n, AXLES); None: on a track
+    surface_m_s: np.ndarray | None  # roller surface speed on a rig, (n, axles); None: on a track
+
+    @property
+    def axles(self) -> int:
+        """The number of wheelsets of the vehicle."""
+        return self.wheel_speed_rad_s.shape[1]
 
 
 class Curve(NamedTuple):
@@ -63,10 +66,15 @@ class Dataset(NamedTuple):
     sample_time_s: float
     sections: dict[str, dict[str, Any]]
     accuracy: dict[str, float]  # by the names of `dataset.ACCURACY`
-    axle_position_m: np.ndarray  # (AXLES,), distance behind the first wheelset
+    axle_position_m: np.ndarray  # (axles,), distance behind the first wheelset
     runs: list[Run]
     curve: Curve | None  # of a dataset of the kind creep_curve
     warnings: list[str]
+
+    @property
+    def axles(self) -> int:
+        """The number of wheelsets of the vehicle."""
+        return self.axle_position_m.size
 
     def group(self, name: str) -> list[Run]:
         """Return the runs of a group."""

@@ -4,7 +4,8 @@ Rolling wheels turn with the vehicle, loads carry its weight, and torques take i
 far from 1 is an error of the data, and a known ratio identifies the unit. While a wheel slides,
 torque and wheel speed change against each other, so a shift between their clocks is visible too.
 
-    [D1] r omega / v = 1 while rolling;  N = M g / 4;  integral of sum C / r dt = loss of momentum
+    [D1] r omega / v = 1 while rolling;  N = M g / n of n wheelsets;
+         integral of sum C / r dt = loss of momentum
     [D2] J domega/dt = r T - C, with T nearly constant while the wheel slides
 """
 
@@ -17,7 +18,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import AXLES, GRAVITY_M_S2
+from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig.identify.data.runs import Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
@@ -38,20 +39,18 @@ _RIM_SPEED_RATIOS = (
     (1.0, "wheel_speed is in m/s: divide it by the radius"),
     (3.6, "wheel_speed is in km/h: divide it by 3.6 and the radius"),
 )
-# N / (M g / 4):
+# N / (M g / n), besides that of the whole vehicle:
 _LOAD_RATIOS = (
     (1e-3, "it is in kN: multiply by 1000"),
     (0.5, "it is of one wheel: double it"),
-    (AXLES, f"it is the vehicle's weight: divide by {AXLES}"),
     (1.0 / GRAVITY_M_S2, "it is in kg: multiply by 9.80665"),
     (1e-3 / GRAVITY_M_S2, "it is in t: multiply by 9806.65"),
 )
-# integral of sum C / r over the loss of momentum:
+# integral of sum C / r over the loss of momentum, besides that of the whole vehicle:
 _TORQUE_RATIOS = (
     (1e-3, "it is in kN m: multiply by 1000"),
     (0.1, "it is in daN m or kgf m: multiply by 10 or by 9.80665"),
     (0.5, "it is of one wheel: double it"),
-    (AXLES, f"it is the vehicle's: divide by {AXLES}"),
 )
 # a measured ratio matches a row if it differs from the ratio of the row by less than this share
 _SAME_RATIO = 0.06
@@ -106,16 +105,16 @@ def check_rolling(run: Run, path: Path, radius_m: float) -> None:
 
 def _check_weight(run: Run, path: Path) -> None:
     """Raise ConfigError where a load is far from the wheelset's share of the weight [D1]."""
-    axles = run.load_N.shape[1]
-    static_N = run.mass_kg * GRAVITY_M_S2 / axles
+    static_N = run.mass_kg * GRAVITY_M_S2 / run.axles
+    ratios = (*_LOAD_RATIOS, (run.axles, f"it is the vehicle's weight: divide by {run.axles}"))
     # braking moves load from one wheelset to another, so the mean of all shows the unit
     mean_ratio = float(np.mean(np.median(run.load_N, axis=0))) / static_N
-    for j in range(axles):
+    for j in range(run.axles):
         load_N = np.median(run.load_N[:, j])
         ratio = float(load_N) / static_N
         if not 0.7 < ratio < 1.4:
             unknown = "loads are newtons for both wheels; check mass_kg too"
-            why = _meaning(ratio, _LOAD_RATIOS, _meaning(mean_ratio, _LOAD_RATIOS, unknown))
+            why = _meaning(ratio, ratios, _meaning(mean_ratio, ratios, unknown))
             raise ConfigError(
                 f"{path}: wheel_load_{j + 1}_N is {load_N:.4g}, a wheelset of this vehicle carries "
                 f"{static_N:.4g} N: {why}"
@@ -157,7 +156,8 @@ def _check_momentum(
     finding = (
         f"{path}: brake_torque accounts for {share:.3g} of the momentum that the vehicle loses"
     )
-    why = _meaning(share, _TORQUE_RATIOS, "")
+    of_vehicle = (run.axles, f"it is the vehicle's: divide by {run.axles}")
+    why = _meaning(share, (*_TORQUE_RATIOS, of_vehicle), "")
     if why:
         raise ConfigError(f"{finding}; 1 is right: {why}")
     if not 0.1 < share < 10.0:
@@ -190,10 +190,10 @@ def check_clocks(runs: Sequence[Run], where: str, vehicle: Mapping[str, Any]) ->
     """
     shifts = []  # by run, then by wheelset
     for run in runs:
-        shifts.append([_clock_shift(run, axle, vehicle) for axle in range(AXLES)])
+        shifts.append([_clock_shift(run, axle, vehicle) for axle in range(run.axles)])
     gains = np.array([[shift.gain for shift in shifts_of_run] for shifts_of_run in shifts])
 
-    has_sign = gains > LEAST_GAIN  # (runs, AXLES)
+    has_sign = gains > LEAST_GAIN  # (runs, axles)
     is_judged = np.isfinite(gains)
     for r, j in np.argwhere(has_sign):
         is_clear = gains[r, j] > CLEAR_GAIN

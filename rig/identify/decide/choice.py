@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.vehicle import AXLES, wheelsets_of
+from rollerrig.configs.vehicle import wheelsets_of
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
@@ -44,7 +44,7 @@ class BlockwiseFit(NamedTuple):
     explanation: Explanation
     deviance: float  # -2 ln L
     covariance: np.ndarray  # of the causes' coefficients, one cause after the other
-    blocks: np.ndarray  # (5, blocks), the deviance as in `deviance_by_block`
+    blocks: np.ndarray  # (axles + 1, blocks), the deviance as in `deviance_by_block`
 
 
 class Candidate(NamedTuple):
@@ -69,7 +69,7 @@ class IdentifiedCause(NamedTuple):
     cause: Cause  # as fitted
     # drop of -2 ln L, less what the choice of the shape costs
     likelihood_ratio: float
-    # (5,) drop of -2 ln L without that cost, in each filter: four wheelsets, then the vehicle
+    # (axles + 1,) drop of -2 ln L without that cost, in each filter: wheelsets, then the vehicle
     ratio_by_filter: tuple[float, ...]
     deviation: tuple[float, ...]  # standard deviation of each coefficient
     confusable: tuple[str, ...]  # names of the rivals that cannot be distinguished from it
@@ -124,9 +124,9 @@ def fit_explanations(
 
 
 def deviance_by_block(design: Design, explanation: Explanation) -> np.ndarray:
-    """Return the deviance in blocks of BLOCK_S of all runs, shape (5, blocks).
+    """Return the deviance in blocks of BLOCK_S of all runs, shape (axles + 1, blocks).
 
-    The rows are the filters: four wheelsets, then the vehicle.
+    The rows are the filters: the wheelsets, then the vehicle.
     """
     innovation, variance, _, vehicle_innovation, vehicle_variance = sensitivity.innovations(
         design, inputs(design, explanation)
@@ -275,7 +275,7 @@ def choose(
     # The evidence must not come from one block only. The blocks do not hold all of it: without the
     # cause, tolerances of the base absorb a part of its effect. The drop of their prior deviance is
     # in `ratio`, but in no block.
-    drop = deviance_by_block(design, explanation) - best.blocks  # (5, blocks)
+    drop = deviance_by_block(design, explanation) - best.blocks  # (axles + 1, blocks)
     whole = max(float(drop.sum()), ratio)
     outside_best_block = whole - drop.sum(axis=0).max()
     least_outside = max(thresholds.SCORE_FLOOR, thresholds.SHARE_OUTSIDE_BEST_BLOCK * whole)
@@ -538,22 +538,22 @@ def _may_be_second(first: IdentifiedCause, test: ScoreTest) -> bool:
     over the filters that respond to the cause.
     """
     ratio = test.statistic / thresholds.SCORE_SHARE_OF_RATIO
-    filters = _filters_that_respond(test)
+    filters = _filters_that_respond(test, len(first.ratio_by_filter) - 1)
     by_filter = ratio * filters / filters.sum()
     return _net_likelihood(first, test, ratio, by_filter) > thresholds.LEAST_RATIO_OF_SECOND
 
 
-def _filters_that_respond(test: ScoreTest) -> np.ndarray:
-    """Return 1 for each filter in which a cause shows, else 0, shape (5,).
+def _filters_that_respond(test: ScoreTest, axles: int) -> np.ndarray:
+    """Return 1 for each filter in which a cause shows, else 0, shape (axles + 1,).
 
-    The filters are those of the four wheelsets and of the vehicle. The filter of the vehicle
-    contains no adhesion law. Those of the wheels contain no force on the vehicle.
+    The filters are those of the wheelsets and of the vehicle. The filter of the vehicle contains no
+    adhesion law. Those of the wheels contain no force on the vehicle.
     """
     acts_on = ""
     if test.name in table.BY_NAME:
         acts_on = table.BY_NAME[test.name].mechanism.acts_on
-    places = wheelsets_of(test.axle)
-    wheels = [acts_on != VEHICLE and axle in places for axle in range(1, AXLES + 1)]
+    places = wheelsets_of(test.axle, axles)
+    wheels = [acts_on != VEHICLE and axle in places for axle in range(1, axles + 1)]
     vehicle = acts_on not in (FRICTION, CONTACT, LOAD)
     return np.array([*wheels, vehicle], dtype=float)
 
@@ -565,14 +565,15 @@ def _net_likelihood(
 
     A wrong shape of the first cause leaves a remainder, and the second cause wins by explaining it.
     This part is "lent" by the first cause. In each filter it is at most a share of the ratio of the
-    first cause there. `by_filter` (5,) is the ratio of the second cause in each filter.
+    first cause there. `by_filter` (axles + 1,) is the ratio of the second cause in each filter.
     """
     ratios = np.array([by_filter, first.ratio_by_filter])
+    axles = ratios.shape[1] - 1
     share = thresholds.LENT_SHARE
     if first.cause.axle == 0:
         # All wheelsets share one friction level and one recovery, so an error on one wheelset moves
         # the others. Their filters are therefore summed: columns are now wheelsets, and vehicle.
-        ratios = np.add.reduceat(ratios, [0, AXLES], axis=1)
+        ratios = np.add.reduceat(ratios, [0, axles], axis=1)
         if second.axle > 0:
             share = thresholds.LENT_SHARE_TO_ONE_AXLE
     of_second, of_first = ratios

@@ -19,7 +19,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import evidence, fitting, shapes, thresholds
@@ -114,7 +113,7 @@ def _follows_a_trigger(design: Design, cause: Cause) -> bool:
     speed_m_s = []
     for window in windows:
         run = design.names.index(window.run)
-        of_first = design.span(AXLES * run)
+        of_first = design.span(design.axles * run)
         time_s = design.time_s[of_first]
         begin = int(np.searchsorted(time_s, window.start))
         after_brake_s.append(window.start - _brake_acts_s(design, run))
@@ -132,7 +131,7 @@ def _follows_a_trigger(design: Design, cause: Cause) -> bool:
 
 def _brake_acts_s(design: Design, run: int) -> float:
     """Return when the brake of the first wheelset begins to act in a run, in s."""
-    at = design.span(AXLES * run)
+    at = design.span(design.axles * run)
     torque_Nm = design.torque_Nm[at]
     acts = torque_Nm > _ACTING_SHARE * torque_Nm.max()
     return float(design.time_s[at][int(np.argmax(acts))])
@@ -141,8 +140,8 @@ def _brake_acts_s(design: Design, run: int) -> float:
 def _first_slide_s(design: Design, run: int) -> float:
     """Return when a wheelset slides for the first time in a run, in s; infinite: never."""
     first_s = np.inf
-    for axle in range(AXLES):
-        at = design.span(AXLES * run + axle)
+    for axle in range(design.axles):
+        at = design.span(design.axles * run + axle)
         slides = design.sliding_m_s[at] > thresholds.SAND_SLIDE_M_S
         if slides.any():
             first_s = min(first_s, float(design.time_s[at][int(np.argmax(slides))]))

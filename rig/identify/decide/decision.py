@@ -19,7 +19,7 @@ from rollerrig.rig.identify.base import rolling
 from rollerrig.rig.identify.causes import candidates, discrepancy, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
-from rollerrig.rig.identify.data.runs import AXLES, Dataset
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import (
     choice,
     coherence,
@@ -274,7 +274,7 @@ def _with_rolling_radius(
         p_value=0.0,
         expected=1.0,
         spread=1.0,
-        trials=AXLES,
+        trials=design.axles,
     )
     others = [candidate for candidate in fitted if candidate.test.name != cause.name]
     return [*others, Candidate(test, ready)]

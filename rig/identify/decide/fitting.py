@@ -344,6 +344,7 @@ def _add_priors(
             A[c, c] += 1.0 / column.prior**2
             b[c] += explanation.base.get(column.label, 0.0) / column.prior**2
 
+    axles = design.axles
     offsets = [
         cause for cause in explanation.causes if cause.name == "torque_offset" and not cause.shape
     ]
@@ -352,19 +353,23 @@ def _add_priors(
             continue
         axle = int(design.axle[s]) + 1
         variance = design.released_sd_Nm[s] ** 2 + thresholds.RELEASED_TORQUE_NM**2
-        offset_Nm = sum(cause.values[0] for cause in offsets if axle in wheelsets_of(cause.axle))
-        acting = [v.columns[0] for v in matrix.variants if _is_plain_offset(v, axle)]
+        here = [cause for cause in offsets if axle in wheelsets_of(cause.axle, axles)]
+        offset_Nm = sum(cause.values[0] for cause in here)
+        acting = [v.columns[0] for v in matrix.variants if _is_plain_offset(v, axle, axles)]
         for c in acting:
             b[c] += (design.released_Nm[s] + offset_Nm) / variance
             for other in acting:
                 A[c, other] += 1.0 / variance
 
 
-def _is_plain_offset(variant: Variant, axle: int) -> bool:
-    """Return whether a variant is an offset of the torque that also acts on a released brake."""
+def _is_plain_offset(variant: Variant, axle: int, axles: int) -> bool:
+    """Return whether a variant is an offset of the torque that also acts on a released brake.
+
+    `axle` is a wheelset, counted from 1, of a vehicle with this number of `axles`.
+    """
     if variant.cause != "torque_offset" or variant.shape:
         return False
-    return axle in wheelsets_of(variant.axle)
+    return axle in wheelsets_of(variant.axle, axles)
 
 
 def base_columns(matrix: SensitivityMatrix) -> list[int]:

@@ -9,7 +9,6 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.decide import fitting, thresholds
 from rollerrig.rig.identify.replay import sensitivity
 
@@ -55,7 +54,7 @@ def check_deviance(design: Design, value: float) -> None:
 def mean_squares(design: Design, explanation: Explanation) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean squares of the normalised innovations; 1 is right.
 
-    The first array is of wheelsets (runs, AXLES), the second of vehicles (runs,). The squares of
+    The first array is of wheelsets (runs, axles), the second of vehicles (runs,). The squares of
     outliers are bounded.
     """
     nu, variance, _, vehicle_nu, vehicle_variance = sensitivity.innovations(
@@ -67,7 +66,7 @@ def mean_squares(design: Design, explanation: Explanation) -> tuple[np.ndarray, 
     wheels = [squares[design.span(s)].mean() for s in range(design.segments)]
     runs = range(design.mass_kg.size)
     vehicles = [vehicle_squares[design.vehicle_span(run)].mean() for run in runs]
-    return np.reshape(wheels, (-1, AXLES)), np.array(vehicles)
+    return np.reshape(wheels, (-1, design.axles)), np.array(vehicles)
 
 
 def check_fit(design: Design, explanation: Explanation) -> None:

@@ -25,7 +25,7 @@ from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import MEMORY, RADIUS
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
-from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.replay import lanes, replay
 from rollerrig.rig.identify.replay.rail import USUAL, RailShares
 from rollerrig.rig.identify.replay.sensitivity import Inputs
@@ -45,19 +45,19 @@ _GRID_MARGIN_M = 150.0  # more than the stop needs: 100 m before its start, 50 m
 _LOAD_SMOOTHING_SAMPLES = 20.0  # what is faster in a measured load is noise
 _END_SHARE = 0.98  # of the last speed of the measured run
 
-# The cells hold a number for each wheelset; the rows of the state and of the inputs begin here.
-# They are below the rows of the parameters, where `lanes.lane_model` reads.
+# The rows of the state and of the inputs begin here in the cells, which are those of `lanes`. They
+# are below the rows of the parameters, where `lanes.lane_model` reads.
 OMEGA = 0
-FEEDBACK = OMEGA + AXLES
-LAMBDA = FEEDBACK + AXLES
-SURFACE = LAMBDA + AXLES
-LOAD = SURFACE + AXLES
-DEGRADED = LOAD + AXLES
-RECOVERED = DEGRADED + AXLES
-SLIDING = RECOVERED + AXLES
-TORQUE = SLIDING + AXLES
-IRREGULARITY = TORQUE + AXLES
-FORCE = IRREGULARITY + AXLES
+FEEDBACK = OMEGA + lanes.MOST_LANES
+LAMBDA = FEEDBACK + lanes.MOST_LANES
+SURFACE = LAMBDA + lanes.MOST_LANES
+LOAD = SURFACE + lanes.MOST_LANES
+DEGRADED = LOAD + lanes.MOST_LANES
+RECOVERED = DEGRADED + lanes.MOST_LANES
+SLIDING = RECOVERED + lanes.MOST_LANES
+TORQUE = SLIDING + lanes.MOST_LANES
+IRREGULARITY = TORQUE + lanes.MOST_LANES
+FORCE = IRREGULARITY + lanes.MOST_LANES
 
 
 @kernel_inlined
@@ -139,15 +139,16 @@ def _drive(
     h = step_s / SUBSTEPS
     v = speed0
     x = 0.0
+    wheelsets = len(parameters)
     lanes.store_models(parameters, cells)
-    for j in range(AXLES):
+    for j in range(wheelsets):
         cells[OMEGA + j] = (v - sliding[0, j]) / parameters[j, RADIUS]
         cells[FEEDBACK + j] = 0.0
         cells[LAMBDA + j] = 0.0
 
     for k in range(n):
         out_speed[k] = v
-        for j in range(AXLES):
+        for j in range(wheelsets):
             out_wheel[k, j] = cells[OMEGA + j]
             out_torque[k, j] = max(0.0, torque[k, j] + cells[FEEDBACK + j])
         if k + 1 == n:
@@ -156,7 +157,7 @@ def _drive(
         for i in range(SUBSTEPS):
             w = (i + 0.5) / SUBSTEPS  # the middle of the substep, between the two samples
             force = resistance[0] + resistance[1] * v + resistance[2] * v * v + extra_N[k]
-            for j in range(AXLES):
+            for j in range(wheelsets):
                 cells[SURFACE + j] = v
                 if on_rollers:
                     cells[SURFACE + j] = (1.0 - w) * surface[k, j] + w * surface[k + 1, j]
@@ -171,7 +172,7 @@ def _drive(
                 cells[IRREGULARITY + j] = (1.0 - share) * field[cell, j] + share * field[
                     cell + 1, j
                 ]
-            for j in range(AXLES):
+            for j in range(wheelsets):
                 omega, feedback, lambda_, force_of_wheelset = wheel_step(
                     cells[OMEGA + j],
                     cells[FEEDBACK + j],
@@ -190,7 +191,7 @@ def _drive(
                 cells[FEEDBACK + j] = feedback
                 cells[LAMBDA + j] = lambda_
                 cells[FORCE + j] = force_of_wheelset
-            for j in range(AXLES):
+            for j in range(wheelsets):
                 force += cells[FORCE + j]
             if math.isnan(force):
                 return False
@@ -223,11 +224,11 @@ def drive(
     out_wheel,
     out_torque,
 ):
-    """Simulate one stop [Q1] and write speed (n,), and wheel speed and torque (n, AXLES).
+    """Simulate one stop [Q1] and write speed (n,), and wheel speed and torque (n, axles).
 
-    `torque`, `sliding`, `load` and `surface` (n, AXLES) and `friction` (2, n, AXLES) are inputs;
+    `torque`, `sliding`, `load` and `surface` (n, axles) and `friction` (2, n, axles) are inputs;
     with `on_rollers` the surface has the speeds of `surface`, otherwise that of the vehicle.
-    `field` (cells, AXLES) is the irregularity of the rail, `place` (AXLES,) the distance of the
+    `field` (cells, axles) is the irregularity of the rail, `place` (axles,) the distance of the
     wheelsets behind the first one. `extra_N` (n,) is added to the `resistance` (A, B, C). `cells`
     (lanes.CELLS,) is work space.
     """
@@ -309,8 +310,8 @@ def field(
 class _CalibrationErrors(NamedTuple):
     """The errors of calibration of one simulated recording, as shares."""
 
-    torque: np.ndarray  # (AXLES,)
-    load: np.ndarray  # (AXLES,)
+    torque: np.ndarray  # (axles,)
+    load: np.ndarray  # (axles,)
     mass: float
 
 
@@ -345,8 +346,8 @@ def runs(
     gain_tolerance = design.calibration / math.sqrt(2.0)
     gain_of_all = rng.normal(0.0, gain_tolerance)
     errors = _CalibrationErrors(
-        torque=gain_of_all + rng.normal(0.0, gain_tolerance, AXLES),
-        load=rng.normal(0.0, design.calibration, AXLES),
+        torque=gain_of_all + rng.normal(0.0, gain_tolerance, design.axles),
+        load=rng.normal(0.0, design.calibration, design.axles),
         mass=rng.normal(0.0, design.calibration),
     )
     brake = discrepancy.brake_share(design, discrepancy.draw_brake(design, rng))
@@ -378,7 +379,7 @@ def runs(
     rail = field(rng, longest_m, of_all, explanation.length_m, 1)
     simulated = []
     for number, run in enumerate(measured):
-        irregularity = rail + field(rng, longest_m, of_wheelset, explanation.length_m, AXLES)
+        irregularity = rail + field(rng, longest_m, of_wheelset, explanation.length_m, design.axles)
         if of_run > 0.0:
             irregularity += field(rng, longest_m, of_run, explanation.length_m, 1)
         # the grid of a run begins 100 m before its start
@@ -407,9 +408,10 @@ def _simulate_run(
     errors = shared.errors
     surface_m_s = by_axle(design.speed_m_s)
     samples = run.time_s.size
+    axles = design.axles
     speed_m_s = np.empty(samples)
-    wheel_rad_s = np.empty((samples, AXLES))
-    torque_Nm = np.empty((samples, AXLES))
+    wheel_rad_s = np.empty((samples, axles))
+    torque_Nm = np.empty((samples, axles))
     drive(
         by_axle(shared.torque_Nm),
         by_axle(shared.sliding_m_s),
@@ -418,7 +420,7 @@ def _simulate_run(
         surface_m_s,
         irregularity,
         data.axle_position_m,
-        replay_inputs.parameters[AXLES * number : AXLES * (number + 1)],
+        replay_inputs.parameters[axles * number : axles * (number + 1)],
         replay_inputs.mass_kg[number] * (1.0 + errors.mass),
         replay_inputs.force_N[design.vehicle_span(number)],
         design.resistance,
@@ -442,10 +444,10 @@ def _simulate_run(
     n = int(slow[0]) if slow.size else samples
 
     # the order of these draws decides the results
-    wheel_noise_rad_s = rng.normal(0.0, design.wheel_noise_rad_s, (n, AXLES))
+    wheel_noise_rad_s = rng.normal(0.0, design.wheel_noise_rad_s, (n, axles))
     speed_noise_m_s = rng.normal(0.0, design.speed_noise_m_s, n)
-    load_noise = rng.normal(0.0, load_noise_N, (n, AXLES))
-    torque_noise_Nm = rng.normal(0.0, design.torque_noise_Nm[number], (n, AXLES))
+    load_noise = rng.normal(0.0, load_noise_N, (n, axles))
+    torque_noise_Nm = rng.normal(0.0, design.torque_noise_Nm[number], (n, axles))
     sensor = design.wheel_sensor
     if sensor.kind is Sensor.COUNTED:
         shown_rad_s = pulses.counted(wheel_rad_s[:n], sensor.quantum_rad_s, rng)

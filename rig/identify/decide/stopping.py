@@ -17,7 +17,6 @@ from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.causes.courses import vehicle_samples
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.data.runs import AXLES
 from rollerrig.rig.identify.decide import gain
 from rollerrig.rig.identify.decide.thresholds import SLOWEST_M_S
 from rollerrig.rig.identify.replay import sensitivity
@@ -100,7 +99,9 @@ def _braking_m_s2(design: Design, explanation: Explanation) -> float:
     """Return the mean deceleration by torques and resistance."""
     replay_inputs = inputs(design, explanation)
     forces = [sensitivity.vehicle_force(design, replay_inputs, run) for run in _runs(design)]
-    fast = [design.speed_m_s[design.span(run * AXLES)] > SLOWEST_M_S for run in _runs(design)]
+    fast = []
+    for run in _runs(design):
+        fast.append(design.speed_m_s[design.span(run * design.axles)] > SLOWEST_M_S)
     chosen = [force[counts] for force, counts in zip(forces, fast, strict=True)]
     return float(np.concatenate(chosen).mean())
 

@@ -3,7 +3,7 @@
 A proposal is shown to the user, who accepts or corrects it. Its rules are those of `words`, and:
 
 - The data are braking runs if there are a speed of the vehicle, and speeds, loads and brake torques
-  of four wheelsets; a creep curve with creepage and adhesion; else the data of a recorder.
+  of all wheelsets; a creep curve with creepage and adhesion; else the data of a recorder.
 - A unit comes from the file, else from the end of the name. Stamps without a unit are in seconds,
   unless their size shows another unit (a count since 1970), or they would be 5 s apart or more.
 - A speed without a unit gets none: the user has to give it, because nothing in the file decides.
@@ -17,12 +17,12 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import nearest
+from rollerrig.configs.vehicle import COACH_AXLES
 from rollerrig.rig.identify.files import stamps, units, words
 from rollerrig.rig.identify.files.words import Meaning
 
 KINDS = ("braking_runs", "creep_curve", "recorder")
 UNKNOWN = "not recognised"
-AXLES = 4  # of a braking run
 _LONGEST_STEP = 5.0  # stamps that are further apart than 5 s are in milliseconds
 # sizes of counts since 1970, in the years 2001 to 2096
 _SINCE_1970 = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -117,12 +117,14 @@ def propose(
     kind: str = "",
     mapped: Mapping[str, str] | None = None,
     given_units: Mapping[str, str] | None = None,
+    axles: int = COACH_AXLES,
 ) -> Proposal:
     """Return the proposal for the columns of a file.
 
     `kind` is one of KINDS, or "" to find it. `mapped` are columns by the key of their channel; a
     channel with the column "" is left out. `given_units` are units by a key or its beginning.
-    Raises ConfigError if a column does not exist, or nothing is recognised.
+    `axles` is the number of wheelsets of the vehicle, each of which has its channels in braking
+    runs. Raises ConfigError if a column does not exist, or nothing is recognised.
     """
     mapped = mapped or {}
     names = [content.name for content in contents]
@@ -138,9 +140,9 @@ def propose(
             found = Meaning(words.STAMPS, 0)
         if found:
             meanings[content.name] = found
-    kind = kind or _kind(set(meanings.values()), mapped)
+    kind = kind or _kind(set(meanings.values()), mapped, axles)
 
-    columns = _columns(contents, meanings, kind, mapped)
+    columns = _columns(contents, meanings, kind, mapped, axles)
     by_name = {content.name: content for content in contents}
     channels = []
     for key, name in columns.items():
@@ -158,14 +160,14 @@ def propose(
     return Proposal(kind, tuple(channels), tuple(unused), tuple(_remarks(kind, channels, meanings)))
 
 
-def _kind(meanings: set[Meaning], mapped: Mapping[str, str]) -> str:
+def _kind(meanings: set[Meaning], mapped: Mapping[str, str], axles: int) -> str:
     """Return the kind of data of these columns. Raises ConfigError."""
     quantities = {found.quantity for found in meanings}
     if {words.CREEPAGE, words.ADHESION} <= quantities and words.WHEEL_SPEED not in quantities:
         return "creep_curve"
-    needed = {words.WHEEL_SPEED, words.LOAD, words.TORQUE}
-    of_all_axles = all(
-        Meaning(quantity, axle) in meanings for quantity in needed for axle in range(1, AXLES + 1)
+    needed = (words.WHEEL_SPEED, words.LOAD, words.TORQUE)
+    of_all_axles = meanings.issuperset(
+        Meaning(quantity, axle) for quantity in needed for axle in range(1, axles + 1)
     )
     if of_all_axles and words.VEHICLE_SPEED in quantities:
         return "braking_runs"
@@ -183,12 +185,13 @@ def _columns(
     meanings: Mapping[str, Meaning],
     kind: str,
     mapped: Mapping[str, str],
+    axles: int,
 ) -> dict[str, str]:
     """Return the column of each channel, by its key."""
     columns: dict[str, str] = {}
     for content in _by_preference(contents, meanings):
         found = meanings.get(content.name)
-        key = _key(found, kind, meanings) if found else ""
+        key = _key(found, kind, meanings, axles) if found else ""
         is_taken = key in columns or key in mapped or content.name in mapped.values()
         if key and not is_taken and (content.is_stamp or np.isfinite(content.numbers).any()):
             columns[key] = content.name
@@ -216,7 +219,7 @@ def _by_preference(contents: Sequence[Content], meanings: Mapping[str, Meaning])
     return sorted(contents, key=rank)
 
 
-def _key(found: Meaning, kind: str, meanings: Mapping[str, Meaning]) -> str:
+def _key(found: Meaning, kind: str, meanings: Mapping[str, Meaning], axles: int) -> str:
     """Return the key of a channel; "" if the kind of data has no such channel."""
     quantities = {meaning.quantity for meaning in meanings.values()}
     quantity = found.quantity
@@ -230,7 +233,7 @@ def _key(found: Meaning, kind: str, meanings: Mapping[str, Meaning]) -> str:
     key = _KEYS[kind].get(quantity, "")
     if "{}" not in key:
         return key
-    if not found.number or (kind == "braking_runs" and found.number > AXLES):
+    if not found.number or (kind == "braking_runs" and found.number > axles):
         return ""
     return key.format(found.number)
 

@@ -160,7 +160,7 @@ def possible(data: Dataset, candidates: Sequence[ScoreTest]) -> tuple[Stop, ...]
 
     # the brake on one wheelset: on each one on which a candidate acts
     # (of a bogie: its first wheelset)
-    axles = sorted({wheelsets_of(test.axle)[0] for test in candidates if test.axle})
+    axles = sorted({wheelsets_of(test.axle, data.axles)[0] for test in candidates if test.axle})
     if not axles:
         axles = [1]
     for speed_m_s in STEADY_M_S:

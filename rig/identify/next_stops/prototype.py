@@ -18,7 +18,7 @@ from rollerrig.configs.vehicle import GRAVITY_M_S2, brake_torque_Nm_Pa
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.parameters import MU_CD, TAU, wheel_model
-from rollerrig.rig.identify.data.runs import AXLES, Dataset, Run
+from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.replay import replay
 
 LONGEST_S = 45.0  # a stop that takes longer is cut off
@@ -70,8 +70,8 @@ class _Course(NamedTuple):
     """The speed of the vehicle, and sliding and force of the wheelsets."""
 
     speed_m_s: np.ndarray  # (n,)
-    sliding_m_s: np.ndarray  # (n, AXLES)
-    force_N: np.ndarray  # (n, AXLES)
+    sliding_m_s: np.ndarray  # (n, axles)
+    force_N: np.ndarray  # (n, axles)
 
 
 def rough_run(data: Dataset, base: np.ndarray, stop: Stop, explanation: Explanation) -> Run:
@@ -88,8 +88,9 @@ def rough_run(data: Dataset, base: np.ndarray, stop: Stop, explanation: Explanat
 
     # a rig that holds the speed is a vehicle of infinite mass
     mass_kg = math.inf if stop.held_s else stop.mass_kg
-    is_braked = np.array([stop.axle in (0, axle) for axle in range(1, AXLES + 1)])
-    load_N = stop.mass_kg * GRAVITY_M_S2 / AXLES
+    axles = data.axles
+    is_braked = np.array([stop.axle in (0, axle) for axle in range(1, axles + 1)])
+    load_N = stop.mass_kg * GRAVITY_M_S2 / axles
     course = _course(data, stop, row, is_braked, mass_kg)
 
     # the sliding is computed in steps of CONTROL_S: smooth them
@@ -104,7 +105,7 @@ def rough_run(data: Dataset, base: np.ndarray, stop: Stop, explanation: Explanat
 
     surface_m_s = None
     if is_on_rollers(data):
-        surface_m_s = np.repeat(speed_m_s[:, None], AXLES, axis=1)
+        surface_m_s = np.repeat(speed_m_s[:, None], axles, axis=1)
     n = speed_m_s.size
     return Run(
         name="planned",
@@ -114,7 +115,7 @@ def rough_run(data: Dataset, base: np.ndarray, stop: Stop, explanation: Explanat
         time_s=step_s * np.arange(n),
         speed_m_s=speed_m_s,
         wheel_speed_rad_s=wheel_rad_s,
-        load_N=np.full((n, AXLES), load_N),
+        load_N=np.full((n, axles), load_N),
         torque_Nm=np.maximum(torque_Nm, 0.0) * is_braked,
         position_m=None,
         surface_m_s=surface_m_s,
@@ -126,14 +127,14 @@ def _course(
 ) -> _Course:
     """Return the course of a stop until its last speed or its longest time.
 
-    `row` (PARAMETERS,) holds the parameters of the wheelsets, `is_braked` (AXLES,) is true for
+    `row` (PARAMETERS,) holds the parameters of the wheelsets, `is_braked` (axles,) is true for
     those that brake. `mass_kg` is infinite if the rig holds the speed.
     """
     step_s = data.sample_time_s
     vehicle = data.sections["vehicle"]
     brake = data.sections["brake"]
     radius_m = vehicle["wheel_radius_m"]
-    load_N = stop.mass_kg * GRAVITY_M_S2 / AXLES
+    load_N = stop.mass_kg * GRAVITY_M_S2 / data.axles
     full_torque_Nm = max(
         brake_torque_Nm_Pa(brake) * (stop.pressure_Pa - brake["spring_pressure_Pa"]), 0.0
     )
@@ -141,8 +142,8 @@ def _course(
     duration_s = RELEASED_S + stop.held_s if stop.held_s else LONGEST_S
     n = int(duration_s / step_s)
     speed_m_s = np.empty(n)
-    sliding_m_s = np.zeros((n, AXLES))
-    force_N = np.zeros((n, AXLES))
+    sliding_m_s = np.zeros((n, data.axles))
+    force_N = np.zeros((n, data.axles))
 
     samples_of_control = max(int(CONTROL_S / step_s), 1)
     v = stop.initial_speed_m_s

@@ -24,7 +24,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import wheelset
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.data.preparation import Design, prepare
-from rollerrig.rig.identify.data.runs import AXLES, Dataset
+from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.paper import tuning
 
 # s. A wheelset runs free for so long before it is set to the measured speed again.
@@ -41,7 +41,7 @@ _FIRST_SAMPLES = 20
 
 
 class Statistics(NamedTuple):
-    """Statistics of one model, or of the measurement, on one run; per wheelset shape (4,)."""
+    """Statistics of one model, or of the measurement, on one run; per wheelset shape (axles,)."""
 
     mu_cd: float
     speed_error_m_s: float  # [V2]; NaN for the measurement
@@ -51,7 +51,10 @@ class Statistics(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """One run: statistics and courses by name (measured, new, classic); courses (n,) or (n, 4)."""
+    """One run: statistics and courses by name (measured, new, classic).
+
+    The courses have the shape (n,) or (n, axles).
+    """
 
     run: str
     initial_speed_m_s: float
@@ -62,7 +65,7 @@ class Verdict(NamedTuple):
 
 
 class _Simulated(NamedTuple):
-    """One model on one run: statistics, speed of the vehicle (n,) and sliding (n, 4)."""
+    """One model on one run: statistics, speed of the vehicle (n,) and sliding (n, axles)."""
 
     statistics: Statistics
     speed_m_s: np.ndarray
@@ -125,7 +128,7 @@ def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Ver
     design = prepare(data, runs)
     verdicts = []
     for index, run in enumerate(runs):
-        measured_m_s = design.speed_m_s[design.span(index * AXLES)]
+        measured_m_s = design.speed_m_s[design.span(index * design.axles)]
         is_moving = measured_m_s > SLOWEST_M_S
         length = int(np.argmin(is_moving)) if not is_moving.all() else is_moving.size
         measured_m_s = measured_m_s[:length]
@@ -175,10 +178,11 @@ def _simulate(
     mu_cd, rmse = tuning.contaminant(samples, model, stated_mu_cd, tau_m_J)
 
     radius_m = data.sections["vehicle"]["wheel_radius_m"]
-    sliding_m_s = np.empty((AXLES, length))
-    force_N = np.empty((AXLES, length))
-    for j in range(AXLES):
-        segment = design.span(run * AXLES + j)
+    axles = design.axles
+    sliding_m_s = np.empty((axles, length))
+    force_N = np.empty((axles, length))
+    for j in range(axles):
+        segment = design.span(run * axles + j)
         surface_m_s = design.speed_m_s[segment][:length]
         omega_rad_s = (surface_m_s - design.sliding_m_s[segment][:length]) / radius_m
         free_run(
@@ -200,7 +204,7 @@ def _simulate(
     sliding_m_s = sliding_m_s.T.copy()
     force_N = force_N.T.copy()
 
-    measured_m_s = design.speed_m_s[design.span(run * AXLES)][:length]
+    measured_m_s = design.speed_m_s[design.span(run * axles)][:length]
     A, B, C = design.resistance
     resistance_N = A + B * measured_m_s + C * measured_m_s * measured_m_s
     acceleration = -(force_N.sum(axis=1) + resistance_N) / design.mass_kg[run]

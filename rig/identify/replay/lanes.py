@@ -6,14 +6,15 @@ into vector instructions. Where recovered adhesion is below degraded, the law ne
 functions: the result is then NaN, and the caller replays the wheelsets one by one.
 
 A loop over the lanes (the wheelsets of both runs) reads and writes one array only, `cells`. It
-holds a row of LANES numbers for each quantity, at known places. The compiler then needs no check
-that arrays overlap, and such a check would prevent the vector instructions.
+holds a row of numbers for each quantity, at known places: a row has room for the lanes of the
+longest vehicles, and those of the others use its beginning. The compiler then needs no check that
+arrays or rows overlap, and such a check would prevent the vector instructions.
 """
 
 import math
 from typing import Any
 
-from rollerrig.configs.vehicle import AXLES
+from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.compiled.variants import module_variant, variant
@@ -22,7 +23,8 @@ from rollerrig.rig.contact import adhesion, polach
 from rollerrig.rig.identify.data.parameters import MEMORY, PARAMETERS, WheelModel, wheel_model
 from rollerrig.rig.identify.replay import memory_replay, replay
 
-LANES = 2 * AXLES
+# wheelsets of two of the longest vehicles
+MOST_LANES = 2 * MOST_AXLES
 
 # --- the law and the filter with vector mathematics ---
 
@@ -66,27 +68,28 @@ _adhesion_with_memory = module_variant(
 _matrix_step = variant(memory_replay.matrix_step, math=MATH)
 
 
-# --- the cells: rows of LANES numbers ---
+# --- the cells: rows of MOST_LANES numbers ---
 
 STATE_ROWS = len(memory_replay.MemoryFilterState._fields)  # of the larger of both filters
 INPUTS = 5  # speed, load, torque, factor of the degraded friction, of the recovered
-M = memory_replay.MemoryFilterState._fields.index("m") * LANES  # also that of `replay.FilterState`
+# also that of `replay.FilterState`
+M = memory_replay.MemoryFilterState._fields.index("m") * MOST_LANES
 
 # where the rows begin, after those of the state
-MEASURED = STATE_ROWS * LANES
-SPEED = MEASURED + LANES
-LOAD = SPEED + LANES
-TORQUE = LOAD + LANES
-DEGRADED = TORQUE + LANES
-RECOVERED = DEGRADED + LANES
-INNOVATION = RECOVERED + LANES
-VARIANCE = INNOVATION + LANES
-MODEL = VARIANCE + LANES  # PARAMETERS rows
-CELLS = MODEL + LANES * PARAMETERS
+MEASURED = STATE_ROWS * MOST_LANES
+SPEED = MEASURED + MOST_LANES
+LOAD = SPEED + MOST_LANES
+TORQUE = LOAD + MOST_LANES
+DEGRADED = TORQUE + MOST_LANES
+RECOVERED = DEGRADED + MOST_LANES
+INNOVATION = RECOVERED + MOST_LANES
+VARIANCE = INNOVATION + MOST_LANES
+MODEL = VARIANCE + MOST_LANES  # PARAMETERS rows
+CELLS = MODEL + MOST_LANES * PARAMETERS
 
 # builds the WheelModel of lane j
 lane_model = tuple_builder(
-    WheelModel, "cells, j", [f"cells[{MODEL + LANES * k} + j]" for k in range(PARAMETERS)]
+    WheelModel, "cells, j", [f"cells[{MODEL + MOST_LANES * k} + j]" for k in range(PARAMETERS)]
 )
 
 
@@ -95,12 +98,12 @@ def store_models(parameters, cells):
     """Write rows of parameters, one for each lane from the first on, for `lane_model`."""
     for i in range(PARAMETERS):
         for j in range(len(parameters)):
-            cells[MODEL + LANES * i + j] = parameters[j, i]
+            cells[MODEL + MOST_LANES * i + j] = parameters[j, i]
 
 
 def _state_kernels(state: Any) -> dict[str, Any]:
     """Return the kernels that read and write the state of a filter in the cells of a lane."""
-    places = [f"cells[{LANES * k} + j]" for k in range(len(state._fields))]
+    places = [f"cells[{MOST_LANES * k} + j]" for k in range(len(state._fields))]
     return {
         "load_state": tuple_builder(state, "cells, j", places),
         "store_state": tuple_writer("cells, j", places),
@@ -125,20 +128,22 @@ def _store_inputs(start, inputs, k, w, first_lane, cells):
     After the end of its run a wheelset keeps the inputs of the last sample.
     """
     length = start[1] - start[0]
+    wheelsets = len(start) - 1
     before = min(k, length - 1)
     after = min(k + 1, length - 1)
     for q in range(INPUTS):
-        for j in range(AXLES):
+        first = SPEED + MOST_LANES * q + first_lane
+        for j in range(wheelsets):
             value_before = inputs[q, start[j] + before]
             value_after = inputs[q, start[j] + after]
-            cells[SPEED + LANES * q + first_lane + j] = (1.0 - w) * value_before + w * value_after
+            cells[first + j] = (1.0 - w) * value_before + w * value_after
 
 
 @kernel_inlined
 def _write_results(start, k, first_lane, cells, out):
     """Write innovation, variance and irregularity of a run's wheelsets, up to the run's end."""
     if k < start[1] - start[0]:
-        for j in range(AXLES):
+        for j in range(len(start) - 1):
             at = start[j] + k
             lane = first_lane + j
             out[0, at] = cells[INNOVATION + lane]
@@ -150,20 +155,21 @@ def _write_results(start, k, first_lane, cells, out):
 def _replay_pair(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
     """Do what `replay_runs` does, for wheelsets without adhesion memory."""
     store_models(parameters, cells)
-    for j in range(AXLES):
+    wheelsets = len(start) - 1
+    lanes = 2 * wheelsets
+    for j in range(wheelsets):
         store_state(cells, j, initial_state(measured[start[j]], lane_model(cells, j)))
-        store_state(
-            cells, AXLES + j, initial_state(measured[other[j]], lane_model(cells, AXLES + j))
-        )
+        lane = wheelsets + j
+        store_state(cells, lane, initial_state(measured[other[j]], lane_model(cells, lane)))
 
     n = start[1] - start[0]
     m = other[1] - other[0]
     for k in range(max(n, m)):
         # a run that has ended stays at its last sample
-        for j in range(AXLES):
+        for j in range(wheelsets):
             cells[MEASURED + j] = measured[start[j] + min(k, n - 1)]
-            cells[MEASURED + AXLES + j] = measured[other[j] + min(k, m - 1)]
-        for j in range(LANES):
+            cells[MEASURED + wheelsets + j] = measured[other[j] + min(k, m - 1)]
+        for j in range(lanes):
             innovation, variance, state = correct(
                 cells[MEASURED + j], load_state(cells, j), lane_model(cells, j)
             )
@@ -171,15 +177,15 @@ def _replay_pair(start, other, measured, inputs, others, parameters, step_s, cel
             cells[VARIANCE + j] = variance
             store_state(cells, j, state)
         _write_results(start, k, 0, cells, out)
-        _write_results(other, k, AXLES, cells, out_other)
+        _write_results(other, k, wheelsets, cells, out_other)
         if k + 1 == max(n, m):
             break
 
         for i in range(replay.SUBSTEPS):
             w = (i + 0.5) / replay.SUBSTEPS  # the middle of the substep, between the two samples
             _store_inputs(start, inputs, k, w, 0, cells)
-            _store_inputs(other, others, k, w, AXLES, cells)
-            for j in range(LANES):
+            _store_inputs(other, others, k, w, wheelsets, cells)
+            for j in range(lanes):
                 state = predict(
                     load_state(cells, j),
                     cells[SPEED + j],
@@ -213,15 +219,15 @@ _replay_pair_with_memory = variant(
 def replay_runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
     """Write the innovations of the wheelsets of two runs, or of the same run twice.
 
-    `start` and `other` (AXLES + 1,) are where the wheelsets of a run begin in the flat arrays, and
-    where the last one ends. `inputs` and `others` (INPUTS, n) are those of the two runs,
-    `parameters` (LANES, PARAMETERS) those of the wheelsets of both. `out` and `out_other` (3, n)
-    are written as `replay.replay_wheel` does: innovation, its variance, irregularity. `cells`
-    (CELLS,) is work space.
+    `start` and `other` (wheelsets + 1,) are where the wheelsets of a run begin in the flat arrays,
+    and where the last one ends. `inputs` and `others` (INPUTS, n) are those of the two runs,
+    `parameters` (2 wheelsets, PARAMETERS) those of both. `out` and `out_other` (3, n) are written
+    as `replay.replay_wheel` does: innovation, its variance, irregularity. `cells` (CELLS,) is work
+    space.
 
     If only one of the runs has adhesion memory, the results of the other one are NaN.
     """
-    if parameters[0, MEMORY] > 0.0 or parameters[AXLES, MEMORY] > 0.0:
+    if parameters[0, MEMORY] > 0.0 or parameters[len(start) - 1, MEMORY] > 0.0:
         _replay_pair_with_memory(
             start, other, measured, inputs, others, parameters, step_s, cells, out, out_other
         )

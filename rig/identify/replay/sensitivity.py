@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.configs.vehicle import AXLES
 from rollerrig.rig.compiled.kernel import kernel, kernel_with_memory
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.parameters import wheel_model
@@ -303,8 +302,9 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
         for i in several
     ]
     runs = range(design.mass_kg.size)
-    starts = [design.start[run * AXLES : (run + 1) * AXLES + 1] for run in runs]
-    models = [[i.parameters[run * AXLES : (run + 1) * AXLES] for run in runs] for i in several]
+    axles = design.axles
+    starts = [design.start[run * axles : (run + 1) * axles + 1] for run in runs]
+    models = [[i.parameters[run * axles : (run + 1) * axles] for run in runs] for i in several]
     out = np.empty((len(several), 3, design.measured_rad_s.size))
     cells = np.empty(lanes.CELLS)
 
@@ -357,7 +357,8 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
 
 def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     """Return the measured u of [R3] of `replay`, shape (samples,)."""
-    p = inputs.parameters[run * AXLES : (run + 1) * AXLES]
+    axles = design.axles
+    p = inputs.parameters[run * axles : (run + 1) * axles]
     turning = design.by_axle(design.turning_rad_s, run) @ (
         p[:, parameters.INERTIA] / p[:, parameters.RADIUS]
     )
@@ -366,10 +367,11 @@ def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:
 
 def vehicle_force(design: Design, inputs: Inputs, run: int) -> np.ndarray:
     """Return the force over the mass of a vehicle in m/s2, shape (samples,)."""
-    v = design.speed_m_s[design.span(run * AXLES)]
+    axles = design.axles
+    v = design.speed_m_s[design.span(run * axles)]
     A, B, C = design.resistance
     force = A + B * v + C * v * v + inputs.force_N[design.vehicle_span(run)]
-    for s in range(run * AXLES, (run + 1) * AXLES):
+    for s in range(run * axles, (run + 1) * axles):
         force = force + inputs.torque_Nm[design.span(s)] / inputs.parameters[s, parameters.RADIUS]
     return force / inputs.mass_kg[run]
 

@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.wsp_interface import signals
 
 RADIUS_M = 0.445
 STEP_S = 0.1
@@ -64,8 +63,8 @@ def stop(kind, speed):
     demand_and_friction = {"clean": CLEAN, "patch": PATCH}[kind]
     first_Pa = {"clean": 1.5e5, "patch": 2.4e5}[kind]
     text = SCENARIO.format(title=kind, speed=speed, first=first_Pa) + demand_and_friction
-    rows = free.simulate(scenario.read(tomllib.loads(text), Path(f"{kind}_{speed}.toml")))
-    return dict(zip(signals.COLUMNS, rows.T, strict=True))
+    plan = scenario.read(tomllib.loads(text), Path(f"{kind}_{speed}.toml"))
+    return free.channels(free.simulate(plan), plan.table)
 
 
 def stops(kind, speeds=SPEEDS):

@@ -16,6 +16,7 @@ from tiers import first_of
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.reports import extended_model
+from rollerrig.rig import vehicle
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import decision, estimates, evidence
 from rollerrig.rig.identify.decide.decision import Diagnosis
@@ -104,8 +105,7 @@ def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_identified(
     assert "not in the plant" not in model.read_text()
     params = scenario.load("velim_a1", str(model)).params
     assert params.effects.memory_m == pytest.approx(memory["length_m"].value, rel=1e-4)
-    radii_m = params.wheels.table[:4]
-    assert np.ptp(radii_m) > 0.0
+    assert np.ptp(params.wheels.table[vehicle.RADIUS_M]) > 0.0
 
 
 @pytest.mark.nightly

@@ -11,7 +11,7 @@ import pytest
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import brake_torque_Nm_Pa
-from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.data import dataset, preparation
 
 SHIPPED = store.ROOT / "datasets" / "open_none"
 RADIUS_M = 0.445
@@ -73,6 +73,40 @@ def edit(copy: Path, old: str, new: str) -> None:
 def test_a_key_and_a_table_may_both_be_called_vehicle(copy: Path) -> None:
     edit(copy, 'vehicle_set = "uic_z1"', 'vehicle = "uic_z1"')
     assert dataset.load(copy).sections["vehicle"]["mass_kg"] == 43000.0
+
+
+@pytest.mark.parametrize(("axles", "bogies_per_body"), [(2, 1), (8, 2), (12, 3)])
+def test_vehicles_with_any_number_of_axles_are_read(
+    copy: Path, axles: int, bogies_per_body: int
+) -> None:
+    # each wheelset carries as much and brakes as much as those of the coach
+    for mass_kg in (43000.0, 49449.99999999999):
+        edit(copy, f"mass_kg = {mass_kg}", f"mass_kg = {mass_kg * axles / 4}")
+    vehicle = f"[vehicle]\naxles = {axles}\nbogies_per_body = {bogies_per_body}\n"
+    edit(copy, "[vehicle]\n", vehicle)
+    positions_m = [10.0 * axle for axle in range(axles)]
+    edit(copy, "[0.0, 2.56, 19.0, 21.56]", str(positions_m))
+    for run in ("a1", "a2", "a3", "b1"):
+        columns = read(copy, run)
+        for axle in range(5, axles + 1):
+            like = (axle - 1) % 4 + 1
+            columns[f"wheel_speed_{axle}_rad_s"] = columns[f"wheel_speed_{like}_rad_s"]
+            columns[f"wheel_load_{axle}_N"] = columns[f"wheel_load_{like}_N"]
+            columns[f"brake_torque_{axle}_Nm"] = columns[f"brake_torque_{like}_Nm"]
+        write(copy, run, columns)
+
+    data = dataset.load(copy)
+    assert data.axles == axles
+    assert [run.axles for run in data.runs] == [axles] * 4
+    design = preparation.prepare(data, data.group("tune"))
+    assert design.segments == 3 * axles
+    np.testing.assert_array_equal(design.axle, [*range(axles)] * 3)
+
+
+def test_a_number_of_axles_that_no_vehicle_has_is_refused(copy: Path) -> None:
+    edit(copy, "[vehicle]\n", "[vehicle]\naxles = 5\n")
+    with pytest.raises(ConfigError, match=r"axles = 5.* 2, 4, 6, 8, 10, 12"):
+        dataset.load(copy)
 
 
 def test_a_wheel_radius_in_millimetres_is_refused(copy: Path) -> None:

@@ -15,7 +15,7 @@ def content(name: str, unit: str = "", step: float = 0.1, first: float = 0.0) ->
     return proposal.Content(name, unit, first + step * np.arange(N), is_stamp=False)
 
 
-def proposed(*names: str, **options: dict[str, str]) -> proposal.Proposal:
+def proposed(*names: str, **options: dict[str, str] | int) -> proposal.Proposal:
     return proposal.propose([content(name) for name in names], **options)  # type: ignore[arg-type]
 
 
@@ -138,9 +138,9 @@ def test_a_speed_of_the_vehicle_beside_wheels_is_the_reference_with_a_remark() -
     assert any("without the wheels" in remark for remark in found.remarks)
 
 
-def braking(without: str = "") -> list[str]:
+def braking(without: str = "", axles: int = 4) -> list[str]:
     names = ["Zeit [ms]", "Fahrzeuggeschwindigkeit [km/h]"]
-    for axle in range(1, 5):
+    for axle in range(1, axles + 1):
         names += [
             f"Drehzahl Radsatz {axle} [1/min]",
             f"Achslast {axle} [kN]",
@@ -156,6 +156,14 @@ def test_loads_and_torques_of_four_wheelsets_make_braking_runs() -> None:
     assert columns_of(found)["brake_torque_2_Nm"] == ("Bremsmoment 2 [kNm]", "kNm")
     assert len(found.channels) == 14
     assert proposed(*braking(without="Achslast 2 [kN]")).kind == "recorder"
+
+
+def test_braking_runs_have_the_channels_of_all_wheelsets_of_the_vehicle() -> None:
+    found = proposed(*braking(axles=8), axles=8)
+    assert found.kind == "braking_runs"
+    assert columns_of(found)["wheel_load_8_N"] == ("Achslast 8 [kN]", "kN")
+    assert len(found.channels) == 26
+    assert proposed(*braking(axles=6), axles=8).kind == "recorder"
 
 
 def test_creepage_and_adhesion_make_a_creep_curve() -> None:

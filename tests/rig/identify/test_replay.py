@@ -136,6 +136,35 @@ def test_wheels_with_memory_are_replayed_together_as_one_by_one(
     np.testing.assert_allclose(sensitivity.replay_wheels(design, i), alone, rtol=1e-8, atol=1e-10)
 
 
+def with_wheelsets(data: dataset.Dataset, axles: int) -> dataset.Dataset:
+    """Return the data as those of a vehicle with so many wheelsets, copies of the measured ones."""
+    measured = np.arange(axles) % data.axles
+    runs = [
+        run._replace(
+            mass_kg=run.mass_kg * axles / data.axles,
+            wheel_speed_rad_s=run.wheel_speed_rad_s[:, measured],
+            load_N=run.load_N[:, measured],
+            torque_Nm=run.torque_Nm[:, measured],
+        )
+        for run in data.runs
+    ]
+    return data._replace(runs=runs, axle_position_m=2.5 * np.arange(axles))
+
+
+@pytest.mark.parametrize("axles", [2, 6, 12])
+@pytest.mark.parametrize("length_m", [0.0, 3.0], ids=["without memory", "with memory"])
+def test_the_wheelsets_of_any_vehicle_are_replayed_together_as_one_by_one(
+    data: dataset.Dataset, fitted: Explanation, axles: int, length_m: float
+) -> None:
+    of_vehicle = with_wheelsets(data, axles)
+    design = preparation.prepare(of_vehicle, of_vehicle.group("tune"))
+    i = candidates.inputs(design, with_memory(fitted, {}, length_m))
+    alone = replayed_alone(design, i)
+    assert design.segments == 3 * axles
+    assert np.all(np.isfinite(alone))
+    np.testing.assert_allclose(sensitivity.replay_wheels(design, i), alone, rtol=1e-8, atol=1e-10)
+
+
 def test_several_explanations_are_replayed_together_as_each_alone(
     design: preparation.Design, fitted: Explanation
 ) -> None:
@@ -192,9 +221,12 @@ def test_innovations_of_an_unchanged_recording_have_unit_variance(
     assert np.mean(of_vehicle**2 / variance_of_vehicle) == pytest.approx(1.0, abs=0.08)
 
 
+@pytest.mark.parametrize("axles", [2, 4, 12])
 def test_simulated_stops_look_like_the_recording(
-    data: dataset.Dataset, design: preparation.Design, fitted: Explanation
+    data: dataset.Dataset, fitted: Explanation, axles: int
 ) -> None:
+    data = with_wheelsets(data, axles)
+    design = preparation.prepare(data, data.group("tune"))
     rng = np.random.default_rng(5)
     made = simulate.runs(data, design, data.group("tune"), fitted, rng)
     simulated = preparation.prepare(data, made, design)

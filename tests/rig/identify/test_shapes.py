@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.data.preparation import Design
@@ -23,6 +23,21 @@ from rollerrig.rig.identify.decide import (
 )
 
 SEED_OF_STOPS = 21
+
+
+@pytest.mark.parametrize(
+    ("name", "axles", "places"),
+    [
+        ("rail_cleaning", 8, (0,)),
+        ("wheel_radius", 6, (1, 2, 3, 4, 5, 6)),
+        ("brake_gain", 4, (0, 1, 2, 3, 4, -1, -2)),
+        ("brake_gain", 8, (0, 1, 2, 3, 4, 5, 6, 7, 8, -1, -2, -3, -4)),
+    ],
+)
+def test_a_cause_is_searched_for_on_the_wheelsets_and_bogies_of_the_vehicle(
+    name: str, axles: int, places: tuple[int, ...]
+) -> None:
+    assert table.BY_NAME[name].places(axles) == places
 
 
 class Fitted(NamedTuple):

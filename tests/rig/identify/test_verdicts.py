@@ -231,13 +231,15 @@ def test_a_wrong_shape_of_a_cause_of_all_wheelsets_lends_less_to_a_cause_of_a_si
         ("brake_gain", 0, (1, 1, 1, 1, 1)),
         ("brake_gain", 3, (0, 0, 1, 0, 1)),
         ("wheel_out_of_round", 2, (0, 1, 0, 0, 0)),
+        ("brake_gain", -3, (0, 0, 0, 0, 1, 1, 1)),
     ],
 )
 def test_a_cause_shows_in_the_filters_of_its_wheelsets_and_in_the_vehicles_if_it_slows_the_vehicle(
     name: str, axle: int, responds: tuple[int, ...]
 ) -> None:
     test = score_test(name, 99.0)._replace(axle=axle)
-    assert choice._filters_that_respond(test).tolist() == list(responds)
+    filters = choice._filters_that_respond(test, axles=len(responds) - 1)
+    assert filters.tolist() == list(responds)
 
 
 # --- null simulations, and causes that cannot be distinguished ---
