@@ -128,6 +128,22 @@ class State(NamedTuple):
     brake_mean: np.ndarray  # N m, mean brake torque of the last step; integrate
     wheel_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
+    # values at a stage of a step; integrate
+    stage_wheel_speed: np.ndarray  # rad/s
+    stage_roller_speed: np.ndarray  # rad/s
+    stage_angle: np.ndarray  # rad, of the wheel
+    stage_transition: np.ndarray  # -, lambda as the wheel remembers it
+    transition_before: np.ndarray  # -, lambda without memory, first stage
+    stage_surface: np.ndarray  # m/s, speed of the rail's or roller's surface
+    stage_sliding: np.ndarray  # m/s
+    stage_load: np.ndarray  # N
+    stage_slope: np.ndarray  # N s/m, contact force over sliding
+    stage_exponent: np.ndarray  # -, k of [A5] in `adhesion`: tau W_sp for f = 1
+    # the last solution of [A5], with which the next one begins; integrate
+    solved_work: np.ndarray  # -, y = tau W_sp
+    work_change: np.ndarray  # -, change of y in the last solution
+    work_change_before: np.ndarray  # -, change of y in the solution before
+    is_solved: np.ndarray  # 1 where the form of `vector_secant` is valid, else 0
     # dynamic brake and traction
     dynamic_torque: np.ndarray  # N m, of the motor on the wheelset, positive brakes; dynamic_brake
     dynamic_torque_demand: np.ndarray  # N m, before slide control; dynamic_brake

@@ -23,7 +23,7 @@ import math
 from rollerrig.rig import dynamic_brake, track_brake
 from rollerrig.rig import vehicle as body
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
-from rollerrig.rig.contact import adhesion, creep_force
+from rollerrig.rig.contact import adhesion, creep_force, vector_secant
 from rollerrig.rig.mechanisms import wheel_flat
 
 _GAMMA = 1.0 - 1.0 / math.sqrt(2.0)
@@ -193,25 +193,95 @@ def load(axle, felt_m_s2, turned_rad, state, params):
     return load_N
 
 
-@kernel_inlined
-def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, state, params):
-    """Return the results of `contact_force` for an axle.
+@kernel
+def contacts(state, params, v, felt_m_s2):
+    """Compute sliding and secant slope T / s of each contact at a stage of a step.
 
-    Parameters
-    ----------
-    axle : its number, 0 the leading one
-    v, felt_m_s2 : speed of the vehicle in m/s, its felt acceleration
-    wheel_rad_s, roller_rad_s, turned_rad : speeds of wheel and roller, angle of the wheel
-    lagging : remembered lambda, or `adhesion.NO_MEMORY`
-    state, params : `State`, `Params`
+    `v` and `felt_m_s2` are the speed of the vehicle in m/s and its felt acceleration at the stage.
+    The speeds and angles of wheels and rollers there, and a remembered lambda, are in the state.
     """
-    surface = v if params.mode == 0 else params.drive.roller_radius_m * roller_rad_s
-    sliding = surface - params.wheels.table[body.RADIUS_M, axle] * wheel_rad_s
-    load_N = load(axle, felt_m_s2, turned_rad, state, params)
-    return contact_force(
-        sliding,
-        surface,
-        load_N,
+    for j in range(state.axles):
+        surface = v
+        if params.mode != 0:
+            surface = params.drive.roller_radius_m * state.stage_roller_speed[j]
+        rim = params.wheels.table[body.RADIUS_M, j] * state.stage_wheel_speed[j]
+        state.stage_surface[j] = surface
+        state.stage_sliding[j] = surface - rim
+        state.stage_load[j] = load(j, felt_m_s2, state.stage_angle[j], state, params)
+    forces(state, params, params.patch.model)
+
+
+@kernel
+def forces(state, params, model):
+    """Write the secant slope of each contact by the degraded law (`model` None) or another model.
+
+    Where recovery has a memory, lambda without memory is written, too.
+    """
+    if model is None and params.effects.memory_m == 0.0:
+        followed_forces(state, params)
+        return
+    for j in range(state.axles):
+        lagging = adhesion.NO_MEMORY
+        if params.effects.memory_m > 0.0:
+            lagging = state.stage_transition[j]
+        slope, lambda_0 = exact_slope(state, j, lagging, params)
+        state.stage_slope[j] = slope
+        state.instantaneous_transition[j] = lambda_0
+
+
+@kernel
+def followed_forces(state, params):
+    """Write the secant slope of each contact by the degraded law, from the one of a moment before.
+
+    The loop has no branch, so that a core computes several contacts with one instruction.
+    """
+    law = params.law
+    decay_d = 1.0 / law.A_d - 1.0
+    decay_r = 1.0 / law.A_r - 1.0
+    for j in range(state.axles):
+        solved = state.solved_work[j]
+        slope_s_m, exponent, y, inside = vector_secant.secant_adhesion(
+            max(abs(state.stage_sliding[j]), SMALL_M_S),
+            state.stage_surface[j],
+            0.5 * state.stage_load[j],
+            params.patch.eps1,
+            decay_d,
+            decay_r,
+            adhesion.law_for_contaminant(
+                state.friction_degraded[j], state.friction_recovered[j], 1.0, law
+            ),
+            solved + state.work_change_before[j],
+        )
+        state.stage_slope[j] = slope_s_m * state.stage_load[j]
+        state.stage_exponent[j] = exponent
+        state.is_solved[j] = inside
+
+        # The two stages of a step alternate. The change from one to the other differs little from
+        # that in the step before, so the solution after the next one begins with this change.
+        state.work_change_before[j] = state.work_change[j]
+        state.work_change[j] = y - solved if inside != 0.0 else 0.0
+        state.solved_work[j] = y if inside != 0.0 else solved
+
+    # the few contacts outside the domain of this form
+    for j in range(state.axles):
+        if state.is_solved[j] == 0.0:
+            slope, _ = exact_slope(state, j, adhesion.NO_MEMORY, params)
+            state.stage_slope[j] = slope
+            # the next solution begins with this one
+            loaded = state.stage_load[j] > 0.0
+            size = max(abs(state.stage_sliding[j]), SMALL_M_S)
+            f = slope * size / state.stage_load[j] if loaded else 0.0
+            state.solved_work[j] = state.stage_exponent[j] * f
+
+
+@kernel
+def exact_slope(state, axle, lagging, params):
+    """Return the secant slope T / s of a contact in N s/m, and lambda_0, by `contact_force`."""
+    at = max(abs(state.stage_sliding[axle]), SMALL_M_S)
+    T, _, lambda_0 = contact_force(
+        at,
+        state.stage_surface[axle],
+        state.stage_load[axle],
         state.friction_degraded[axle],
         state.friction_recovered[axle],
         params.patch,
@@ -219,6 +289,7 @@ def contact(axle, v, felt_m_s2, wheel_rad_s, roller_rad_s, turned_rad, lagging, 
         lagging,
         params.effects.memory_of_work,
     )
+    return T / at, lambda_0
 
 
 @kernel
@@ -244,19 +315,19 @@ def integrate(state, params):
     rubbing_N = 0.5 * magnets_N
 
     # first stage: slopes at the beginning of the step
+    for j in range(state.axles):
+        state.stage_wheel_speed[j] = state.wheel_speed[j]
+        state.stage_roller_speed[j] = state.roller_speed[j]
+        state.stage_angle[j] = state.wheel_angle[j]
+        state.stage_transition[j] = state.lagged_transition[j]
+    contacts(state, params, v, felt)
     total = resistance_N + magnets_N
     for j in range(state.axles):
-        wheel = state.wheel_speed[j]
-        roller = state.roller_speed[j]
-        lagging = state.lagged_transition[j] if remembers else adhesion.NO_MEMORY
-        T, g, lambda_0 = contact(
-            j, v, felt, wheel, roller, state.wheel_angle[j], lagging, state, params
-        )
-        if remembers:
-            state.instantaneous_transition[j] = lambda_0
+        T = state.stage_slope[j] * state.stage_sliding[j]
+        g = max(state.stage_slope[j], 0.0)
         electric_Nm = dynamic_brake.torque(state, j)
         wheel_k, brake_Nm, locked = wheel_acceleration(
-            wheel, T, state.brake_capacity[j], electric_Nm, j, wheels
+            state.wheel_speed[j], T, state.brake_capacity[j], electric_Nm, j, wheels
         )
         roller_k = roller_acceleration(state.motor_before[j], T, on_track, drive)
         state.wheel_rate[j], state.roller_rate[j], added_N = implicit_slopes(
@@ -277,26 +348,33 @@ def integrate(state, params):
     resisting_N += 0.5 * resistance_N
     magnets_N = track_brake.force_N(state, v2, params.track_brake)
     rubbing_N += 0.5 * magnets_N
+    for j in range(state.axles):
+        state.stage_wheel_speed[j] = max(0.0, state.wheel_speed[j] + h * state.wheel_rate[j])
+        state.stage_roller_speed[j] = state.roller_speed[j] + h * state.roller_rate[j]
+        state.stage_angle[j] = state.wheel_angle[j] + h * state.wheel_speed[j]
+    if remembers:
+        for j in range(state.axles):
+            state.transition_before[j] = state.instantaneous_transition[j]
+            state.stage_transition[j] = lagged_transition(
+                state.lagged_transition[j], state.transition_before[j], v, h, effects
+            )
+    contacts(state, params, v2, felt2)
+    if remembers:
+        for j in range(state.axles):
+            mean = 0.5 * (state.transition_before[j] + state.instantaneous_transition[j])
+            state.lagged_transition[j] = lagged_transition(
+                state.lagged_transition[j], mean, 0.5 * (v + v2), h, effects
+            )
     total = resistance_N + magnets_N
     for j in range(state.axles):
         wheel1 = state.wheel_rate[j]
         roller1 = state.roller_rate[j]
         motor_Nm = state.motor_torque[j]
-        wheel = max(0.0, state.wheel_speed[j] + h * wheel1)
-        roller = state.roller_speed[j] + h * roller1
-        turned_rad = state.wheel_angle[j] + h * state.wheel_speed[j]
-        before = state.instantaneous_transition[j]
-        lagging = adhesion.NO_MEMORY
-        if remembers:
-            lagging = lagged_transition(state.lagged_transition[j], before, v, h, effects)
-        T, g, lambda_0 = contact(j, v2, felt2, wheel, roller, turned_rad, lagging, state, params)
-        if remembers:
-            state.lagged_transition[j] = lagged_transition(
-                state.lagged_transition[j], 0.5 * (before + lambda_0), 0.5 * (v + v2), h, effects
-            )
+        T = state.stage_slope[j] * state.stage_sliding[j]
+        g = max(state.stage_slope[j], 0.0)
         electric_Nm = dynamic_brake.torque(state, j)
         wheel_k, brake_Nm, locked = wheel_acceleration(
-            wheel, T, state.brake_torque[j], electric_Nm, j, wheels
+            state.stage_wheel_speed[j], T, state.brake_torque[j], electric_Nm, j, wheels
         )
         roller_k = roller_acceleration(motor_Nm, T, on_track, drive)
         wheel_k, roller_k, added_N = implicit_slopes(

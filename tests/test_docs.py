@@ -20,7 +20,7 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.train_recorder import thresholds
-from rollerrig.wsp_interface import rig_objects
+from rollerrig.wsp_interface import rig_objects, signals
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -204,15 +204,15 @@ def test_the_dataset_of_the_page_loads(tmp_path, monkeypatch):
 def test_the_identifiers_of_the_page_of_units_are_those_of_the_rig():
     text = text_of("docs/units.md")
     for can_id in (
-        rig_objects.SPEEDS.can_id,
-        rig_objects.PRESSURES.can_id,
-        rig_objects.REFERENCE_SPEED.can_id,
+        rig_objects.SPEEDS_ID,
+        rig_objects.PRESSURES_ID,
+        rig_objects.REFERENCE_SPEED_ID,
         rig_objects.MAGNETS_ID,
         rig_objects.UNIT_HEARTBEAT_ID,
     ):
         assert f"| {can_id:X}h |" in text
-    assert f"I16, {rig_objects.SPEEDS.scales[0]:g} rad/s" in text
-    assert f"I16, {rig_objects.REFERENCE_SPEED.scales[0]:g} m/s" in text
+    assert f"I16, {signals.first_place('measured_speed').scale:g} rad/s" in text
+    assert f"I16, {signals.first_place('wsp_reference_speed').scale:g} m/s" in text
 
 
 def files_of(page):

@@ -14,10 +14,12 @@ from packaging.utils import canonicalize_name
 from written_docs import conformance
 
 from rollerrig.configs import store
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim import bench_node
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.modbus import map
 from rollerrig.realtime.bench import scenario
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import measures, sequence
 
 ROOT = Path(__file__).parent.parent
@@ -123,7 +125,7 @@ def without_indent(block):
 
 def test_the_registers_on_the_page_of_modbus_are_those_of_the_map(docs):
     text = read(docs / "modbus.md")
-    at = {row.name: row.address for row in (*map.BITS, *map.WORDS)}
+    at = {row.name: row.address for row in (*map.BITS, *map.words(signals.table(COACH)))}
     # a row of the table of steps, the text of its register or bit, and the name in the map
     for step, register, name in (
         ("choose a scenario", "register {}:", "scenario"),
@@ -146,7 +148,7 @@ def test_the_objects_of_node_127_on_the_page_of_sequences_are_those_of_the_node(
     listed = set()
     for first, last in re.findall(objects, text, re.MULTILINE):
         listed |= set(range(int(first, 16), int(last or first, 16) + 1))
-    assert listed == {row.index for row in bench_node.rows("wall")}
+    assert listed == {row.index for row in bench_node.rows(signals.table(COACH), "wall")}
 
 
 def test_the_measures_on_the_page_of_sequences_exist(docs):

@@ -584,17 +584,6 @@ def column(name: str, axle: int = 1) -> int:
     return _FIRST_COLUMN[name] + axle - 1
 
 
-def scale(name: str) -> float:
-    """Return the value of one count of a signal at its first place on the bus, in its unit.
-
-    Raises KeyError for an unknown signal.
-    """
-    return _SCALES[name]
-
-
-_SCALES = {signal.name: signal.places[0].scale for signal in ALL_SIGNALS if signal.places}
-
-
 def first_place(name: str) -> Place:
     """Return the first place of a signal on the bus, as in `ALL_SIGNALS`.
 

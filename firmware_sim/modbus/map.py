@@ -144,7 +144,7 @@ COMMANDS_AND_STATES = (
         "I16",
         "demanded brake cylinder pressure; -1: node 17 or the scenario decides",
         unit="Pa",
-        scale=signals.scale("brake_demand"),
+        scale=signals.first_place("brake_demand").scale,
         access=WRITE,
     ),
     Register(

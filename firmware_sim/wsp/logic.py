@@ -36,7 +36,7 @@ from rollerrig.rig.compiled.state_type import Width
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, VENT_MAGNET
 
-REFERENCE_SCALE_M_S = signals.scale("wsp_reference_speed")
+REFERENCE_SCALE_M_S = signals.first_place("wsp_reference_speed").scale
 
 _A = "assumption"
 _M = "recollection of typical units, to be checked against UIC 541-05"

@@ -11,7 +11,7 @@ from rollerrig.firmware_sim.wsp.phases import Phase
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface import signals
 
-SPEED_SCALE_RAD_S = signals.scale("measured_speed")
+SPEED_SCALE_RAD_S = signals.first_place("measured_speed").scale
 NOBODY = -1.0
 
 

@@ -123,9 +123,9 @@ _PRESSURE = signals.column("cylinder_pressure")
 _REFERENCE = signals.column("wsp_reference_speed")
 # the first of the columns of further groups, which follow one another
 _SECOND_REFERENCE = signals.column(signals.reference_speed_name(1))
-_SPEED_SCALE = signals.scale("measured_speed")
-_PRESSURE_SCALE = signals.scale("cylinder_pressure")
-_REFERENCE_SCALE = signals.scale("wsp_reference_speed")
+_SPEED_SCALE = signals.first_place("measured_speed").scale
+_PRESSURE_SCALE = signals.first_place("cylinder_pressure").scale
+_REFERENCE_SCALE = signals.first_place("wsp_reference_speed").scale
 _LOW, _HIGH = (float(bound) for bound in signals.KINDS["I16"])
 
 # signals of the real wheelsets and rollers, where a virtual track runs in parallel

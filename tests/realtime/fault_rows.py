@@ -16,7 +16,7 @@ from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.discover import discover, fault_signs, sealed_rig
 from rollerrig.realtime.record import records
 from rollerrig.rig.identify.next_stops.prototype import Stop
-from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, SPEEDS
+from rollerrig.wsp_interface.rig_objects import MAGNETS_ID, SPEEDS_ID
 from rollerrig.wsp_interface.signals import BRAKE_NODE, SPEED_NODE
 
 SCENARIO = "velim_a1"
@@ -32,7 +32,7 @@ class Case(NamedTuple):
 
 
 CASES = (
-    Case(38.0, {"axle": 2, "other": 3, "node": BRAKE_NODE, "can_id": SPEEDS.can_id}),
+    Case(38.0, {"axle": 2, "other": 3, "node": BRAKE_NODE, "can_id": SPEEDS_ID}),
     Case(30.0, {"axle": 3, "other": 4, "node": SPEED_NODE, "can_id": MAGNETS_ID}),
 )
 

@@ -10,10 +10,12 @@ from bench_process import BenchProcess
 from short_sequences import WALKING_PACE
 
 from rollerrig.configs.errors import UnitError
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import campaign, stops_in_lanes
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import UNIT_HAS_FAILED
@@ -95,7 +97,7 @@ def test_a_gateway_reports_a_unit_whose_signals_are_no_numbers_and_its_run_is_no
         tmp_path / "run",
         pacing,
         wsp="external",
-        companions=(gateway.companion(tmp_path / "map.toml"), float_unit),
+        companions=(gateway.companion(tmp_path / "map.toml", signals.table(COACH)), float_unit),
     )
     assert outcome.result is Result.ERROR
     assert "the WSP unit (node 32) reports that it has failed: EMCY FF02h" in outcome.error

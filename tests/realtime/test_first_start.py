@@ -133,7 +133,7 @@ def test_a_generation_that_a_process_uses_is_never_removed(tmp_path):
 
 
 def test_a_process_locks_the_generation_that_it_uses():
-    file = os.open(kernel_cache.folder().parent, os.O_RDONLY)
+    file = os.open(kernel_cache.folder(), os.O_RDONLY)
     try:
         with pytest.raises(OSError, match="unavailable"):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -8,8 +8,11 @@ import pytest
 fmus = pytest.importorskip("fmus")
 
 from rollerrig.configs.errors import ConfigError, UnitError  # noqa: E402
+from rollerrig.configs.vehicle import COACH  # noqa: E402
 from rollerrig.firmware_sim.fmu import fmu_file, signal_unit  # noqa: E402
 from rollerrig.realtime import cli  # noqa: E402
+from rollerrig.wsp_interface import signals  # noqa: E402
+from rollerrig.wsp_interface.rig_objects import unit_frames  # noqa: E402
 from rollerrig.wsp_interface.unit_map import mapping  # noqa: E402
 
 HERTZ = Path(__file__).parent.parent / "data" / "field" / "fmu_units" / "Hz.fmu"
@@ -133,7 +136,7 @@ def test_the_proposed_mapping_of_an_fmu_with_other_names_fits_it(tmp_path, capsy
     assert cli.main(["check", str(unit)]) == 2
     assert cli.main(["check", str(unit), "--write-map", str(out)]) == 0
     capsys.readouterr()
-    proposed = mapping.load_fmu_map(out)
+    proposed = mapping.load_fmu_map(out, 4)
     assert proposed.inputs["nRad2"] == ("measured_speed_2", pytest.approx(9.5493, rel=1e-4))
     assert proposed.inputs["Bremsdruck_4"] == ("cylinder_pressure_4", 1e-5)
     assert (proposed.hold[0], proposed.vent[3]) == ("hold_1", "vent_4")
@@ -162,7 +165,11 @@ def test_what_a_proposal_cannot_recognise_is_a_question_mark_that_the_check_repo
 @pytest.mark.parametrize("version", [2, 3])
 def test_the_log_of_an_fmu_is_part_of_the_error_when_a_step_fails(version, tmp_path, capfd):
     unit = fmus.build(tmp_path, version, defines=("FAIL_AT_S=0.02",))
-    fmu = signal_unit.Fmu(fmu_file.check(unit, None, 0.01), tmp_path / "unpacked")
+    fmu = signal_unit.Fmu(
+        fmu_file.check(unit, None, 0.01),
+        tmp_path / "unpacked",
+        unit_frames(signals.table(COACH), 0),
+    )
     fmu.begin()
     for _ in range(3):
         fmu.idle()

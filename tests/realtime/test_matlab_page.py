@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 from bench_process import BenchProcess
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.modbus import map as register_map
 from rollerrig.realtime import cli
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import signals
 
 PAGE = (Path(__file__).parents[2] / "docs/matlab.md").read_text(encoding="utf-8")
 CODE = "\n".join(re.findall(r"```matlab\n(.*?)```", PAGE, re.DOTALL))
@@ -51,7 +53,7 @@ def test_the_addresses_of_the_page_are_those_of_the_map_plus_one():
     assert len(calls) == 4
     for _, address, written in calls:
         assert int(address) == int(written) + 1
-    rows = {row.address: row for row in register_map.WORDS}
+    rows = {row.address: row for row in register_map.words(signals.table(COACH))}
     assert (rows[1].name, rows[1].scale) == ("speed_set_point", 0.01)
     assert (rows[2].kind, rows[2].unit) == ("I16", "Pa")
     assert (rows[202].kind, rows[202].scale, rows[202].unit) == ("I16", 0.01, "m_s")

@@ -16,7 +16,9 @@ import pytest
 from program import BOTH_BRAKES, LONGEST_S
 from pymodbus.client import ModbusTcpClient
 
-from rollerrig.firmware_sim.modbus.map import WORDS, MotorState
+from rollerrig.configs.vehicle import COACH
+from rollerrig.firmware_sim.modbus.map import MotorState, words
+from rollerrig.wsp_interface import signals
 
 # they share the servers of programs of these vehicles, and runs
 pytestmark = pytest.mark.xdist_group("vehicles")
@@ -71,7 +73,7 @@ def tram(request, tmp_path_factory):
 )
 def test_the_registers_of_the_leading_group_are_those_of_the_coach(tram):
     _, rows = tram
-    for row in WORDS:
+    for row in words(signals.table(COACH)):
         line = rows[row.name]
         assert (first_register(line), line["kind"]) == (row.address, row.kind), row.name
         assert line["scale"].split()[0] == f"{row.scale:.6g}"

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import records
-from rollerrig.wsp_interface import own_bench
+from rollerrig.wsp_interface import own_bench, signals
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import play, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
@@ -22,7 +23,7 @@ def play_stop(folder, pacing="lockstep"):
     stop = sequence.load(FIELD / "stop.toml", catalogue.parse)
     unit = own_bench.program(f"{sys.executable} {FIELD / 'unit.py'} {{address}}", folder / "log")
     folder.mkdir()
-    companions = (gateway.companion(FIELD / "map.toml"), unit)
+    companions = (gateway.companion(FIELD / "map.toml", signals.table(COACH)), unit)
     return play.on_own_bench(stop, folder / "run", pacing, wsp="external", companions=companions)
 
 

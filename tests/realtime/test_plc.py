@@ -13,14 +13,15 @@ import program
 import pytest
 from pymodbus.client import AsyncModbusTcpClient
 
-from rollerrig.firmware_sim.modbus.map import BITS, WORDS, State
+from rollerrig.configs.vehicle import COACH
+from rollerrig.firmware_sim.modbus.map import BITS, State, words
 from rollerrig.realtime import cli
-from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.record import records
+from rollerrig.wsp_interface import own_bench, signals
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.rig_objects import FRICTION, FRICTION_SCALE
 
-ADDRESS_OF = {row.name: row.address for row in (*BITS, *WORDS)}
+ADDRESS_OF = {row.name: row.address for row in (*BITS, *words(signals.table(COACH)))}
 BIT_NAMES = {row.name for row in BITS}
 # time-outs of wall time, for a busy machine
 START_S = 240.0
@@ -149,7 +150,7 @@ def test_a_modbus_client_alone_runs_a_scenario_from_start_to_stop(rig):
     assert one.until("held", bool)
 
     # choose another scenario and another speed
-    wanted = scenario.names().index("step_adhesion")
+    wanted = own_bench.scenarios_of(COACH).index("step_adhesion")
     assert one.write("scenario", wanted) == 0
     one.until("state", lambda state: state == State.HELD)
     assert one.read("scenario") == wanted

@@ -15,7 +15,7 @@ from rollerrig.wsp_interface.bus import buses
 from rollerrig.wsp_interface.bus.sdo_client import SdoClient
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import Harness
-from rollerrig.wsp_interface.rig_objects import END, HARNESS, JOINED, REFERENCE_SPEED, SAND_ID
+from rollerrig.wsp_interface.rig_objects import END, HARNESS, JOINED, REFERENCE_SPEED_ID, SAND_ID
 
 CYCLES = 40
 # what the harness does in some cycles
@@ -88,7 +88,7 @@ def test_a_sequence_gives_the_same_frames_whether_its_unit_or_its_harness_is_slo
 
 def test_the_frames_that_a_unit_sends_up_to_its_answer_are_in_the_order_of_arbitration(tmp_path):
     sand = (SAND_ID, b"\0")
-    reference_speed = (REFERENCE_SPEED.can_id, b"\0\0")
+    reference_speed = (REFERENCE_SPEED_ID, b"\0\0")
     bench = BenchProcess(
         tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--set", "duration_max_s=0.5"
     )
@@ -97,9 +97,9 @@ def test_the_frames_that_a_unit_sends_up_to_its_answer_are_in_the_order_of_arbit
     unit.close()
     assert bench.status in (0, 4), bench.stderr
 
-    sent = {SAND_ID, REFERENCE_SPEED.can_id, MAGNETS}
+    sent = {SAND_ID, REFERENCE_SPEED_ID, MAGNETS}
     heard = [can_id for _, can_id, *_ in records.frames(bench.out) if can_id in sent]
-    assert heard[: 3 * 40] == [REFERENCE_SPEED.can_id, MAGNETS, SAND_ID] * 40
+    assert heard[: 3 * 40] == [REFERENCE_SPEED_ID, MAGNETS, SAND_ID] * 40
 
 
 def test_a_unit_that_floods_the_bus_before_its_answer_loses_no_frame(tmp_path):
