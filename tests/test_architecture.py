@@ -77,7 +77,7 @@ FLOORS = {
     ),
 }
 # (room, lower room): the only files of the lower room that the room may import
-NARROW = {("firmware_sim", "rig"): {"rig/compiled/kernel"}}
+NARROW = {("firmware_sim", "rig"): {"rig/compiled/kernel", "rig/compiled/state_type"}}
 # The outside packages that each room may import. For a file, the entry with the longest matching
 # path counts.
 OUTSIDE = {

@@ -1,7 +1,4 @@
-"""Vehicles with several groups of axles: what belongs to one group, and what two groups share.
-
-A process simulates one number of axles, so each of these runs is a process.
-"""
+"""Vehicles with several groups of axles: what belongs to one group, and what two groups share."""
 
 import json
 from binascii import crc32
@@ -13,7 +10,7 @@ import pyarrow.parquet
 import pytest
 from program import BOTH_BRAKES, rollerrig
 
-# they share the servers of programs of these vehicles, and runs
+# they share runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
 ON_HUB = ("--set", "bus.interface=hub", "--set", "bus.socketcand_port=0")

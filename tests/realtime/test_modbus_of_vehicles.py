@@ -1,7 +1,7 @@
 """The Modbus map of vehicles with motors, magnets or more than four axles, and of the coach.
 
-A process simulates one kind of vehicle, so each bench is a process. A client of pymodbus reads the
-registers of a running bench. What it has read is then compared with the recorded channels.
+A client of pymodbus reads the registers of a running bench. What it has read is then compared with
+the recorded channels.
 """
 
 import csv
@@ -20,7 +20,7 @@ from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.modbus.map import MotorState, words
 from rollerrig.wsp_interface import signals
 
-# they share the servers of programs of these vehicles, and runs
+# they share runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
 ILLEGAL_ADDRESS = 2

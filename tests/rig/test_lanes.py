@@ -25,7 +25,18 @@ RIGS = rigs_of(AXLES)
 MODES = ("track", "contaminated_rollers")
 CLOSE = 1e-9
 # slots of a stage of a step, not of the state
-OF_A_STAGE = ("wheel_rate", "roller_rate", "instantaneous_transition")
+OF_A_STAGE = (
+    "wheel_rate",
+    "roller_rate",
+    "instantaneous_transition",
+    "transition_before",
+    *(name for name in NAMES if name.startswith("stage_")),
+    # the last solution: the lanes keep their own
+    "solved_work",
+    "work_change",
+    "work_change_before",
+    "is_solved",
+)
 ORDER = (
     "pneumatics_and_motors",
     "contacts",
