@@ -38,7 +38,7 @@ def names(kind: str) -> list[str]:
 def names_of_vehicles(kind: str) -> list[str]:
     """Return the names of the packaged configurations of a kind for other vehicles than the coach.
 
-    `names` does not list them, because one process has one vehicle; `find` finds them.
+    `names` does not list them: a command without names takes those of the coach. `find` finds them.
     """
     return sorted(path.stem for path in (ROOT / kind / VEHICLES).glob("*.toml"))
 
