@@ -104,7 +104,7 @@ class Reference:
         self._axles = len(frames.speeds.names)
         self._dynamic_brake = dynamic_brake
         self.hears: tuple[rig.Layout, ...] = (frames.speeds,)
-        warm(params, dynamic_brake)
+        warm(params)
 
     def begin(self) -> None:
         self._wsp = logic.new_unit(self._params, self._axles)
@@ -337,13 +337,12 @@ class Unit:
         self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
-def warm(params: logic.Params, dynamic_brake: bool = False) -> None:
+def warm(params: logic.Params) -> None:
     """Compile the cycle, or load it from the cache of numba, before the rig waits for an answer."""
     unit = logic.new_unit(params, AXLES_OF_GROUP)
     logic.cycle(unit, np.zeros(AXLES_OF_GROUP, dtype=np.int64))
     logic.stuck(unit)
-    if dynamic_brake:
-        logic.permitted_share(unit, 0)
+    logic.permitted_share(unit, 0)
 
 
 def main(

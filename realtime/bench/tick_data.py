@@ -98,7 +98,7 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
         return  # it has no bus, and its unit is called inside the loop
     if unit == "reference" and compile_progress.has_compiled():
         # what the process of the unit would compile while the bench waits for its heartbeat
-        node.warm(logic.load("reference"), data.params.dynamic.acts)
+        node.warm(logic.load("reference"))
     # the calls of the bus thread: a compiler in the first SYNC cycle would look like a lost unit
     mailbox.fetch(data.published, data.row.copy())
     mailbox.post(data.commands, data.commands.values.copy())

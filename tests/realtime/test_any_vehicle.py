@@ -22,14 +22,18 @@ VEHICLES = {
 SHORT = ("initial_speed_m_s=3",)
 # prints the number of kernels that each stop has compiled; the first argument is the pacing
 COUNT = """
-import json, sys, tempfile
-import rollerrig
+import contextlib, json, sys, tempfile
+from rollerrig.realtime import cli
 from rollerrig.rig.compiled import compile_progress
+pacing, *names = sys.argv[1:]
+# the same adhesion for all: only some sets state an initial adhesion, for which a kernel is called
+given = ("adhesion=low", "duration_max_s=0.2", "bus.interface=hub", "bus.socketcand_port=0")
+settings = [word for setting in given for word in ("--set", setting)]
 counts = []
-for name in sys.argv[2:]:
+for name in names:
     before = compile_progress._listener.compiled
-    with tempfile.TemporaryDirectory() as folder:
-        rollerrig.run(name, pacing=sys.argv[1], out=folder + "/run", duration_max_s=0.2)
+    with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(sys.stderr):
+        cli.main(["run", name, "--pacing", pacing, *settings, "--out", folder + "/run"])
     counts.append(compile_progress._listener.compiled - before)
 print(json.dumps(counts))
 """
