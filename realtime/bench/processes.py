@@ -25,6 +25,7 @@ from rollerrig.realtime.bench.options import (
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import run_folder
+from rollerrig.realtime.telemetry import kind_option
 from rollerrig.wsp_interface import events, unit_choice
 from rollerrig.wsp_interface.bus import plugin
 from rollerrig.wsp_interface.events import Code, OnEvent
@@ -319,8 +320,7 @@ def record(
     process = waiting or start_recorder()
     words = [
         str(run_dir),
-        "--kind",
-        json.dumps(kind),
+        *kind_option.words(kind),
         "--rows",
         str(rows.path),
         "--frames",

@@ -12,7 +12,6 @@ The recording has the same name as the recorder's, so a viewer that has both sho
 
 import argparse
 import contextlib
-import json
 import os
 import signal
 import socket
@@ -28,6 +27,7 @@ from rollerrig.configs.processes import children
 from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
+from rollerrig.realtime.telemetry import kind_option
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Event
 
@@ -83,8 +83,7 @@ def _command(run_dir: Path, kind: Kind, rows: Path, events: Path, *more: str) ->
     return [
         *children.module(_MODULE),
         str(run_dir),
-        "--kind",
-        json.dumps(kind),
+        *kind_option.words(kind),
         "--rows",
         str(rows),
         "--events",
@@ -321,13 +320,7 @@ def main(arguments: list[str] | None = None) -> int:
 def _parse(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="live")
     parser.add_argument("run_dir", type=Path)
-    parser.add_argument(
-        "--kind",
-        type=lambda text: Kind(*json.loads(text)),
-        required=True,
-        metavar="JSON",
-        help="the kind of the vehicle, a list of its fields",
-    )
+    kind_option.add(parser)
     parser.add_argument("--rows", type=Path, required=True)
     parser.add_argument("--events", type=Path, required=True)
     parser.add_argument("--port", type=int, default=0, help="preferred port of the server")

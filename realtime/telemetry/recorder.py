@@ -45,7 +45,7 @@ from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.record import channels, records, run_folder, summary
 from rollerrig.realtime.record.events import Events
-from rollerrig.realtime.telemetry import derived, scene, views
+from rollerrig.realtime.telemetry import derived, kind_option, scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing
 from rollerrig.wsp_interface import events as run_events
 from rollerrig.wsp_interface import signals
@@ -398,13 +398,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("run_dir", type=Path)
     for name in ("--rows", "--frames", "--events"):
         parser.add_argument(name, type=Path, required=True)
-    parser.add_argument(
-        "--kind",
-        type=lambda text: Kind(*json.loads(text)),
-        required=True,
-        metavar="JSON",
-        help="the kind of the vehicle, a list of its fields",
-    )
+    kind_option.add(parser)
     parser.add_argument(
         "--counters",
         type=json.loads,

@@ -109,13 +109,13 @@ class Rig:
     def roll(self, seconds, magnets=FILL, demand_Pa=np.nan, controlled=True):
         """Advance the rig and return the `History`. Without rig control the motors are idle.
 
-        `magnets` is a pattern for all axles, one for each axle, or a row of four for each tick.
+        `magnets` is a pattern for all axles, one for each axle, or a row for each tick.
         `demand_Pa` is the demanded pressure, NaN for full brake.
         """
         ticks = round(seconds / self.params.tick_s)
         log = np.empty((ticks + 1, self.plant.buffer.size))
         log[0] = self.plant.buffer
-        energised = np.empty((ticks, 4))
+        energised = np.empty((ticks, self.params.axles))
         energised[:] = magnets
         on_rollers = self.params.mode != params.TRACK
         _roll(

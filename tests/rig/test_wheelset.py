@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from rolling import FULL_BRAKE_PA, SOAP, TRACK, Rig
+from rolling import FULL_BRAKE_PA, LEAVES, SOAP, TRACK, Rig
 
+from rollerrig.configs.vehicle import ALLOWED_AXLES
 from rollerrig.rig import wheelset
 from rollerrig.rig.contact import adhesion
 
@@ -201,3 +202,27 @@ def test_a_lock_is_counted_only_while_the_vehicle_runs_above_the_limit():
     assert locked.any(axis=0).all()
     np.testing.assert_allclose(run.longest_lock[-1], locked.sum(axis=0) * 1e-3, atol=2e-3)
     assert (run.locked_since[-1] == 0.0).all()
+
+
+@pytest.mark.parametrize("axles", ALLOWED_AXLES)
+@pytest.mark.parametrize("mode", ["track", "contaminated_rollers"])
+def test_throughout_a_stop_the_contacts_have_the_force_of_the_exact_law(axles, mode):
+    vehicle = {"axles": axles, "bogies_per_body": 1, "mass_kg": 10.8e3 * axles}
+    rig = Rig(8.0, adhesion=LEAVES, rig={"mode": mode}, vehicle=vehicle)
+    rig.charge(FULL_BRAKE_PA)
+    state = rig.state
+    followed = 0
+    has_locked = False
+    for _ in range(100):
+        rig.roll(0.05)
+        if state.standing[0]:
+            break
+        exact = [
+            wheelset.exact_slope(state, j, adhesion.NO_MEMORY, rig.params)[0] for j in range(axles)
+        ]
+        np.testing.assert_allclose(state.stage_slope, exact, rtol=1e-9)
+        followed += int(state.is_solved.sum())
+        has_locked |= state.wheel_speed.min() == 0.0
+    assert has_locked
+    # nearly all contacts are in the domain of the fast form
+    assert followed > 50 * axles
