@@ -32,7 +32,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
-from rollerrig.configs.vehicle import AXLES_OF_GROUP, COACH, Kind
+from rollerrig.configs.vehicle import AXLES_OF_GROUP, COACH, MOST_AXLES, Kind
 from rollerrig.firmware_sim.cia301.nmt import STATE_AFTER, Command, State
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.wsp_interface import rig_objects as rig
@@ -371,9 +371,11 @@ def frames_of_group(kind: Kind, group: int) -> rig.UnitFrames:
     Raises ConfigError.
     """
     if not 1 <= group <= kind.groups:
+        with_group = min(AXLES_OF_GROUP * max(group, 1), MOST_AXLES)
         raise ConfigError(
             f"--group {group}: a vehicle with {kind.axles} axles has {kind.groups} group(s) of up to "
-            "four axles; for another vehicle give the number of its axles, for example --axles 8"
+            f"four axles; allowed is 1 to {kind.groups}, or give the number of axles of another "
+            f"vehicle, for example --axles {with_group}"
         )
     return rig.unit_frames(signals.table(kind), group - 1)
 
