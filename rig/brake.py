@@ -22,6 +22,7 @@ import math
 
 from rollerrig.configs.vehicle import HOLD_MAGNET, VENT_MAGNET
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.state_type import rig_of
 from rollerrig.rig.state import FILL, HOLD, VENT
 
 NORMAL_PRESSURE_PA = 101325.0
@@ -58,49 +59,65 @@ def switch_valves(state, delayed_magnets):
         state.valve[j] = valve
 
 
-@kernel_inlined
-def fill(state, brake, target_Pa, dynamic):
-    """Advance the demanded pressure and the cylinders by a step of constant valves and target.
+@kernel
+def fill(state, plants):
+    """Advance the demanded pressures and the cylinders by a step of constant valves.
 
-    `dynamic` is `dynamic_params.DynamicBrake`. Where it acts, the friction brake gives the rest of
-    the demand.
-
-    The demand is exact. The cylinders follow its mean over the step, which is of second order.
+    `plants` are the parameters of all rigs. The demand is exact. The cylinders follow its mean over
+    the step, which is of second order.
     """
-    # the demanded pressure at the end of the step
-    before = state.brake_demand[0]
-    share = brake.demand_fill_share if target_Pa > before else brake.demand_release_share
-    state.brake_demand[0] = before + (target_Pa - before) * share  # [B1]
-
-    # the mean over the step
-    p_d = before + 0.5 * (target_Pa - before) * share
-    if brake.air.reservoir_L > 0.0:
-        flow_through_valves(state, brake, p_d, dynamic)
-        return
+    for rig in range(len(plants)):
+        demand(rig_of(state, rig, plants[rig].axles), plants[rig])
     for j in range(state.axles):
         p = state.cylinder_pressure[j]
-        p_friction = pressure(p_d, j, state, dynamic)
-        if state.valve[j] == VENT:
-            state.cylinder_pressure[j] = p - p * brake.valve_vent_share  # [B2]
-        elif state.valve[j] == FILL:
-            gain = (p_friction - p) * brake.valve_fill_share
-            state.cylinder_pressure[j] = p + gain
-            state.air_consumption[0] += max(gain, 0.0) * brake.volume_L / NORMAL_PRESSURE_PA  # [B3]
+        filled = (state.stage_demand[j] - p) * state.fill_share[j]
+        vented = -p * state.vent_share[j] if state.valve[j] == VENT else 0.0
+        gain = filled if state.valve[j] == FILL else vented
+        state.cylinder_pressure[j] = p + gain  # [B2]
+        state.air_filled[j] += max(gain, 0.0) * state.air_per_pressure[j]  # [B3]
+    for rig in range(len(plants)):
+        if plants[rig].brake.air.reservoir_L > 0.0:
+            flow_through_valves(rig_of(state, rig, plants[rig].axles), plants[rig].brake)
 
 
 @kernel_inlined
-def pressure(p_d, axle, state, dynamic):
-    """Return the demanded pressure in Pa of an axle's cylinder: `p_d` without a dynamic brake."""
-    if not dynamic.acts or state.standing[0] != 0.0:
-        return p_d  # the motors of a vehicle that stands do not brake
-    return state.friction_demand[axle]
+def demand(state, params):
+    """Advance the demanded pressure of a rig, and set what each cylinder follows in this step."""
+    brake = params.brake
+    before = state.brake_demand[0]
+    target_Pa = state.brake_target[0]
+    share = brake.demand_fill_share if target_Pa > before else brake.demand_release_share
+    state.brake_demand[0] = before + (target_Pa - before) * share  # [B1]
+    mean_Pa = before + 0.5 * (target_Pa - before) * share
+    # the motors of a vehicle that stands do not brake
+    blends = params.dynamic.acts and state.standing[0] == 0.0
+    for j in range(state.axles):
+        state.stage_demand[j] = state.friction_demand[j] if blends else mean_Pa
 
 
-@kernel_inlined
-def begin(state, air):
-    """Fill the reservoir, where there is one."""
+@kernel
+def count_air(state):
+    """Count the air that all cylinders of a rig have taken so far."""
+    total_NL = 0.0
+    for j in range(state.axles):
+        total_NL += state.air_filled[j]
+    state.air_consumption[0] = total_NL
+
+
+@kernel
+def begin(state, brake):
+    """Fill the reservoir, where there is one, and write the constants of each axle."""
+    air = brake.air
     state.reservoir_pressure[0] = air.begin_Pa if air.reservoir_L > 0.0 else 0.0
     state.reservoir_least[0] = state.reservoir_pressure[0]
+    # cylinders on a reservoir fill and vent by choked flow
+    lags = air.reservoir_L == 0.0
+    for j in range(state.axles):
+        state.torque_per_pressure[j] = brake.torque_Nm_Pa
+        state.spring_pressure[j] = brake.spring_pressure_Pa
+        state.air_per_pressure[j] = brake.volume_L / NORMAL_PRESSURE_PA
+        state.fill_share[j] = brake.valve_fill_share if lags else 0.0
+        state.vent_share[j] = brake.valve_vent_share if lags else 0.0
 
 
 @kernel
@@ -122,11 +139,8 @@ def flow(from_Pa, to_Pa, conductance, critical_ratio):
 
 
 @kernel
-def flow_through_valves(state, brake, p_d, dynamic):
-    """Advance cylinders and reservoir by a step of choked flow [B5], [B6].
-
-    `p_d` is the demanded pressure in Pa, its mean over the step; `dynamic` as for `fill`.
-    """
+def flow_through_valves(state, brake):
+    """Advance cylinders and reservoir of a rig by a step of choked flow [B5], [B6]."""
     air = brake.air
     p_r = state.reservoir_pressure[0]
     room = air.reservoir_L / NORMAL_PRESSURE_PA  # NL for each Pa
@@ -140,7 +154,7 @@ def flow_through_valves(state, brake, p_d, dynamic):
 
     for j in range(state.axles):
         p = state.cylinder_pressure[j]
-        p_friction = pressure(p_d, j, state, dynamic)
+        p_friction = state.stage_demand[j]
         if state.valve[j] == VENT:
             gone_NL = flow(p, 0.0, air.vent, air.critical_ratio) * air.step_s
             state.cylinder_pressure[j] = max(0.0, p - gone_NL / cylinder)
@@ -155,13 +169,28 @@ def flow_through_valves(state, brake, p_d, dynamic):
                 max(p_r - p, 0.0) * cylinder * room / (cylinder + room),
             )
             state.cylinder_pressure[j] = p + gain_NL / cylinder
-            state.air_consumption[0] += gain_NL
+            state.air_filled[j] += gain_NL
             p_r -= gain_NL / room  # [B6]
     state.reservoir_pressure[0] = p_r
     state.reservoir_least[0] = min(state.reservoir_least[0], p_r)
 
 
 @kernel
+def hold(state):
+    """Set the torque that the discs of each axle can hold at the pressure of its cylinder [B4]."""
+    for j in range(state.axles):
+        state.brake_torque[j] = torque_at(
+            state.cylinder_pressure[j], state.torque_per_pressure[j], state.spring_pressure[j]
+        )
+
+
+@kernel
 def capacity(pressure_Pa, brake):
     """Return the torque in N m that a wheelset's discs can hold at a cylinder pressure [B4]."""
-    return max(0.0, brake.torque_Nm_Pa * (pressure_Pa - brake.spring_pressure_Pa))
+    return torque_at(pressure_Pa, brake.torque_Nm_Pa, brake.spring_pressure_Pa)
+
+
+@kernel_inlined
+def torque_at(pressure_Pa, torque_Nm_Pa, spring_Pa):
+    """Return `capacity` for these constants of a brake."""
+    return max(0.0, torque_Nm_Pa * (pressure_Pa - spring_Pa))

@@ -54,12 +54,38 @@ def begin(state, brake):
 
 
 @kernel
-def advance(state, params, brake):
-    """Advance motors, slide control and blending by a step; nothing without a dynamic brake."""
+def prepare(state, brake):
+    """Set the share of traction that is demanded in a tick: by the bus, or by the programme."""
     if brake.acts:
-        control_slide(state, params, brake)
-        demand_motors(state, params, brake)
-        blend(state, brake)
+        traction = state.traction_command[0]
+        if traction == NO_COMMAND:
+            traction = 0.0
+            for i in range(brake.traction_start_s.size):
+                if state.time[0] >= brake.traction_start_s[i]:
+                    traction = brake.traction_share[i]
+        state.traction_target[0] = traction
+        count_motors(state, brake)
+
+
+@kernel
+def count_motors(state, brake):
+    """Count the axles that blend with each axle, and their motors that work."""
+    for j in range(state.axles):
+        state.blending_axles[j] = 0.0
+        state.working_motors[j] = 0.0
+        for i in range(state.axles):
+            if brake.blends_with[i] == brake.blends_with[j]:
+                state.blending_axles[j] += 1.0
+                works = brake.driven[i] and state.dynamic_failed[i] == 0.0
+                state.working_motors[j] += 1.0 if works else 0.0
+
+
+@kernel
+def advance(state, params):
+    """Advance motors, slide control and blending of a rig by a step."""
+    control_slide(state, params, params.dynamic)
+    demand_motors(state, params, params.dynamic)
+    blend(state, params.dynamic)
 
 
 @kernel
@@ -89,12 +115,7 @@ def demand_motors(state, params, brake):
     above_spring_Pa = max(0.0, state.brake_demand[0] - brake.spring_pressure_Pa)
     traction = 0.0
     if above_spring_Pa == 0.0:
-        traction = state.traction_command[0]
-        if traction == NO_COMMAND:  # the programme
-            traction = 0.0
-            for i in range(brake.traction_start_s.size):
-                if state.time[0] >= brake.traction_start_s[i]:
-                    traction = brake.traction_share[i]
+        traction = state.traction_target[0]
     state.traction_demand[0] = traction
 
     for j in range(state.axles):
@@ -110,13 +131,8 @@ def demand_motors(state, params, brake):
             continue
 
         # what the axles that blend together demand, in equal shares from their motors
-        axles = 0
-        motors = 0
-        for i in range(state.axles):
-            if brake.blends_with[i] == brake.blends_with[j]:
-                axles += 1
-                motors += 1 if brake.driven[i] and state.dynamic_failed[i] == 0.0 else 0
-        wanted_N = above_spring_Pa * brake.demand_N_Pa * axles / motors
+        share = state.blending_axles[j] / state.working_motors[j]
+        wanted_N = above_spring_Pa * brake.demand_N_Pa * share
         braking_N = min(
             wanted_N, curve_N(rim_m_s, brake.force_N, brake) * fade_share(rim_m_s, brake)
         )
@@ -149,11 +165,10 @@ def blend(state, brake):
         if above_spring_Pa == 0.0:
             state.friction_demand[j] = p_d
             continue
-        axles = 0
+        axles = state.blending_axles[j]
         counted_N = 0.0
         for i in range(state.axles):
             if brake.blends_with[i] == brake.blends_with[j]:
-                axles += 1
                 counted_N += state.dynamic_credit[i]
         rest_N = max(0.0, axles * brake.demand_N_Pa * above_spring_Pa - counted_N)
         state.friction_demand[j] = brake.spring_pressure_Pa + rest_N / (
@@ -165,12 +180,6 @@ def blend(state, brake):
 def torque(state, axle):
     """Return the mean torque in N m of an axle's motor in this step; 0 without a dynamic brake."""
     return 0.5 * (state.dynamic_before[axle] + state.dynamic_torque[axle])
-
-
-@kernel
-def count_work(state, axle, turned_rad):
-    """Add the work that an axle's motor takes from the wheelset while it turns by an angle."""
-    state.dynamic_work[axle] += torque(state, axle) * turned_rad
 
 
 @kernel

@@ -1,8 +1,12 @@
 """The plant: the table of contents of the physics, in the order in which it happens.
 
-`advance` moves the whole rig by one tick of several steps, during which magnets and motor demands
-are constant. `observe` writes the observed quantities. Energy: vehicle, wheelsets and rollers lose
-the energy that contacts, brakes and resistance take, less the energy that the motors give.
+`advance` moves a rig by one tick of several steps, during which magnets and motor demands are
+constant: `prepare`, so many times `step`, `finish`. `observe` writes the observed quantities.
+Energy: vehicle, wheelsets and rollers lose the energy that contacts, brakes and resistance take,
+less the energy that the motors give.
+
+A step advances all rigs of a campaign, or the one rig of a bench. What every axle has is a loop
+over the axles of all rigs. What only some rigs have follows in a loop over the rigs.
 """
 
 import math
@@ -20,6 +24,8 @@ from rollerrig.rig import (
     wheelset,
 )
 from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.compiled.record_type import table_of_one
+from rollerrig.rig.compiled.state_type import rig_of
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.mechanisms import applied, pads, wheel_flat
 from rollerrig.rig.mechanisms.friction import dose_share, film_share
@@ -31,11 +37,24 @@ from rollerrig.rig.state import SIZE, State, views
 class Plant:
     """Parameters, state and memory of the valves' dead time: everything that one run carries."""
 
-    def __init__(self, params: Params, initial_speed_m_s: float) -> None:
+    def __init__(
+        self, params: Params, initial_speed_m_s: float, seat: tuple[np.ndarray, int] | None = None
+    ) -> None:
+        """Return a plant that rolls at a speed.
+
+        seat: a buffer of several rigs with the same number of axles, and the number of this one,
+        counted from 0; None: a buffer of its own.
+        """
         self.params = params
-        memory_of_coach = 0 if params.coach is None else coach_state.SIZE
-        self.buffer = np.zeros(SIZE + memory_of_coach)
-        self.state: State = views(self.buffer, params.axles)
+        if seat is None:
+            memory_of_coach = 0 if params.coach is None else coach_state.SIZE
+            seat = np.zeros(SIZE + memory_of_coach), 0
+        self.buffer: np.ndarray = seat[0]
+        self.number = seat[1]
+        self.state: State = views(self.buffer, params.axles, self.number)
+        for view in self.state:
+            if view is not None:
+                view[:] = 0.0
         self.delay = np.zeros((params.brake.dead_time_ticks + 1, params.axles))
         start(self.state, params, initial_speed_m_s)
 
@@ -52,8 +71,10 @@ def start(state, params, initial_speed_m_s):
             params.drive.observer_rad_s * params.drive.roller_inertia_kgm2 * state.roller_speed[j]
         )
     begin(state, params, params.coach)
+    wheelset.begin(state, params)
+    motor.begin(state, params)
     heat.begin(state, params.heat)
-    brake.begin(state, params.brake.air)
+    brake.begin(state, params.brake)
     dynamic_brake.begin(state, params.dynamic)
     surface.begin(state, params)
     friction(state, params)
@@ -135,11 +156,17 @@ def advance(state, delay, magnets, demand_Pa, tick, params):
     tick : number of the tick
     params : `Params`
     """
-    target_Pa = prepare(state, delay, magnets, demand_Pa, tick, params)
-    track_brake.advance(state, target_Pa, params, params.track_brake)
-    for i in range(params.substeps):
-        step(state, target_Pa, params)
-        state.time[0] = (tick * params.substeps + i + 1) * params.step_s
+    prepare(state, delay, magnets, demand_Pa, tick, params)
+    for _ in range(params.substeps):
+        step(state, table_of_one(params))
+    finish(state, tick, params)
+
+
+@kernel
+def finish(state, tick, params):
+    """Do what follows the steps of a tick: time, air, heat, wear, sand and films of a rig."""
+    state.time[0] = (tick * params.substeps + params.substeps) * params.step_s
+    brake.count_air(state)
     heat.advance(state, params.heat)
     if params.flats.wear_m3_J > 0.0:
         wear(state, params)
@@ -174,7 +201,7 @@ def wear(state, params):
 
 @kernel
 def prepare(state, delay, magnets, demand_Pa, tick, params):
-    """Set valves and friction, which stay constant for a tick; return the demanded pressure in Pa.
+    """Set valves, friction and demands of a rig, which stay constant for a tick.
 
     Arguments as for `advance`.
     """
@@ -183,33 +210,67 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
         delay[tick % delay.shape[0], j] = magnets[j]
     brake.switch_valves(state, delay[(tick + 1) % delay.shape[0]])
     friction(state, params)
+    target_Pa = demand_Pa
     if np.isnan(demand_Pa):
-        return brake.target(params.demand, state.time[0]) * params.brake.weighed_share
-    return demand_Pa * params.brake.weighed_share
+        target_Pa = brake.target(params.demand, state.time[0])
+    state.brake_target[0] = target_Pa * params.brake.weighed_share
+    dynamic_brake.prepare(state, params.dynamic)
+    track_brake.advance(state, state.brake_target[0], params, params.track_brake)
 
 
 @kernel
-def step(state, target_Pa, params):
-    """Advance by one step of the physics; `target_Pa` is the demanded pressure."""
-    brake.fill(state, params.brake, target_Pa, params.dynamic)
-    if params.pads.vary:
-        for j in range(state.axles):
-            state.clamp_pressure[j] = pads.clamped(
-                state.clamp_pressure[j], state.cylinder_pressure[j], params.pads.clamp_hysteresis
-            )
-    if state.standing[0] != 0.0:
-        swing_out(state, params, params.coach)
-        return
-    if params.mode != 0:
-        motor.respond(state, params.drive)
-    dynamic_brake.advance(state, params, params.dynamic)
+def step(state, plants):
+    """Advance all rigs by one step of the physics.
 
-    # the most that the discs can hold at the step's end; `observe` writes the acting torque
+    Parameters
+    ----------
+    state : `State` of all rigs
+    plants : table of their `Params`, which have the same number of axles
+    """
+    moving = 0
+    for rig in range(len(plants)):
+        mine = rig_of(state, rig, plants[rig].axles)
+        moves = mine.standing[0] == 0.0
+        moving += moves
+        for j in range(mine.axles):
+            mine.stage_step[j] = plants[rig].step_s if moves else 0.0
+
+    brake.fill(state, plants)
+    for rig in range(len(plants)):
+        params = plants[rig]
+        mine = rig_of(state, rig, params.axles)
+        if params.pads.vary:
+            clamp(mine, params)
+        if mine.standing[0] != 0.0:
+            swing_out(mine, params, params.coach)
+    if moving == 0:
+        return
+
+    motor.respond(state)
+    brake.hold(state)
+    for rig in range(len(plants)):
+        params = plants[rig]
+        mine = rig_of(state, rig, params.axles)
+        if params.dynamic.acts and mine.standing[0] == 0.0:
+            dynamic_brake.advance(mine, params)
+        if params.pads.vary or params.effects.on_torque:
+            # the most that the discs can hold at the step's end; `observe` writes what acts
+            for j in range(params.axles):
+                mine.brake_torque[j] = capacity(mine, j, params)
+    integrate(state, plants, plants[0].coach)
+    for rig in range(len(plants)):
+        mine = rig_of(state, rig, plants[rig].axles)
+        vehicle.settle(mine)
+        dynamic_brake.settle(mine)
+
+
+@kernel
+def clamp(state, params):
+    """Let the pads of each axle be clamped by the pressure of its cylinder, with hysteresis."""
     for j in range(state.axles):
-        state.brake_torque[j] = capacity(state, j, params)
-    integrate(state, params, params.coach)
-    vehicle.settle(state)
-    dynamic_brake.settle(state)
+        state.clamp_pressure[j] = pads.clamped(
+            state.clamp_pressure[j], state.cylinder_pressure[j], params.pads.clamp_hysteresis
+        )
 
 
 @kernel
@@ -230,14 +291,15 @@ def capacity(state, axle, params):
 
 
 @kernel
-def integrate(state, params, coach):
-    """Advance the vehicle, planar or multibody, with its wheelsets and rollers by one step."""
+def integrate(state, plants, coach):
+    """Advance the vehicles, planar or multibody, with their wheelsets and rollers by one step."""
     if coach is None:
-        wheelset.integrate(state, params)
+        wheelset.integrate(state, plants)
     else:
-        on_rig.integrate(
-            state, params, vehicle.resistance(state.vehicle_speed[0], params.vehicle), coach
-        )
+        # a rig with a coach is computed alone
+        params = plants[0]
+        resistance_N = vehicle.resistance(state.vehicle_speed[0], params.vehicle)
+        on_rig.integrate(state, params, resistance_N, coach)
 
 
 @kernel
@@ -253,7 +315,8 @@ def observe(state, params):
     """Write the observed quantities of this state: contact, torques, loads, sensors, locks."""
     for j in range(state.axles):
         r = params.wheels.table[vehicle.RADIUS_M, j]
-        planar_N = wheelset.load(j, state.felt_acceleration[0], state.wheel_angle[j], state, params)
+        planar_N = vehicle.load(j, state.felt_acceleration[0], params.vehicle)
+        planar_N = wheelset.uneven_load(planar_N, j, state.wheel_angle[j], state, params)
         load_N = on_rig.load(j, planar_N, state, params.coach)
 
         # contact

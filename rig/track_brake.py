@@ -34,6 +34,7 @@ def advance(state, target_Pa, params, brake):
     """
     if brake.acts:
         lower(state, target_Pa, brake)
+        press(state, brake)
         clean(state, params, brake)
 
 
@@ -56,9 +57,21 @@ def lower(state, target_Pa, brake):
 
 
 @kernel
+def press(state, brake):
+    """Set the force of each axle's magnets for a friction of 1 on a clean rail [T3]."""
+    for j in range(state.axles):
+        # the rail as the leading axle of the bogie has met it
+        first = j - j % AXLES_OF_BOGIE
+        contamination = state.friction_degraded[first] / state.friction_recovered[first]
+        share = math.pow(contamination, brake.contamination_power) if contamination < 1.0 else 1.0
+        state.track_brake_pressure[j] = state.track_brake_attraction[j] * brake.attraction_N * share
+
+
+@kernel
 def clean(state, params, brake):
     """Advance the work of the magnets that the rail under each axle has met [T4]."""
     speed_m_s = state.vehicle_speed[0]
+    friction = shoe_friction(speed_m_s, brake)
     work_J_m = 0.0
     for j in range(state.axles):
         if j > 0:
@@ -68,35 +81,28 @@ def clean(state, params, brake):
         # the magnets of a bogie lie behind its first axle: its other axle meets their whole work
         if j % AXLES_OF_BOGIE == 0:
             for i in range(j, j + AXLES_OF_BOGIE):
-                work_J_m += axle_force_N(state, i, speed_m_s, brake)
+                work_J_m += state.track_brake_pressure[i] * friction
 
 
 @kernel
-def axle_force_N(state, axle, speed_m_s, brake):
-    """Return the force in N of half of the magnets of the axle's bogie [T3]."""
-    attraction_N = state.track_brake_attraction[axle] * brake.attraction_N
-    if attraction_N == 0.0 or speed_m_s <= 0.0:
+def shoe_friction(speed_m_s, brake):
+    """Return the friction of the pole shoes on a clean rail [T3]; 0 for a vehicle that stands."""
+    if speed_m_s <= 0.0:
         return 0.0
-    friction = brake.friction_high + (brake.friction_low - brake.friction_high) * math.exp(
+    return brake.friction_high + (brake.friction_low - brake.friction_high) * math.exp(
         -speed_m_s / brake.friction_scale_m_s
     )
-    # the rail as the leading axle of the bogie has met it
-    first = axle - axle % AXLES_OF_BOGIE
-    contamination = state.friction_degraded[first] / state.friction_recovered[first]
-    if contamination < 1.0:
-        friction *= math.pow(contamination, brake.contamination_power)
-    return attraction_N * friction
 
 
 @kernel
 def force_N(state, speed_m_s, brake):
     """Return the force in N of all magnets at a speed; 0 without a magnetic track brake."""
-    total_N = 0.0
+    pressed_N = 0.0
     if not brake.acts:
-        return total_N
+        return pressed_N
     for j in range(state.axles):
-        total_N += axle_force_N(state, j, speed_m_s, brake)
-    return total_N
+        pressed_N += state.track_brake_pressure[j]
+    return pressed_N * shoe_friction(speed_m_s, brake) if pressed_N > 0.0 else 0.0
 
 
 @kernel
@@ -111,5 +117,6 @@ def observe(state, brake):
     """Write the force of each axle's magnets at the speed of the vehicle."""
     if not brake.acts:
         return
+    friction = shoe_friction(state.vehicle_speed[0], brake)
     for j in range(state.axles):
-        state.track_brake_force[j] = axle_force_N(state, j, state.vehicle_speed[0], brake)
+        state.track_brake_force[j] = state.track_brake_pressure[j] * friction

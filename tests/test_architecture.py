@@ -34,7 +34,7 @@ FLOORS = {
         "brake heat motor surface vehicle",
         "dynamic_brake track_brake",
         "wheelset",
-        "lanes plant",
+        "plant",
         "identify",
     ),
     "rig/identify": (
@@ -77,7 +77,13 @@ FLOORS = {
     ),
 }
 # (room, lower room): the only files of the lower room that the room may import
-NARROW = {("firmware_sim", "rig"): {"rig/compiled/kernel", "rig/compiled/state_type"}}
+NARROW = {
+    ("firmware_sim", "rig"): {
+        "rig/compiled/kernel",
+        "rig/compiled/record_type",
+        "rig/compiled/state_type",
+    }
+}
 # The outside packages that each room may import. For a file, the entry with the longest matching
 # path counts.
 OUTSIDE = {

@@ -27,7 +27,6 @@ ROOMS = (
     "realtime/telemetry",
     "rig/contact",
     "rig/identify",
-    "rig/lanes",
     "rig/mechanisms",
     "rig/multibody",
     "wsp_interface/bus",

@@ -30,7 +30,7 @@ from rollerrig.configs import store, table
 from rollerrig.configs.vehicle import AXLES_OF_GROUP
 from rollerrig.firmware_sim.wsp import reference_speed as reference
 from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event
-from rollerrig.rig.compiled import state_type
+from rollerrig.rig.compiled import record_type, state_type
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.compiled.state_type import Width
 from rollerrig.wsp_interface import signals
@@ -88,6 +88,7 @@ ROWS = (
 
 # the parameters as the kernels take them: SI units, unchangeable
 Params = NamedTuple("Params", [(row.name, Any) for row in ROWS])  # type: ignore[misc]
+record_type.register(Params)
 
 
 class State(NamedTuple):

@@ -22,15 +22,19 @@ _IMMEDIATE_ANSWER = (0, 0, 1)
 
 
 def build(
-    plan: Scenario, ring: Ring | Memory, speed_m_s: float | None = None, seed: int = 0
+    plan: Scenario,
+    ring: Ring | Memory,
+    speed_m_s: float | None = None,
+    seed: int = 0,
+    seat: tuple[np.ndarray, int] | None = None,
 ) -> TickData:
     """Return what the ticks of a scenario work on, with no magnet energised.
 
-    The speed is `speed_m_s`, or the initial speed of the scenario.
+    The speed is `speed_m_s`, or the initial speed of the scenario; `seat` as for `Plant`.
     """
     if speed_m_s is None:
         speed_m_s = plan["initial_speed_m_s"]
-    plant = Plant(plan.params, speed_m_s)
+    plant = Plant(plan.params, speed_m_s, seat)
     rollers = Plant(plan.rollers, speed_m_s) if plan.rollers else plant
     tick_hz = plan["loop"]["tick_hz"]
     width = signals.WIDTH
@@ -51,7 +55,7 @@ def build(
         published=mailbox.mailbox(width),
         row=np.zeros(width),
         kept=plan.table.kept,
-        gather=tick.gather(kind),
+        gather=tick.gather(kind, rig=plant.number),
         ring_header=ring.header,
         ring_rows=ring.rows,
         virtual=int(plan.rollers is not None),

@@ -24,7 +24,7 @@ from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import stops_in_lanes
-from rollerrig.rig.lanes.layout import rigs_of
+from rollerrig.rig.state import rigs_together
 from rollerrig.wsp_interface import braking
 
 DRY = "dry_stop"
@@ -146,7 +146,7 @@ def _measure(name: str) -> dict[str, float]:
     half = scenario.load(name, settings=(f"loop.step_s={0.5 * plan['loop']['step_s']!r}",))
     half_m = _distance_m(free.channels(free.simulate(half), half.table))
 
-    jobs = [(place, plan) for place in range(rigs_of(plan.kind.axles))]
+    jobs = [(place, plan) for place in range(rigs_together(plan.kind.axles))]
     four_m = [_distance_m(finished.channels) for finished in stops_in_lanes.together(jobs)]
     return {
         "distance_m": distance_m,

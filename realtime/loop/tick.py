@@ -66,6 +66,9 @@ class Units(NamedTuple):
     params: logic.Params
 
 
+record_type.register(Units)
+
+
 class TickData(NamedTuple):
     """Everything that a tick reads or writes.
 
@@ -156,20 +159,20 @@ def first_command() -> np.ndarray:
     return row
 
 
-def gather(kind: Kind, names: Iterable[str] = NAMES) -> np.ndarray:
-    """Return what to copy from the state of a vehicle into the row of all signals.
+def gather(kind: Kind, names: Iterable[str] = NAMES, rig: int = 0) -> np.ndarray:
+    """Return what to copy from the state of a rig into the row of all signals.
 
     Shape (n, 2): a column of the row, and its slot in the buffer of the state. `names` are the
-    signals to copy.
+    signals to copy, `rig` is the number of the rig in the buffer.
     """
-    return _gathered(kind, frozenset(names)).copy()
+    return _gathered(kind, frozenset(names), rig).copy()
 
 
 @functools.cache
-def _gathered(kind: Kind, wanted: frozenset[str]) -> np.ndarray:
+def _gathered(kind: Kind, wanted: frozenset[str], rig: int) -> np.ndarray:
     """Return the pairs of `gather`, made once: a campaign needs them for each stop."""
     table = signals.table(kind)
-    places = slots(kind.axles)
+    places = slots(kind.axles, rig)
     pairs: list[tuple[int, int]] = []
     for signal in table.signals:
         if signal.name in places and signal.name in wanted - pole_wheel.COLUMNS:
@@ -353,34 +356,25 @@ def count(m, tick):
 
 
 @kernel
-def stepping(m, ticks):
-    """At each `next` run ticks[0] ticks back to back, fewer if the run is done.
-
-    Yield how many were run.
-    """
-    while True:
-        ran = 0
-        while ran < ticks[0] and m.control[DONE] == 0 and m.control[STOP] == 0:
-            run_tick(m)
-            ran += 1
-        yield ran
+def run(data, ticks):
+    """Run some ticks of the one record in a table, fewer if the run is done; return how many."""
+    m = data[0]
+    ran = 0
+    while ran < ticks and m.control[DONE] == 0 and m.control[STOP] == 0:
+        run_tick(m)
+        ran += 1
+    return ran
 
 
 class Ticks:
-    """Runs ticks of `m` a few at a time.
-
-    The hundreds of fields of `m` are passed to the compiled generator once, not with each call.
-    """
+    """Runs ticks of `m` a few at a time; the fields of `m` are converted for kernels only once."""
 
     def __init__(self, m: TickData) -> None:
-        self._m = m  # the memory that the kernel uses must live as long as the kernel
-        self._ticks = np.zeros(1, dtype=np.int64)
-        self._stepping = stepping(m, self._ticks)
+        self._data = record_type.table([m])
 
     def run(self, ticks: int) -> int:
         """Run some ticks, fewer if the run is done; return how many were run."""
-        self._ticks[0] = ticks
-        return next(self._stepping)
+        return int(run(self._data, ticks))
 
 
 def run_ticks(m: TickData, ticks: int) -> int:
@@ -405,13 +399,19 @@ def run_ticks_with_units(m, ticks, sync_ticks, units, inputs):
     for i in range(ticks):
         if m.control[DONE] != 0 or m.control[STOP] != 0:
             return i
-        cycle, phase = divmod(m.control[TICK], sync_ticks)
-        if phase == 0:
-            write_unit_inputs(m, inputs)
-        if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
-            run_unit_cycles(m, units.memory, units.params, inputs)
+        call_units(m, sync_ticks, units, inputs)
         run_tick(m)
     return ticks
+
+
+@kernel
+def call_units(m, sync_ticks, units, inputs):
+    """Call the reference WSP units before a tick if it is due; arguments as above."""
+    cycle, phase = divmod(m.control[TICK], sync_ticks)
+    if phase == 0:
+        write_unit_inputs(m, inputs)
+    if phase == m.answer[1 if cycle > 0 and cycle % m.answer[2] == 0 else 0]:
+        run_unit_cycles(m, units.memory, units.params, inputs)
 
 
 @kernel

@@ -11,15 +11,22 @@ Source: numba's documentation, "Extending Numba", low-level interface.
 """
 
 import hashlib
-from typing import Any
+import operator
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import of numba
+import numpy as np
+
+from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.compiled.numba_import import settings
 
 # isort: split
 from llvmlite import ir
+from numba import typeof
 from numba.core import cgutils, imputils, types
 from numba.core.pythonapi import _UnboxContext
 from numba.core.typing import templates
+from numba.core.typing.templates import infer_global
 from numba.extending import NativeValue, intrinsic, models, register_model, typeof_impl, unbox
 
 _DIGITS = 12
@@ -155,19 +162,189 @@ def _field(context: Any, builder: Any, kind: Record, value: Any, field: str) -> 
     return imputils.impl_ret_borrowed(context, builder, kind.fields[field], loaded)
 
 
-def _as_record(typing_context: Any, values: Any) -> Any:
-    kind = Record(values.instance_class.__name__, dict(zip(values.fields, values, strict=True)))
+class Table(NamedTuple):
+    """Records one after another in memory, which kernels find by their number.
+
+    A kernel takes a table as one address, so Python does not convert the records at each call.
+    `memory` has the shape (records, bytes of a record). `records` are the same records in Python:
+    they keep the arrays alive that compiled code reads.
+    """
+
+    memory: np.ndarray
+    records: list[Any]
+
+
+def table(records: Sequence[Any]) -> Table:
+    """Return a table of records of one type. `write` replaces one of them.
+
+    Raises TypeError where the records are not of one type.
+    """
+    of = typeof(records[0])
+    if any(typeof(record) != of for record in records):
+        raise TypeError("the records of a table must have the same type")
+    made = Table(np.zeros((len(records), _size(records[0])), dtype=np.uint8), list(records))
+    for number, record in enumerate(records):
+        write(made, number, record)
+    return made
+
+
+def write(table: Table, number: int, record: Any) -> None:
+    """Write a record into a table. Raises TypeError where it is of another type."""
+    if typeof(record) != typeof(table.records[0]):
+        raise TypeError("the records of a table must have the same type")
+    table.records[number] = record
+    _store(record, table.memory[number])
+
+
+class TableOf(types.Type):
+    """The type of a table in compiled code."""
+
+    def __init__(self, record: Record) -> None:
+        self.record = record
+        super().__init__(name=f"Table_{record}")
+
+
+@register_model(TableOf)
+class _TableModel(models.StructModel):
+    """A table is the address of its first record, the bytes from one to the next, and their number.
+
+    So the same type serves a table of a field of records.
+    """
+
+    def __init__(self, manager: Any, kind: TableOf) -> None:
+        members = [
+            ("address", types.CPointer(types.uint8)),
+            ("stride", types.intp),
+            ("count", types.intp),
+        ]
+        super().__init__(manager, kind, members)
+
+
+@typeof_impl.register(Table)
+def _type_of_table(table: Table, context: Any) -> TableOf:
+    return TableOf(typeof_impl(table.records[0], context))
+
+
+@unbox(TableOf)
+def _table_from_python(kind: TableOf, table: Any, c: Any) -> NativeValue:
+    """Generate the code that gets address and sizes of a table from a Python object."""
+    from numba.np import arrayobj
+
+    memory = types.Array(types.uint8, 2, "C")
+    view = c.unbox(memory, c.pyapi.tuple_getitem(table, 0))
+    array = arrayobj.make_array(memory)(c.context, c.builder, view.value)
+    value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
+    value.address = array.data
+    value.count, value.stride = cgutils.unpack_tuple(c.builder, array.shape, 2)
+    if c.context.enable_nrt:
+        c.context.nrt.decref(c.builder, memory, view.value)
+    return NativeValue(value._getvalue(), is_error=view.is_error)
+
+
+@infer_global(operator.getitem)
+class _TableItem(templates.AbstractTemplate):
+    """table[number] is a record."""
+
+    def generic(self, arguments: Any, keywords: Any) -> Any:
+        kind, number = arguments
+        if isinstance(kind, TableOf) and isinstance(number, types.Integer):
+            return templates.signature(kind.record, kind, types.intp)
+        return None
+
+
+@imputils.lower_builtin(operator.getitem, TableOf, types.intp)
+def _item(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    kind = signature.args[0]
+    value = cgutils.create_struct_proxy(kind)(context, builder, arguments[0])
+    address = builder.gep(value.address, [builder.mul(arguments[1], value.stride)])
+    return builder.bitcast(address, context.get_value_type(kind.record))
+
+
+@infer_global(len)
+class _TableLength(templates.AbstractTemplate):
+    """len(table) is the number of records."""
+
+    def generic(self, arguments: Any, keywords: Any) -> Any:
+        (kind,) = arguments
+        return templates.signature(types.intp, kind) if isinstance(kind, TableOf) else None
+
+
+@imputils.lower_builtin(len, TableOf)
+def _length(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return cgutils.create_struct_proxy(signature.args[0])(context, builder, arguments[0]).count
+
+
+@templates.infer_getattr
+class _TableFields(templates.AttributeTemplate):
+    """table.field is the table of that field of each record, if it is a record itself."""
+
+    key = TableOf
+
+    def generic_resolve(self, kind: TableOf, field: str) -> Any:  # type: ignore[override]
+        found = kind.record.fields.get(field)
+        return TableOf(found) if isinstance(found, Record) else None
+
+
+@imputils.lower_getattr_generic(TableOf)
+def _table_field(context: Any, builder: Any, kind: TableOf, table: Any, field: str) -> Any:
+    model = context.data_model_manager[kind.record]
+    value = cgutils.create_struct_proxy(kind)(context, builder, table)
+    first = builder.bitcast(value.address, context.get_value_type(kind.record))
+    member = model.member(builder, first, tuple(kind.record.fields).index(field))
+    value.address = builder.bitcast(member, value.address.type)
+    # a table of a field is another type with the same structure
+    return value._getvalue()
+
+
+def _table_of_one(typing_context: Any, record: Any) -> Any:
+    kind = TableOf(record)
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        model = context.data_model_manager[kind]
-        place = cgutils.alloca_once(builder, model.structure)
-        for number in range(len(kind.fields)):
-            field = builder.extract_value(arguments[0], number)
-            model.set_member(builder, place, number, field)
-        return place
+        value = cgutils.create_struct_proxy(kind)(context, builder)
+        value.address = builder.bitcast(arguments[0], value.address.type)
+        value.stride = context.get_constant(types.intp, 0)
+        value.count = context.get_constant(types.intp, 1)
+        return value._getvalue()
 
-    return kind(values), generate
+    return kind(record), generate
 
 
-# as_record(values): the record with the fields of a named tuple that compiled code has made
-as_record: Any = intrinsic(_as_record)
+# table_of_one(record): the table with this record alone; a tuple without a compiler
+table_of_one: Any = (lambda record: (record,)) if settings.DISABLE_JIT else intrinsic(_table_of_one)
+
+
+def _structure_size(typing_context: Any, record: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        structure = context.data_model_manager[record].structure
+        return context.get_constant(types.intp, context.get_abi_sizeof(structure))
+
+    return types.intp(record), generate
+
+
+def _copy(typing_context: Any, record: Any, memory: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        from numba.np import arrayobj
+
+        structure = context.data_model_manager[record].structure
+        view = arrayobj.make_array(signature.args[1])(context, builder, arguments[1])
+        size = context.get_constant(types.intp, context.get_abi_sizeof(structure))
+        cgutils.raw_memcpy(builder, view.data, arguments[0], size, 1)
+        return context.get_dummy_value()
+
+    return types.none(record, memory), generate
+
+
+_size_of: Any = intrinsic(_structure_size)
+_copy_to: Any = intrinsic(_copy)
+
+
+@kernel
+def _size(record):
+    """Return the bytes of a record."""
+    return _size_of(record)
+
+
+@kernel
+def _store(record, memory):
+    """Copy a record to uint8 memory."""
+    _copy_to(record, memory)

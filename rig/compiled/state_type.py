@@ -2,10 +2,13 @@
 
 In Python a state is a named tuple of forty arrays, which are views of this buffer. Numba would pass
 it from kernel to kernel as three hundred values, which costs more to compile than the physics does.
-Therefore this module registers another type for it. A kernel receives only the address and the
-number of axles. Where it reads a field, numba makes the view from both and from the place of the
-field in the buffer. So the same compiled code serves vehicles with any number of axles. The places
-are constants, with room for the most axles: the compiler knows that two fields never overlap.
+Therefore this module registers another type for it. A kernel receives only addresses and the number
+of axles. Where it reads a field, numba makes the view from these and from the place of the field in
+the buffer. So the same compiled code serves vehicles with any number of axles. The places are
+constants, with room for the most axles: the compiler knows that two fields never overlap.
+
+A buffer may hold several rigs. Their axles lie one after another in each field, so a kernel that
+takes the state of all rigs loops over all axles. `rig_of` gives the state of one of them.
 
 Source: numba's documentation, "Extending Numba", low-level interface.
 """
@@ -14,7 +17,7 @@ import hashlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from rollerrig.rig.compiled import numba_import  # noqa: F401  the first import of numba
+from rollerrig.rig.compiled.numba_import import settings  # the first import of numba
 
 # isort: split
 from numba.core import cgutils, imputils, types
@@ -39,23 +42,36 @@ class Width(NamedTuple):
         return self.per_axle * axles + self.more
 
 
+# as far as from one rig to the next in a field with one value for each axle
+_AXLES_OF_A_RIG = Width(1)
+
+
 class Place(NamedTuple):
-    """The place of a field in the buffer: where it begins, and how many values it has."""
+    """The place of a field in the buffer: where it begins, and how many values it has.
+
+    next_rig: how far behind the field of a rig that of the next rig is.
+    """
 
     begin: int
     width: Width
+    next_rig: Width = _AXLES_OF_A_RIG
 
-    def of(self, axles: int) -> slice:
-        """Return the place for so many axles."""
-        return slice(self.begin, self.begin + self.width.of(axles))
+    def of(self, axles: int, rig: int = 0) -> slice:
+        """Return the place for a rig, counted from 0, of rigs with so many axles each."""
+        begin = self.begin + rig * self.next_rig.of(axles)
+        return slice(begin, begin + self.width.of(axles))
 
 
-def one_after_another(widths: Mapping[str, Width], most_axles: int) -> dict[str, Place]:
-    """Return the places of fields one after another, with room for so many axles."""
+def one_after_another(
+    widths: Mapping[str, Width],
+    most_axles: int,
+    begin: int = 0,
+    next_rig: Width = _AXLES_OF_A_RIG,
+) -> dict[str, Place]:
+    """Return the places of fields one after another, with room for so many axles, from `begin`."""
     places: dict[str, Place] = {}
-    begin = 0
     for field, width in widths.items():
-        places[field] = Place(begin, width)
+        places[field] = Place(begin, width, next_rig)
         begin += width.of(most_axles)
     return places
 
@@ -64,10 +80,13 @@ class Address(types.Type):
     """The type of a state.
 
     places: the place of each field in the buffer; None for a field that is None.
+    bases: the different `Place.next_rig` of the fields. There is an address for each.
     """
 
     def __init__(self, places: Mapping[str, Place | None]) -> None:
         self.places = dict(places)
+        present = [place for place in places.values() if place is not None]
+        self.bases = list(dict.fromkeys(place.next_rig for place in present))
         # Numba takes two types with the same name as the same type. It writes the name into each
         # function that takes the type, so a digest of all places is better than their list.
         described = " ".join(f"{field}:{place}" for field, place in places.items())
@@ -77,19 +96,24 @@ class Address(types.Type):
 
 @register_model(Address)
 class _Model(models.StructModel):
-    """In compiled code a state is the address of its buffer, and the number of axles."""
+    """In compiled code a state is the addresses of its buffer, and the number of axles."""
 
     def __init__(self, manager: Any, kind: Address) -> None:
-        members = [("address", types.CPointer(types.float64)), (_AXLES, types.intp)]
-        super().__init__(manager, kind, members)
+        pointer = types.CPointer(types.float64)
+        members = [(_base(number), pointer) for number in range(len(kind.bases))]
+        super().__init__(manager, kind, [*members, (_AXLES, types.intp)])
+
+
+def _base(number: int) -> str:
+    """Return the name of an address in compiled code."""
+    return f"base_{number}"
 
 
 def register(named_tuple: type, places: Mapping[str, Place], counted: str) -> None:
-    """Make numba pass a named tuple to kernels as the address of its buffer.
+    """Make numba pass a named tuple to kernels as the addresses of its buffer.
 
     named_tuple: the class. Each field of an instance is a float64 view of one buffer, or None.
-    places: the place of each field in the buffer. The first field is never None and is at the
-    beginning of the buffer.
+    places: the place of each field in the buffer.
     counted: a field with one value for each axle.
 
     Call this before the first call of a kernel with such a tuple.
@@ -122,7 +146,8 @@ def state_in(places: Mapping[str, Place | None]) -> Any:
 
             value = cgutils.create_struct_proxy(kind)(context, builder)
             view = arrayobj.make_array(signature.args[0])(context, builder, arguments[0])
-            value.address = view.data
+            for number in range(len(kind.bases)):
+                setattr(value, _base(number), view.data)
             value.axles = arguments[1]
             return value._getvalue()
 
@@ -131,23 +156,63 @@ def state_in(places: Mapping[str, Place | None]) -> Any:
     return intrinsic(state_at)
 
 
+def _rig_of(typing_context: Any, state: Any, rig: Any, axles: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        kind = signature.args[0]
+        given, number, axles = arguments
+        value = cgutils.create_struct_proxy(kind)(context, builder, given)
+        for base, next_rig in enumerate(kind.bases):
+            step = _times(context, builder, next_rig, axles)
+            address = builder.gep(getattr(value, _base(base)), [builder.mul(number, step)])
+            setattr(value, _base(base), address)
+        value.axles = axles
+        return value._getvalue()
+
+    return state(state, types.intp, types.intp), generate
+
+
+# rig_of(state, rig, axles): the state of one rig, counted from 0, of several with so many axles.
+# Without a compiler there is one rig.
+rig_of: Any = (lambda state, rig, axles: state) if settings.DISABLE_JIT else intrinsic(_rig_of)
+
+
+def _times(context: Any, builder: Any, width: Width, axles: Any) -> Any:
+    """Generate the code that computes `width.of(axles)`."""
+    number = context.get_constant(types.intp, width.more)
+    if width.per_axle:
+        per_axle = context.get_constant(types.intp, width.per_axle)
+        number = builder.add(builder.mul(per_axle, axles), number)
+    return number
+
+
 @unbox(Address)
 def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
-    """Generate the code that gets address and number of axles from a Python object.
+    """Generate the code that gets addresses and number of axles from a Python object.
 
-    They are the address of the first field's data, and the size of the counted field.
+    An address is that of the data of a field, less the place of the field. The number of axles is
+    the size of the counted field.
     """
     from numba.np import arrayobj  # a lazy import: only compiling needs it
 
     value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
     failed = cgutils.false_bit
-    for number in (0, _COUNTED[tuple(kind.places)]):
+    fields = tuple(kind.places)
+    read = {_AXLES: _COUNTED[fields]}
+    for number, next_rig in enumerate(kind.bases):
+        present = ((field, kind.places[field]) for field in fields)
+        read[_base(number)] = next(
+            fields.index(field) for field, place in present if place and place.next_rig == next_rig
+        )
+    for member, number in read.items():
         view = c.unbox(_VIEW, c.pyapi.tuple_getitem(state, number))
         array = arrayobj.make_array(_VIEW)(c.context, c.builder, view.value)
-        if number == 0:
-            value.address = array.data
-        else:
+        if member == _AXLES:
             value.axles = array.nitems
+        else:
+            place = kind.places[fields[number]]
+            assert place is not None
+            back = c.context.get_constant(types.intp, -place.begin)
+            setattr(value, member, c.builder.gep(array.data, [back]))
         failed = c.builder.or_(failed, view.is_error)
         # `unbox` has counted a reference to the view, which nothing needs: the caller keeps the
         # buffer alive as long as the kernel runs
@@ -185,15 +250,12 @@ def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) ->
     if place is None:
         return context.get_dummy_value()  # numba's representation of None
 
-    size = context.get_constant(types.intp, place.width.more)
-    if place.width.per_axle:
-        per_axle = context.get_constant(types.intp, place.width.per_axle)
-        size = builder.add(builder.mul(per_axle, value.axles), size)
+    base = getattr(value, _base(kind.bases.index(place.next_rig)))
     view = arrayobj.make_array(_VIEW)(context, builder)
     arrayobj.populate_array(
         view,
-        data=builder.gep(value.address, [context.get_constant(types.intp, place.begin)]),
-        shape=[size],
+        data=builder.gep(base, [context.get_constant(types.intp, place.begin)]),
+        shape=[_times(context, builder, place.width, value.axles)],
         strides=[context.get_constant(types.intp, _BYTES_OF_A_FLOAT)],
         itemsize=context.get_constant(types.intp, _BYTES_OF_A_FLOAT),
         meminfo=None,

@@ -35,8 +35,8 @@ _LEAST_RANGE = 1e-30
 
 
 @kernel_inlined
-def secant_adhesion(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law, y_near):
-    """Return the adhesion of one wheel over its sliding, and the root that it comes from.
+def frictions(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law):
+    """Return friction, its product with the gradient of the stress, and the work that cleans.
 
     Parameters
     ----------
@@ -46,14 +46,13 @@ def secant_adhesion(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law, 
     eps1 : the field of a `patch.Patch`, N^(1/3)
     decay_d, decay_r : 1 / A - 1 of the degraded and of the recovered friction
     law : `adhesion.Law`
-    y_near : the root [D2] of a moment before
 
     Returns
     -------
-    slope_s_m : adhesion over sliding
+    mu_d, mu_r : degraded and recovered friction at this sliding
+    eps_mu : gradient of the stress times friction
     k : exponent of [A5] for f = 1, with the fading of [A6]
-    y : the root [D2]
-    inside : 1 if the results are valid, else 0; k is always valid
+    per_size : 1 / size_m_s
     """
     u = load_N * _PER_LOAD_N
     speed = max(abs(surface_m_s), SPEED_FLOOR_M_S)
@@ -80,10 +79,18 @@ def secant_adhesion(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law, 
     x = min(max(faded * (per_second * size_m_s), 0.0), 1.0)
     share = 1.0 - x * x * (3.0 - 2.0 * x) if fades else 1.0
 
-    # Polach's curves f_d and f_r [A4], with the divisions of both together [D1]
-    eps_mu = eps1 * _PER_ROOT * root * e
     mu_d = law.mu_cd * (1.0 + decay_d * vector_math.exp(-law.gamma_d_s_m * size_m_s))
     mu_r = law.mu_cr * (1.0 + decay_r * vector_math.exp(-law.gamma_r_s_m * size_m_s))
+    eps_mu = eps1 * _PER_ROOT * root * e
+    return mu_d, mu_r, eps_mu, law.tau_m_J * load_N * e * share, per_size
+
+
+@kernel_inlined
+def curves(mu_d, mu_r, eps_mu, law):
+    """Return Polach's curves f_d and f_r [A4]; arguments are results of `frictions`.
+
+    Both share their divisions [D1].
+    """
     stick_d = law.k_ad * eps_mu
     stick_r = law.k_ar * eps_mu
     base_d, rest_d, above_d, below_d = vector_math.atan_parts(law.k_sd * eps_mu, mu_d)
@@ -108,9 +115,25 @@ def secant_adhesion(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law, 
     slip_r = base_r + ((t_r * part_r + t_r) + rest_r)
     f_d = (2.0 / math.pi) * mu_d * (stick_d * mu_d * (per_d * below_d) + slip_d)
     f_r = (2.0 / math.pi) * mu_r * (stick_r * mu_r * (per_r * below_r) + slip_r)
+    return f_d, f_r
 
-    # the root [D2], by one step [D3] on g with h = k D exp(-y)
-    k = law.tau_m_J * load_N * e * share
+
+@kernel_inlined
+def recovered(f_d, f_r, k, load_N, y_near):
+    """Return the adhesion f, and the root [D2] that it comes from.
+
+    Parameters
+    ----------
+    f_d, f_r : results of `curves`
+    k, load_N : a result and an argument of `frictions`
+    y_near : the root of a moment before
+
+    Returns
+    -------
+    f : adhesion
+    y : the root
+    inside : 1 if both are valid, else 0
+    """
     D = f_r - f_d
     drive = k * D
     kept = vector_math.exp(-y_near)
@@ -123,6 +146,7 @@ def secant_adhesion(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law, 
     kept *= 1.0 - step * (1.0 - step * (0.5 - step * (1.0 / 6.0)))
     f = f_d + D * (1.0 - kept)
 
+    u = load_N * _PER_LOAD_N
     inside = (
         (u > LIGHTER)
         & (u < HEAVIER)
@@ -130,4 +154,4 @@ def secant_adhesion(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law, 
         & (abs(step) < _LARGEST_STEP)
         & (abs(step) * h < _LARGEST_TURN * g1)
     )
-    return f * per_size, k, y_near + step, (1.0 if inside else 0.0)
+    return f, y_near + step, (1.0 if inside else 0.0)

@@ -54,7 +54,7 @@ class Wheels(NamedTuple):
     """The wheels of each axle.
 
     `table` (4, axles) has the rows of `vehicle`: radius, inertia, radius over inertia, amplitude
-    out of round. It is one array, because a further array costs stops in lanes 4 % of their time.
+    out of round.
     """
 
     table: np.ndarray
@@ -189,7 +189,7 @@ def friction_factor(state, axle, place_m, effects, clean):
             values[_SCALE],
             values[_PERIOD],
         )
-    return math.exp(ln_mu)
+    return math.exp(ln_mu) if ln_mu != 0.0 else 1.0
 
 
 @kernel

@@ -94,10 +94,6 @@ for name in ("get_call_template", "get_overload"):
 for name in ("add_linking_library", "finalize", "_get_module_for_linking"):
     delattr(part._Library, name)
 """
-PARAMETERS_AS_TUPLES = """
-from rollerrig.rig.compiled import record_type
-record_type.register = lambda named_tuple: None
-"""
 TYPES_OF_CONSTANTS = """
 from rollerrig.rig.compiled import part
 part.general_type = lambda kind: kind
@@ -128,10 +124,6 @@ NUMBAS_CACHE = """
 from rollerrig.rig.compiled import lazy_cache
 from rollerrig.rig.compiled.kernel_files import KernelFiles
 lazy_cache.LazyCache = lambda function, counts_references: KernelFiles(function)
-"""
-STATE_AS_TUPLE = """
-from rollerrig.rig.compiled import state_type
-state_type.register = lambda named_tuple, places: None
 """
 PYTHONS_MATH = """
 import math
@@ -184,7 +176,6 @@ TRICKS = (
     ),
     Trick("lazy cache", NUMBAS_CACHE, (WARM,), same_code=True),
     Trick("parts", WITHOUT_PARTS, (COLD, RUN)),
-    Trick("parameters as one address", PARAMETERS_AS_TUPLES, (COLD, RUN)),
     Trick("one part for all constants", TYPES_OF_CONSTANTS, (COLD,)),
     Trick("no steps for other code", ALL_STEPS, (COLD,)),
     Trick("no collector while numba compiles", WITH_COLLECTOR, (COLD,)),
@@ -192,10 +183,9 @@ TRICKS = (
     Trick("no reference counting", WITHOUT_OPTIONS.format(names=("_nrt",)), (COLD, RUN)),
     Trick("no wrapper for C", WITHOUT_OPTIONS.format(names=("no_cfunc_wrapper",)), (COLD,)),
     Trick("inlining", WITHOUT_OPTIONS.format(names=("forceinline",)), (COLD, RUN)),
-    Trick("state as one address", STATE_AS_TUPLE, (COLD, RUN)),
     Trick("vector mathematics in explain", PYTHONS_MATH, (EXPLAIN,)),
     Trick("vector mathematics in campaigns", LIBRARY_FUNCTIONS, (CAMPAIGN,)),
-    Trick("four stops in lanes", ALONE, (CAMPAIGN,), same_code=True),
+    Trick("several stops in lanes", ALONE, (CAMPAIGN,), same_code=True),
 )
 
 

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.vehicle import COACH
-from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, packed, stops_in_lanes
+from rollerrig.realtime.campaign import campaign, stops_in_lanes
 from rollerrig.realtime.record import summary
 from rollerrig.wsp_interface import signals
 
@@ -35,6 +34,14 @@ CASES = {
     "a cycle longer than a sample": ("velim_a1", (*SHORT, "bus.sync_period_s=0.03")),
     "a sample in each tick": ("velim_a1", (*SHORT, "loop.record_hz=1000")),
     "friction by work": ("velim_a1", (*SHORT, "mechanisms.rail_cleaning_gain=0.2")),
+    "friction by distance": ("velim_a1", (*SHORT, "mechanisms.negative_conditioning_loss=0.2")),
+    "torque by speed": ("velim_a1", (*SHORT, "mechanisms.brake_gain_gain=0.1")),
+    "a memory of recovery": ("velim_a1", (*SHORT, "mechanisms.adhesion_memory_length_m=2.0")),
+    "wheels out of round": ("velim_a1", (*SHORT, "mechanisms.wheel_out_of_round_amplitude=0.05")),
+    "wheels that wear": ("velim_a1", (*SHORT, "flats.wear_mm3_J=0.1")),
+    "pads that vary": ("velim_a1", (*SHORT, "pads.speed_loss=0.2", "pads.clamp_hysteresis=0.1")),
+    "a reservoir": ("velim_a1", (*SHORT, "air.reservoir_volume_L=100.0")),
+    "sand": ("velim_a1", (*SHORT, "sanders.axle=1")),
 }
 # small differences of large numbers, which rounding changes by more
 NOT_COMPARED = {
@@ -107,9 +114,7 @@ def test_without_a_unit_no_magnet_is_energised(plans):
         # with other kernels
         pytest.param("rig=virtual_track", marks=pytest.mark.nightly),
         pytest.param('contact.model="polach"', marks=pytest.mark.nightly),
-        "mechanisms.brake_gain_gain=0.1",
-        "mechanisms.adhesion_memory_length_m=2.0",
-        "mechanisms.wheel_out_of_round_amplitude=0.05",
+        pytest.param('vehicle.model="multibody"', marks=pytest.mark.nightly),
     ],
 )
 def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
@@ -119,19 +124,3 @@ def test_a_stop_that_does_not_fit_runs_alone_and_is_equal_to_the_bit(setting):
     alone = simulate(plan)
     for name in COLUMNS:
         assert np.array_equal(among.channels[name], alone[name], equal_nan=True), name
-
-
-def test_parameters_from_their_tapes_are_the_parameters(plans):
-    for plan in plans.values():
-        tapes = packed.tapes(plan.params)
-        again = packed.params.py_func(tapes.tape, tapes.whole)
-        assert flat(again) == flat(plan.params)
-    unit = logic.load()
-    assert packed.unit_params.py_func(packed.unit_tape(unit)) == unit
-
-
-def flat(values):
-    """Return all numbers in named tuples and arrays, in their order."""
-    if isinstance(values, np.ndarray | tuple):
-        return [number for value in values for number in flat(value)]
-    return [values]

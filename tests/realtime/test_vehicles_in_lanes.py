@@ -8,30 +8,42 @@ import pytest
 
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import stops_in_lanes
-from rollerrig.rig.lanes.layout import rigs_of
+from rollerrig.rig.state import rigs_together
 from rollerrig.wsp_interface import signals
 
 # they share runs
 pytestmark = pytest.mark.xdist_group("vehicles")
 
-# the packaged scenarios of other vehicles that fit into lanes, by the number of axles
-FITTING = {2: "bogie_low", 6: "tram_low", 8: "multiple_unit_low"}
+# packaged scenarios of other vehicles, with and without motors and magnets
+FITTING = (
+    "bogie_low",
+    "tram_low",
+    "multiple_unit_low",
+    "tram_low_dynamic",
+    "tram_emergency_magnetic",
+    "tram_start_low",
+)
 
 
-def plans_of(name, axles):
+SHORT = ("initial_speed_m_s=3", "duration_max_s=6")
+
+
+def plans_of(name):
     """Return scenarios of short stops of a vehicle, with more of them than places.
 
     They differ in speed and contaminant, and a place is used twice.
     """
+    axles = scenario.load(name).kind.axles
     return {
         f"{name} {number}": scenario.load(
             name,
             settings=(
                 f"initial_speed_m_s={6.0 + number}",
                 f"adhesion.mu_cd={0.03 + 0.01 * number}",
+                "duration_max_s=12.0",
             ),
         )
-        for number in range(rigs_of(axles) + 1)
+        for number in range(rigs_together(axles) + 1)
     }
 
 
@@ -51,23 +63,23 @@ def assert_agrees(among, alone, table):
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize("axles", FITTING)
-def test_stops_of_a_vehicle_in_lanes_are_the_stops_alone(axles):
-    plans = plans_of(FITTING[axles], axles)
+@pytest.mark.parametrize("name", FITTING)
+def test_stops_of_a_vehicle_in_lanes_are_the_stops_alone(name):
+    plans = plans_of(name)
     for finished in stops_in_lanes.together(plans.items()):
         plan = plans[finished.tag]
-        assert plan.kind.axles == axles
         assert stops_in_lanes.fits(plan)
         assert_agrees(finished.channels, free.channels(free.simulate(plan), plan.table), plan.table)
         [without_others] = stops_in_lanes.together([(0, plan)])
-        for name in plan.table.columns:
-            expected = finished.channels[name]
-            np.testing.assert_array_equal(without_others.channels[name], expected, err_msg=name)
+        for channel in plan.table.columns:
+            expected = finished.channels[channel]
+            found = without_others.channels[channel]
+            np.testing.assert_array_equal(found, expected, err_msg=channel)
 
 
 def test_stops_of_several_vehicles_run_in_one_call():
-    names = ("bogie_low", "velim_a1", "tram_low", "dry_stop", "multiple_unit_low")
-    plans = {name: scenario.load(name, settings=("initial_speed_m_s=3",)) for name in names}
+    names = (*FITTING, "velim_a1", "dry_stop")
+    plans = {name: scenario.load(name, settings=SHORT) for name in names}
     found = {finished.tag: finished for finished in stops_in_lanes.together(plans.items())}
     assert set(found) == set(names)
     for name, plan in plans.items():

@@ -25,19 +25,22 @@ LEAVES = SOAP | {
     "k_ad": 0.2,
     "tau_m_J": 6.0e-5,
 }
+# slots that are logged; the constants of the axles follow them
+LOGGED = NAMES[: NAMES.index("step")]
 DRY = {"mu_cd": 0.28, "gamma_d_s_m": 0.6, "k_ad": 1.0, "k_sd": 0.4, "tau_m_J": 0.0}
 TRACK = {"mode": "track"}
 NO_RESISTANCE = {"resistance_A_N": 0.0, "resistance_B_N_s_m": 0.0, "resistance_C_N_s2_m2": 0.0}
 
 
 @kernel_with_memory
-def _roll(state, buffer, delay, magnets, demand_Pa, first_tick, controlled, params, log):
+def _roll(state, buffer, kept, delay, magnets, demand_Pa, first_tick, controlled, params, log):
     for i in range(log.shape[0]):
         if controlled:
             rig_control.hold_surface_speed(state, params.drive, params.tick_s)
         plant.advance(state, delay, magnets[i], demand_Pa, first_tick + i, params)
         plant.observe(state, params)
-        log[i] = buffer
+        for k in range(kept.size):
+            log[i, k] = buffer[kept[k]]
 
 
 class History:
@@ -51,9 +54,16 @@ class History:
         self.axles = axles
 
     def __getattr__(self, name):
-        if name not in NAMES:
+        if name not in LOGGED:
             raise AttributeError(name)
-        values = self.log[:, slots(self.axles)[name]]
+        begin = 0
+        places = slots(self.axles)
+        for slot in LOGGED:
+            end = begin + places[slot].stop - places[slot].start
+            if slot == name:
+                break
+            begin = end
+        values = self.log[:, begin:end]
         if values.shape[1] == 1:
             return values[:, 0]
         return values
@@ -113,14 +123,18 @@ class Rig:
         `demand_Pa` is the demanded pressure, NaN for full brake.
         """
         ticks = round(seconds / self.params.tick_s)
-        log = np.empty((ticks + 1, self.plant.buffer.size))
-        log[0] = self.plant.buffer
+        # the buffer has room for more axles
+        places = slots(self.params.axles)
+        kept = np.concatenate([np.r_[places[name]] for name in LOGGED])
+        log = np.empty((ticks + 1, kept.size))
+        log[0] = self.plant.buffer[kept]
         energised = np.empty((ticks, self.params.axles))
         energised[:] = magnets
         on_rollers = self.params.mode != params.TRACK
         _roll(
             self.state,
             self.plant.buffer,
+            kept,
             self.plant.delay,
             energised,
             float(demand_Pa),

@@ -9,31 +9,37 @@ from rollerrig.rig import motor
 DRIVE = Rig(30.0).params.drive
 
 
+def limited(demand_Nm, speed_rad_s):
+    """Return the torque of a motor of the shipped rig."""
+    limits = DRIVE.max_torque_Nm, DRIVE.max_power_W, DRIVE.max_speed_rad_s
+    return motor.limit(demand_Nm, speed_rad_s, *limits)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_torque_is_limited_at_low_speed_and_power_at_high_speed(sign):
-    assert motor.limit(sign * 1e6, 0.0, DRIVE) == sign * DRIVE.max_torque_Nm
-    assert motor.limit(sign * 1e6, 10.0, DRIVE) == sign * DRIVE.max_torque_Nm
+    assert limited(sign * 1e6, 0.0) == sign * DRIVE.max_torque_Nm
+    assert limited(sign * 1e6, 10.0) == sign * DRIVE.max_torque_Nm
 
     # twice the speed at which both limits meet
     fast_rad_s = 2.0 * DRIVE.max_power_W / DRIVE.max_torque_Nm
     fast_rad_s = min(fast_rad_s, DRIVE.max_speed_rad_s)
-    limited_Nm = motor.limit(sign * 1e6, fast_rad_s, DRIVE)
-    assert limited_Nm == pytest.approx(sign * DRIVE.max_power_W / fast_rad_s)
-    assert motor.limit(sign * 123.0, fast_rad_s, DRIVE) == sign * 123.0
+    torque_Nm = limited(sign * 1e6, fast_rad_s)
+    assert torque_Nm == pytest.approx(sign * DRIVE.max_power_W / fast_rad_s)
+    assert limited(sign * 123.0, fast_rad_s) == sign * 123.0
 
 
 def test_beyond_its_speed_a_motor_brakes_but_does_not_drive():
     over_rad_s = 1.01 * DRIVE.max_speed_rad_s
-    assert motor.limit(100.0, over_rad_s, DRIVE) == 0.0
-    assert motor.limit(-100.0, -over_rad_s, DRIVE) == 0.0
-    assert motor.limit(-100.0, over_rad_s, DRIVE) == -100.0
-    assert motor.limit(100.0, -over_rad_s, DRIVE) == 100.0
+    assert limited(100.0, over_rad_s) == 0.0
+    assert limited(-100.0, -over_rad_s) == 0.0
+    assert limited(-100.0, over_rad_s) == -100.0
+    assert limited(100.0, -over_rad_s) == 100.0
 
 
 def test_power_never_exceeds_the_limit_at_any_speed():
     for speed_rad_s in np.linspace(-2.0, 2.0, 401) * DRIVE.max_speed_rad_s:
         for demand_Nm in (-1e9, -5e3, 0.0, 5e3, 1e9):
-            torque_Nm = motor.limit(demand_Nm, speed_rad_s, DRIVE)
+            torque_Nm = limited(demand_Nm, speed_rad_s)
             assert abs(torque_Nm) <= min(DRIVE.max_torque_Nm, abs(demand_Nm))
             assert torque_Nm * speed_rad_s <= DRIVE.max_power_W * (1 + 1e-12)
 

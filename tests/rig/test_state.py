@@ -9,6 +9,7 @@ from numba.core.errors import TypingError
 from rollerrig.configs.vehicle import ALLOWED_AXLES
 from rollerrig.rig import state as states
 from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.compiled.state_type import rig_of
 from rollerrig.rig.multibody import coach_state
 
 ALL_AXLES = pytest.mark.parametrize("axles", ALLOWED_AXLES)
@@ -19,6 +20,16 @@ def _write(state):
     for j in range(state.axles):
         state.wheel_speed[j] += 10.0 + j
     state.rail_work[state.axles - 1] = state.time[0]
+
+
+@kernel
+def _mark(state, rig, axles):
+    mine = rig_of(state, rig, axles)
+    for j in range(mine.axles):
+        mine.wheel_speed[j] = 100.0 * rig + j
+    mine.vehicle_speed[0] = rig
+    mine.rail_sand[:] = rig
+    mine.roller_film[:] = rig
 
 
 @kernel
@@ -54,7 +65,7 @@ def test_a_kernel_writes_where_python_reads(axles):
     slots = states.slots(axles)
     expected = buffer.copy()
     expected[slots["wheel_speed"]] += 10.0 + np.arange(axles)
-    expected[slots["rail_work"].stop - 1] = expected[0]
+    expected[slots["rail_work"].stop - 1] = expected[slots["time"].start]
     _write(state)
     np.testing.assert_array_equal(buffer, expected)
     np.testing.assert_array_equal(state.wheel_speed, expected[slots["wheel_speed"]])
@@ -75,10 +86,33 @@ def test_one_kernel_serves_all_numbers_of_axles():
 
 @ALL_AXLES
 def test_every_slot_has_a_place_of_its_own(axles):
-    places = list(states.slots(axles).values())
-    assert places[0].start == 0
-    assert all(place.stop <= after.start for place, after in itertools.pairwise(places))
-    assert places[-1].stop <= states.SIZE
+    rigs = states.rigs_together(axles)
+    places = sorted(
+        (place.start, place.stop)
+        for rig in range(rigs)
+        for place in states.slots(axles, rig).values()
+    )
+    assert places[0][0] == 0
+    assert all(stop <= start for (_, stop), (start, _) in itertools.pairwise(places))
+    assert places[-1][1] <= states.size_of(rigs)
+
+
+@ALL_AXLES
+def test_the_state_of_all_rigs_has_their_axles_one_after_another(axles):
+    rigs = states.rigs_together(axles)
+    buffer = np.zeros(states.size_of(rigs))
+    whole = states.views(buffer, axles * rigs)
+    alone = [states.views(buffer, axles, rig) for rig in range(rigs)]
+    for rig in range(rigs):
+        _mark(whole, rig, axles)
+    speeds = np.concatenate([state.wheel_speed for state in alone])
+    np.testing.assert_array_equal(whole.wheel_speed, speeds)
+    for rig, state in enumerate(alone):
+        np.testing.assert_array_equal(state.wheel_speed, 100.0 * rig + np.arange(axles))
+        assert state.vehicle_speed == [rig]
+        np.testing.assert_array_equal(state.rail_sand, float(rig))
+        np.testing.assert_array_equal(state.roller_film, float(rig))
+        assert state.roller_film.size == states.SECTORS * axles
 
 
 def test_a_kernel_sees_the_coach_only_where_the_state_has_one():

@@ -137,7 +137,8 @@ BRAKE_NM = 2000.0
 
 def accelerated(wheel_rad_s, contact_N):
     """Return (acceleration, acting brake torque, locked) of the first wheelset."""
-    return wheelset.wheel_acceleration(wheel_rad_s, contact_N, BRAKE_NM, 0.0, 0, RIG.wheels)
+    per_inertia = 1.0 / INERTIA_KGM2
+    return wheelset.wheel_acceleration(wheel_rad_s, contact_N, BRAKE_NM, 0.0, RADIUS_M, per_inertia)
 
 
 def test_the_wheelset_accelerates_by_contact_less_brake():
@@ -166,10 +167,6 @@ def test_a_stage_solves_its_linear_system(locked, on_track):
     slope_N_s_m = 5e6
     roller_m = RIG.drive.roller_radius_m
     explicit = np.array([-3.0, 2.0])  # slopes of wheel and roller without the implicit part
-    wheel_k, roller_k, added_N = wheelset.implicit_slopes(
-        *explicit, slope_N_s_m, locked, on_track, step_s, 0, RIG.wheels, RIG.drive
-    )
-    slopes = np.array([wheel_k, roller_k])
 
     # effect of 1 N on wheel and roller, and the force by 1 rad/s of each
     per_N = np.array([RADIUS_M / INERTIA_KGM2, -roller_m / RIG.drive.roller_inertia_kgm2])
@@ -177,6 +174,10 @@ def test_a_stage_solves_its_linear_system(locked, on_track):
         per_N[0] = 0.0
     if on_track:
         per_N[1] = 0.0
+    wheel_k, roller_k, added_N = wheelset.implicit_slopes(
+        *explicit, slope_N_s_m, *per_N, RADIUS_M, roller_m, step_s
+    )
+    slopes = np.array([wheel_k, roller_k])
     per_rad_s = slope_N_s_m * np.array([-RADIUS_M, roller_m])
     gamma = 1.0 - 1.0 / np.sqrt(2.0)
     system = np.eye(2) - gamma * step_s * np.outer(per_N, per_rad_s)

@@ -1,1 +1,0 @@
-"""Several stops in the vector lanes of a core."""
