@@ -170,7 +170,7 @@ def test_a_plan_that_varies_the_step_has_its_steps(plan):
 
 
 def test_stops_that_run_alone_keep_the_step_of_the_scenario(plan):
-    vary = '"mechanisms.brake_gain_gain" = [0.1]\ninitial_speed_m_s = [2.0]'
+    vary = '"rig.mode" = ["virtual_track"]\ninitial_speed_m_s = [2.0]'
     [row] = campaign.run_chunk(plan(LONG, vary=vary), 0)
     assert row[campaign.STEP] == STEP_OF_THE_SCENARIO_S
 
