@@ -87,7 +87,7 @@ OUTSIDE = {
     "rig/identify": "numpy scipy threadpoolctl",
     "rig/identify/files": "numpy pyarrow",
     "rig/identify/data": "numpy scipy pyarrow asammdf",
-    "rig/identify/train_recorder": "numpy scipy pyarrow rosbags",
+    "rig/identify/train_recorder": "numpy scipy pyarrow rosbags apsw backports lz4",
     # pytest and robot: for the tests of users
     "wsp_interface": "numpy can canopen cantools tomli_w pytest robot",
     "wsp_interface/bus": "can",
