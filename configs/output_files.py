@@ -50,6 +50,10 @@ def replaced(path: Path, suffix: str = "") -> Iterator[Path]:
                 "folder to which nobody else may write"
             )
         new.replace(path)
+    except OSError as error:
+        # an error of writing names no file, and one of opening the file of this process
+        error.filename = str(path)
+        raise
     finally:
         os.close(descriptor)
         if has_name:

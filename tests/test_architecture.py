@@ -74,6 +74,7 @@ FLOORS = {
         "benchmarks",
         "commands",
         "api cli",
+        "program",
     ),
 }
 # (room, lower room): the only files of the lower room that the room may import
