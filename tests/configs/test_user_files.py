@@ -117,6 +117,13 @@ def test_a_wrong_json_file_is_refused(text, tmp_path):
         user_files.read_json(tmp_path / "a.json")
 
 
+def test_toml_that_would_take_long_to_parse_is_refused_before(tmp_path):
+    path = tmp_path / "large.toml"
+    path.write_text("".join(f"key_{number} = 1\n" for number in range(100_000)))
+    with pytest.raises(ConfigError, match=r"large\.toml: has 1\.\d+ MB; .* at most 1 MB"):
+        user_files.read_text(path, user_files.TOML)
+
+
 # --- writing ---
 
 
