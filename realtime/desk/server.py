@@ -107,7 +107,7 @@ def serve(
         tasks.append(loop.create_task(desk.work()))
         tasks.append(loop.create_task(report_address()))
 
-    def on_event(code: Code, **fields: Any) -> None:
+    def on_event(code: Code, /, **fields: Any) -> None:
         desk.alarm("warning", events.text(code, fields))
 
     routes(desk)
