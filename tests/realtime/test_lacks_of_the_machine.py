@@ -60,6 +60,36 @@ def test_the_installed_program_checks_its_memory_first():
     assert script.load() is program.main
 
 
+LITTLE_MORE = """
+import resource, sys
+from pathlib import Path
+from rollerrig.realtime import cli
+# the verb imports its libraries
+cli.main(["import", sys.argv[3], "--out", sys.argv[2] + "_first"])
+print("-- limit --", file=sys.stderr)
+pages = int(Path("/proc/self/statm").read_text().split()[0])
+limit = pages * resource.getpagesize() + 40_000_000
+resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+sys.exit(cli.main(["import", sys.argv[1], "--out", sys.argv[2]]))
+"""
+
+
+def test_memory_that_runs_out_during_a_command_is_one_sentence(tmp_path):
+    large = tmp_path / "large.csv"
+    large.write_bytes(b"t,v\n" + b"0,0\n" * 20_000_000)
+    small = RECORDING / "run.csv"
+    done = subprocess.run(
+        [sys.executable, "-c", LITTLE_MORE, large, tmp_path / "out", small],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+    )
+    assert done.returncode == 2, done.stderr
+    message = done.stderr.partition("-- limit --\n")[2]
+    assert message.startswith("rollerrig import: there is not enough memory; close other")
+    assert len(message.splitlines()) == 1
+
+
 # --- disk ---
 
 
