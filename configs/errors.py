@@ -25,5 +25,9 @@ class UnitError(RollerrigError):
     """The WSP unit, or another external partner, did not do what the run needs."""
 
 
+class InvalidRunError(RollerrigError):
+    """A run is not valid, so that nothing follows from it."""
+
+
 class UnitLostError(UnitError):
     """The WSP unit, or another external partner, failed in a run that had begun."""

@@ -6,32 +6,91 @@ folder of the results that is a link is refused. The folder that the user names 
 """
 
 import contextlib
+import errno
 import os
+import secrets
 import stat
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO
 
 from rollerrig.configs.errors import ConfigError
 
+_NAME_BYTES = 8  # random part of the name of a new file
+_PERMISSIONS = 0o666  # of a new file, less the umask
+# a file system without files without a name: also a folder that cannot be opened for writing
+_NO_FILES_WITHOUT_NAME = (errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL)
+
 
 @contextlib.contextmanager
 def replaced(path: Path, suffix: str = "") -> Iterator[Path]:
-    """Yield a temporary path next to `path`; at the end, its file replaces `path` in one step.
+    """Yield a path to write to; at the end, what was written replaces `path` in one step.
 
-    After a failure the temporary file is removed. `suffix` is for writers that depend on the
-    extension of a name. Raises ConfigError if `path` is a folder, a device or the like.
+    After a failure nothing is left. `suffix` is for writers that depend on the extension of a name.
+    Raises ConfigError if `path` is a folder, a device or the like, or if another program has
+    replaced the new file.
+
+    The yielded path leads to an open file of this process, and not into the folder: other users may
+    write there, and could put a link in the place of a file before a writer opens it by its name.
     """
     _check_replaceable(path)
-    new = path.with_name(f".{path.name}.new{suffix}")
-    # left by a process that was killed, or a link
-    new.unlink(missing_ok=True)
+    new = path.with_name(f".{path.name}.{secrets.token_hex(_NAME_BYTES)}.new")
+    descriptor, has_name = _new_file(new)
     try:
-        yield new
+        with _with_suffix(place_of(descriptor), suffix) as place:
+            yield place
+        if not has_name:
+            # with a descriptor Python calls linkat(), which follows the link in /proc
+            os.link(place_of(descriptor), new, src_dir_fd=descriptor)
+            has_name = True
+        if not os.path.samestat(os.fstat(descriptor), os.lstat(new)):
+            raise ConfigError(
+                f"{path}: another program has replaced the new file while it was written; give a "
+                "folder to which nobody else may write"
+            )
         new.replace(path)
+    except OSError as error:
+        # an error of writing names no file, and one of opening the file of this process
+        error.filename = str(path)
+        raise
     finally:
-        with contextlib.suppress(OSError):
-            new.unlink(missing_ok=True)
+        os.close(descriptor)
+        if has_name:
+            with contextlib.suppress(OSError):
+                new.unlink(missing_ok=True)
+
+
+def place_of(descriptor: int) -> Path:
+    """Return a path that leads to an open file of this process, whatever happens in its folder."""
+    return Path(f"/proc/self/fd/{descriptor}")
+
+
+def _new_file(path: Path) -> tuple[int, bool]:
+    """Return the descriptor of a new file in the folder of a path, and whether it has that name.
+
+    Without a name it disappears with its process, if that is killed. Not every file system has such
+    files.
+    """
+    flags = os.O_RDWR | os.O_CLOEXEC
+    try:
+        return os.open(path.parent, flags | os.O_TMPFILE, _PERMISSIONS), False
+    except OSError as error:
+        if error.errno not in _NO_FILES_WITHOUT_NAME:
+            raise
+    return os.open(path, flags | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, _PERMISSIONS), True
+
+
+@contextlib.contextmanager
+def _with_suffix(place: Path, suffix: str) -> Iterator[Path]:
+    """Yield a path that ends with a suffix and leads to a place: a link in a private folder."""
+    if not suffix:
+        yield place
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        link = Path(folder, f"new{suffix}")
+        link.symlink_to(place)
+        yield link
 
 
 def write_text(path: Path, text: str) -> None:

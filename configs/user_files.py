@@ -37,12 +37,13 @@ class Kind(NamedTuple):
 
 
 # The limits are far above what the program needs, and far below the memory of a small machine.
-TOML = Kind("a TOML file", 4 * _MB)
+# TOML and DBC are parsed in Python, which takes seconds for a megabyte.
+TOML = Kind("a TOML file", 1 * _MB)
 KEY = Kind("a key of sealed data", 16 * _MB)
 JSON = Kind("a JSON file", 32 * _MB)
 NOTE = Kind("a note", _MB // 10)
 PROFILE = Kind("a profile", 2 * _MB)
-MESSAGES = Kind("a description of CAN messages", 8 * _MB)
+MESSAGES = Kind("a description of CAN messages", 2 * _MB)
 CSV = Kind("a CSV file", 128 * _MB)
 PARQUET = Kind("a Parquet file", 2_000 * _MB)
 TAIL = Kind("the tail of a recording", 2_000 * _MB)

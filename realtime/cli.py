@@ -8,6 +8,7 @@ Only this file catches RollerrigError.
 
 import argparse
 import contextlib
+import errno
 import importlib
 import json
 import os
@@ -17,7 +18,12 @@ from collections.abc import Callable, Sequence
 from importlib import metadata
 from typing import Any, NamedTuple, NoReturn
 
-from rollerrig.configs.errors import ConfigError, RollerrigError, UnitLostError
+from rollerrig.configs.errors import (
+    ConfigError,
+    InvalidRunError,
+    RollerrigError,
+    UnitLostError,
+)
 from rollerrig.configs.processes import children
 from rollerrig.configs.processes.without import without
 from rollerrig.configs.table import similar
@@ -62,6 +68,23 @@ EXIT_STATUSES = {
 MESSAGE_BEGIN = 4000
 MESSAGE_END = 1000
 
+
+NO_MEMORY = (
+    "there is not enough memory; close other programs, allow this process more (ulimit -v), or give "
+    "it less to do at the same time (--workers, smaller files)"
+)
+# errors of the system that are no fault of the program, with their remedies
+LACKS_OF_MACHINE = {
+    errno.ENOSPC: "make room, or choose a folder on another disk",
+    errno.EDQUOT: "make room, or choose a folder on another disk",
+    errno.EFBIG: "allow larger files (ulimit -f), or choose a folder on another disk",
+    errno.EROFS: "choose a folder on a disk that can be written",
+    errno.EIO: "look at the messages of the system about this disk, and use another one",
+    errno.ENOMEM: NO_MEMORY,
+    errno.EAGAIN: "allow more processes and threads (ulimit -u)",
+    errno.EMFILE: "allow more open files (ulimit -n)",
+    errno.ENFILE: "close other programs, which have too many open files",
+}
 
 # environment variables that chose the vehicle of a process in earlier versions: without effect
 FORMER_VARIABLES = ("ROLLERRIG_AXLES", "ROLLERRIG_EQUIPMENT")
@@ -416,12 +439,27 @@ def main(argv: Sequence[str] | None = None) -> int:
 
     try:
         _check_names(options)
-        return options.call(options)
+        status = options.call(options)
+        # here, and not when the program exits, where an error could not be reported
+        sys.stdout.flush()
+        return status
     except RollerrigError as error:
         return _print_error(options, error, from_python)
+    except MemoryError:
+        return _print_error(options, RollerrigError(NO_MEMORY), from_python)
+    except OSError as error:
+        if error.errno not in LACKS_OF_MACHINE:
+            raise
+        return _print_error(options, _lack(error), from_python)
     except KeyboardInterrupt:
         print(f"rollerrig {options.verb}: interrupted", file=sys.stderr)
         return INVALID
+
+
+def _lack(error: OSError) -> RollerrigError:
+    """Return the error for something that the machine lacks."""
+    place = f"{error.filename}: " if error.filename else ""
+    return RollerrigError(f"{place}{error.strerror}; {LACKS_OF_MACHINE[error.errno or 0]}")
 
 
 def _report_former_variables() -> None:
@@ -441,7 +479,7 @@ def _print_error(options: argparse.Namespace, error: RollerrigError, from_python
         print(f"rollerrig {options.verb}: {_shortened(str(error))}", file=sys.stderr)
     if options.json:
         print(json.dumps(_error_object(error)))
-    return INVALID if isinstance(error, UnitLostError) else USAGE
+    return INVALID if isinstance(error, (UnitLostError, InvalidRunError)) else USAGE
 
 
 if __name__ == "__main__":

@@ -2,7 +2,8 @@
 
 A reader may go away (`rollerrig run ... | head`), a terminal may vanish, and a standard stream may
 be closed from the start (`2>&-`). Output that has no reader is dropped, so that it changes neither
-a run nor its exit status.
+a run nor its exit status. Output that a full disk has not taken is an error; where that was
+standard error, nobody can be told.
 
 A name of a user may contain characters that act on a terminal. Everything that is printed passes
 `printable`, also logs, usage errors and tracebacks. Only a library that draws on a terminal writes
@@ -15,6 +16,7 @@ import sys
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.printable import printable, printable_drawing
 
 # errors of a write without a reader: of a pipe, and of a terminal that has vanished
@@ -43,9 +45,12 @@ class Stream:
     All other attributes are those of the wrapped stream.
     """
 
-    def __init__(self, stream: Any, clean: Callable[[str], str] = printable) -> None:
+    def __init__(
+        self, stream: Any, clean: Callable[[str], str] = printable, is_needed: bool = False
+    ) -> None:
         self._stream = stream
         self._clean = clean
+        self._is_needed = is_needed  # whether output that cannot be written is an error
 
     def write(self, text: str) -> int:
         """Write a text and return its number of characters."""
@@ -55,7 +60,7 @@ class Stream:
 
     def for_drawing(self) -> "Stream":
         """Return this stream for a library that draws: its own sequences pass."""
-        return Stream(self._stream, printable_drawing)
+        return Stream(self._stream, printable_drawing, self._is_needed)
 
     def flush(self) -> None:
         """Write the buffered output to the file."""
@@ -65,17 +70,23 @@ class Stream:
         return getattr(self._stream, name)
 
     def _attempt(self, write: Callable[[], Any]) -> None:
-        """Write. If there is no reader, connect the stream to /dev/null."""
+        """Write. If that is not possible, connect the stream to /dev/null.
+
+        Raises RollerrigError if the output is needed and has a reader.
+        """
         try:
             write()
         except OSError as error:
-            if error.errno not in _NO_READER:
-                raise
             # The stream still buffers its output, and Python writes it when the program exits.
             # That write must not fail, because it would change the exit status.
             null_device = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null_device, self._stream.fileno())
             os.close(null_device)
+            if self._is_needed and error.errno not in _NO_READER:
+                raise RollerrigError(
+                    f"the output cannot be written: {error.strerror}; make room, or write it to "
+                    "another place"
+                ) from None
 
 
 def drawing(stream: Any) -> Any:
@@ -99,4 +110,4 @@ def make_harmless() -> None:
         stream = getattr(sys, name)
         # main() may be called several times in a process, and wraps a stream only once
         if not isinstance(stream, Stream):
-            setattr(sys, name, Stream(stream))
+            setattr(sys, name, Stream(stream, is_needed=name == "stdout"))

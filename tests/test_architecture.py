@@ -74,6 +74,7 @@ FLOORS = {
         "benchmarks",
         "commands",
         "api cli",
+        "program",
     ),
 }
 # (room, lower room): the only files of the lower room that the room may import
@@ -93,7 +94,7 @@ OUTSIDE = {
     "rig/identify": "numpy scipy threadpoolctl",
     "rig/identify/files": "numpy pyarrow",
     "rig/identify/data": "numpy scipy pyarrow asammdf",
-    "rig/identify/train_recorder": "numpy scipy pyarrow rosbags",
+    "rig/identify/train_recorder": "numpy scipy pyarrow rosbags apsw backports lz4",
     # pytest and robot: for the tests of users
     "wsp_interface": "numpy can canopen cantools tomli_w pytest robot",
     "wsp_interface/bus": "can",
@@ -116,7 +117,7 @@ OUTSIDE = {
     "realtime/discover": "numpy scipy tomli_w",
     "realtime/reports": "numpy pyarrow matplotlib rich fpdf",
     "realtime/benchmarks": "numpy rich distributed pymodbus pyarrow",
-    "realtime/desk": "numpy nicegui fastapi pymodbus",
+    "realtime/desk": "numpy nicegui fastapi uvicorn pymodbus",
     "realtime/pictures": "numpy",
     "realtime/commands": "numpy rich tomli_w",
     "realtime/commands/shell": "argcomplete argparse_manpage",
@@ -150,8 +151,10 @@ OPENS = {
     "realtime/loop/clock": "a device of the kernel",
     "realtime/loop/cores": "the kernel",
     "realtime/loop/ring": "shared memory",
+    "realtime/datasets/imported": "a temporary file of `replaced`",
     "realtime/record/export": "a temporary file of `replaced`",
     "realtime/record/records": "a temporary folder",
+    "realtime/bench/interrupts": "the kernel, a record of root",
     "realtime/bench/rig_fmu/export": "a temporary folder",
     "realtime/bench/rig_fmu/rig": "resources of the FMU",
     "realtime/bench/rig_fmu/server": "standard streams",

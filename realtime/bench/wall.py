@@ -17,7 +17,7 @@ import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes import memory
-from rollerrig.realtime.bench import tick_data
+from rollerrig.realtime.bench import interrupts, tick_data
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.bench.scenario import Scenario
@@ -97,11 +97,10 @@ def own_core(parts: Parts) -> Iterator[None]:
     for pid in cores.family(os.getpid()):
         left.update(cores.leave({parts.core.number}, pid))
     try:
-        with cores.without_interrupts(parts.core.number):
+        with interrupts.kept_off(parts.core):
             yield
     finally:
         cores.restore(left)
-        parts.core.close()
 
 
 def _on_tick(parts: Parts, bus: RigBus, descriptor: int, woken: asyncio.Event) -> None:

@@ -382,6 +382,7 @@ def cores() -> Finding:
 
 def core_of_loop() -> Finding:
     """Check whether the loop can have a core for itself, and what else runs on that core."""
+    from rollerrig.realtime.bench import interrupts
     from rollerrig.realtime.loop import cores as loop_cores
     from rollerrig.realtime.loop import loop
 
@@ -395,7 +396,7 @@ def core_of_loop() -> Finding:
             "give the process one more core than there are benches in real time, because the loop "
             "now shares its core with other threads",
         )
-    with contextlib.closing(claim), loop_cores.without_interrupts(claim.number) as stay:
+    with interrupts.kept_off(claim) as stay:
         core = claim.number
         if loop.priority_refused(PRIORITY):
             return Finding(

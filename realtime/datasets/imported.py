@@ -15,7 +15,7 @@ import tomli_w
 
 from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.output_files import create, make_folder, replaced, write_text, writing
+from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.rig.identify.data import dataset, mdf
 from rollerrig.rig.identify.files import channels, stamps, tables, units
 from rollerrig.rig.identify.files.channels import Source
@@ -170,7 +170,7 @@ def _copied(files: Sequence[File], out: Path) -> list[str]:
         with (
             user_files.open_binary(file.path, kind) as source,
             replaced(out / name) as new,
-            create(new) as copy,
+            new.open("wb") as copy,
         ):
             shutil.copyfileobj(source, copy)
         names.append(name)

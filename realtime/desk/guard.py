@@ -20,6 +20,7 @@ from fastapi.requests import HTTPConnection
 from fastapi.responses import HTMLResponse, PlainTextResponse, Response
 from nicegui import Client
 
+from rollerrig.realtime.desk import connections
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
 
 FILES = "/file/"  # files of the folder of runs are below this path
@@ -129,6 +130,8 @@ class Guard:
             await send(message)
 
         refusal = refused(request, host, self.token, self.on_loopback)
+        if refusal is None:
+            connections.note_allowed(scope)
         if refusal is None and host is not None and _enters(request):
             response: Response = HTMLResponse(_ENTRANCE, headers={"Cache-Control": "no-store"})
             response.headers["Set-Cookie"] = (

@@ -58,6 +58,7 @@ _RECENT_POINTS = round(2 * SPAN_S / PERIOD_S)  # two points a pair
 _WHOLE_POINTS = 2000
 _KEPT_EVENTS = 2000
 _RING_NAME = re.compile(r"rollerrig-(\d+)-(\d+)-rows")  # process, time in ns
+_EVENT_RING_NAME = re.compile(r"rollerrig-(\d+)-(\d+)-events")
 
 
 class Columns:
@@ -313,9 +314,7 @@ def running(among: Callable[[int], bool] = lambda pid: True) -> list[Bench]:
             continue
         try:
             rows = Ring(path, np.float64)
-            event_path = _event_ring_path(path, pid, created_ns)
-            events = Ring(event_path, np.int64, width=ring.EVENT_WORDS)
-            bench = Bench(pid, rows, events)
+            bench = Bench(pid, rows, _event_ring(path, pid, created_ns))
         except (OSError, ValueError, RollerrigError):
             continue  # the bench is starting or stopping, or it is not a bench of this user
         if not bench.ended:
@@ -332,16 +331,20 @@ def _name(pid: int) -> str:
         return f"process {pid}"  # it has exited, or the system does not report its folder
 
 
-def _event_ring_path(rows: Path, pid: int, created_ns: int) -> Path:
-    """The path of the event ring that a process made next after a ring of rows.
+def _event_ring(rows: Path, pid: int, created_ns: int) -> Ring:
+    """The event ring that a process made next after a ring of rows.
 
-    Raises FileNotFoundError.
+    The folder is open to all users, so files with such a name that are not a ring of this user are
+    passed over. Raises FileNotFoundError.
     """
     later: list[tuple[int, Path]] = []
     for path in rows.parent.glob(f"rollerrig-{pid}-*-events"):
-        event_ring_ns = int(path.name.split("-")[2])
-        if event_ring_ns > created_ns:
-            later.append((event_ring_ns, path))
-    if not later:
-        raise FileNotFoundError(f"{rows}: no ring of events belongs to it")
-    return min(later)[1]
+        name = _EVENT_RING_NAME.fullmatch(path.name)
+        if name is not None and int(name[2]) > created_ns:
+            later.append((int(name[2]), path))
+    for _, path in sorted(later):
+        try:
+            return Ring(path, np.int64, width=ring.EVENT_WORDS)
+        except (OSError, ValueError, RollerrigError):
+            continue
+    raise FileNotFoundError(f"{rows}: no ring of events belongs to it")

@@ -13,7 +13,7 @@ from nicegui import app, ui
 from nicegui.json import NiceGUIJSONResponse
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.desk import guard, live, page
+from rollerrig.realtime.desk import connections, guard, live, page
 from rollerrig.realtime.desk.desk import Desk
 from rollerrig.wsp_interface import events
 from rollerrig.wsp_interface.bus.hub import beyond_loopback
@@ -107,6 +107,9 @@ def serve(
         tasks.append(loop.create_task(desk.work()))
         tasks.append(loop.create_task(report_address()))
 
+    def on_event(code: Code, /, **fields: Any) -> None:
+        desk.alarm("warning", events.text(code, fields))
+
     routes(desk)
     app.add_middleware(guard.Guard, token=token, on_loopback=on_loopback)
     app.on_startup(begin)
@@ -124,6 +127,8 @@ def serve(
         show=False,
         show_welcome_message=False,
         reconnect_timeout=10.0,
+        http=connections.protocol(on_event),
+        backlog=connections.BACKLOG,
     )
 
 

@@ -39,7 +39,7 @@ import rerun as rr
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.configs.output_files import create, replaced
+from rollerrig.configs.output_files import create, place_of, replaced
 from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
@@ -147,7 +147,10 @@ class Recorder:
         self._can_log = create(self._folder / run_folder.CAN_LOG, buffering=0)
         self._event_log = create(self._folder / run_folder.EVENTS, buffering=0)
         self._recording_id = recording_id(run_dir, rows)
-        self._stream, self._drawing = self._open(self._folder / run_folder.RRD, index=False)
+        # Rerun opens its file by a name; this one leads to a file that is already open
+        self._rrd = create(self._folder / run_folder.RRD)
+        place = place_of(self._rrd.fileno())
+        self._stream, self._drawing = self._open(place, index=False)
 
     def _open(self, path: Path, index: bool, **layout: Any) -> tuple[rr.RecordingStream, Drawing]:
         """Open a new recording in a file; return its stream and the drawing on it.
@@ -157,7 +160,7 @@ class Recorder:
         OSError if the disk is full.
         """
         # if there is no room for the layout, Rerun waits for ever
-        if shutil.disk_usage(path.parent).free < _ROOM_BYTES:
+        if shutil.disk_usage(self._folder).free < _ROOM_BYTES:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
         stream = rr.RecordingStream(views.APPLICATION, recording_id=self._recording_id)

@@ -13,7 +13,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from rollerrig.configs.output_files import replaced
+from rollerrig.configs.output_files import write_bytes
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.colours import BLUE, GREY, Colour
 from rollerrig.realtime.pictures.panel import Panel, Series
@@ -36,13 +36,12 @@ _PANEL_WIDTH = 1.6
 
 @contextmanager
 def _recording(path: Path, name: str) -> Iterator[rr.RecordingStream]:
-    """A recording that is written to a file."""
-    with (
-        replaced(path) as new,
-        rr.RecordingStream(APPLICATION, recording_id=name) as recording,
-    ):
-        recording.save(new)
+    """A recording that is written to a file at the end. Raises OSError, and ConfigError."""
+    with rr.RecordingStream(APPLICATION, recording_id=name) as recording:
+        # in memory: when the disk is full, Rerun would wait for it for ever
+        memory = recording.memory_recording()
         yield recording
+        write_bytes(path, memory.drain_as_bytes())
 
 
 def _log_scalars(

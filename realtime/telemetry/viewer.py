@@ -26,7 +26,7 @@ from rerun.experimental import ViewerClient
 
 from rollerrig.configs import user_files
 from rollerrig.configs.errors import RollerrigError
-from rollerrig.configs.output_files import make_folder, replaced, writing
+from rollerrig.configs.output_files import make_folder, replaced, write_bytes, writing
 from rollerrig.configs.processes import children
 from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.record import records, run_folder
@@ -234,13 +234,16 @@ def overlay(runs: Sequence[Path | str], into: Path, bare: bool = False) -> Path:
     bars of the viewer. Raises ConfigError if a folder is not a run folder.
     """
     loaded = [records.load(run) for run in runs]
-    with writing(into), replaced(into, ".rrd") as new:
-        _draw_over(loaded, new, bare)
+    with writing(into):
+        write_bytes(into, _drawn_over(loaded, bare))
     return into
 
 
-def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
-    """Draw several runs into a new file, as `overlay`."""
+def _drawn_over(loaded: Sequence[records.Run], bare: bool) -> bytes:
+    """Return a recording of several runs, as `overlay`.
+
+    It is made in memory: when the disk is full, Rerun would wait for it for ever.
+    """
     first = loaded[0]
     names = _entity_names([run.folder for run in loaded[1:]])
 
@@ -253,7 +256,8 @@ def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
         references=names,
         ends=views.axis_ends(first.signal_table, channels),
     )
-    stream.set_sinks(rr.FileSink(into), default_blueprint=layout)
+    memory = stream.memory_recording()
+    stream.send_blueprint(layout)
     stream.send_recording_name(
         " over ".join(run_folder.short_names([run.folder for run in loaded]))
     )
@@ -275,7 +279,7 @@ def _draw_over(loaded: Sequence[records.Run], into: Path, bare: bool) -> None:
         drawing.events(run.events)
 
     drawing.result("\n\n".join(derived.result_text(run.summary) for run in loaded))
-    stream.disconnect()
+    return memory.drain_as_bytes()
 
 
 def _with_all(kinds: Sequence[Kind]) -> Kind:

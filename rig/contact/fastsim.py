@@ -14,8 +14,6 @@ lateral and spin creepage, make the sum correct at small creepage.
 [F5] 1/L = S (|xi| + |eta| + l |phi|) / (L1 |xi| + L2 |eta| + L3 l |phi|),  l = sqrt(a b),
      S = 1 + 0.9 r - 0.35 u - 3 r u v,  r = min(b/a, 1),
      u = |xi| / (|xi| + |eta| + l |phi|),  v = l |phi| / (|xi| + |eta| + l |phi|)
-[F6] c = c' / (1 + k q),  q = (s - s1) (s2 - s) / (s1 s2) for s = b/a = 0.1 .. 0.4 between the rows
-     s1 and s2 of Kalker's table; k = 0.45, 0.52, 1.2 for c11, c22, c23
 
 Source: Kalker 1982; 1990, section 3.7. Departures: in slip the traction follows the true slip
 (three flexibilities would shift its pole) with one mean flexibility [F5], by an exact step [F4].
@@ -23,11 +21,8 @@ Kalker cuts the traction back radially, which is first order in the step only. S
 turns within the patch meets a stiffer half-space than traction that grows over all of it. The
 effect is smaller in long patches, and where longitudinal creepage acts, above all with spin. S was
 found (not derived) on 54 CONTACT results for a/b = 1.3 and on 1,000 results of our half-space
-solution for a/b = 0.3 to 6, extrapolated to infinitely small elements. [F6]: `kalker` is linear in
-b/a between the rows of the table, where the coefficients grow as (b/a)^-n. The chord between two
-rows is above that curve by the part k q, with k = n (n + 1) / 2. At a/b = 6 this is 14 % of
-c23. n = 0.57, 0.64 and 1.13 are the slopes between the table's last rows. L4: in a narrow patch
-phi y hardly differs from longitudinal creepage along a strip, so it meets the flexibility L1.
+solution for a/b = 0.3 to 6, extrapolated to infinitely small elements. L4: in a narrow patch phi y
+hardly differs from longitudinal creepage along a strip, so it meets the flexibility L1.
 Kalker uses L3, which makes the longitudinal force too small there. At small creepage L4 changes the
 moment only. Sums are divided by the sum of the limit, so that full sliding gives mu N on any grid.
 Limits: the error reaches 0.065 mu N on long patches with spin.
@@ -36,7 +31,6 @@ Limits: the error reaches 0.065 mu N on long patches with spin.
 import math
 
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.rig.contact import kalker
 
 # S of [F5]: of a very long patch; more for a round one; less for longitudinal creepage, and less
 # where it comes with spin
@@ -44,11 +38,6 @@ STIFFENING = 1.0
 STIFFENING_ROUND = 0.9
 STIFFENING_ALONG = 0.35
 STIFFENING_ALONG_AND_SPIN = 3.0
-# k of [F6] for c11, c22 and c23, and the b/a above which the chord is within 1.2 % of the curve
-CHORD_C11 = 0.45
-CHORD_C22 = 0.52
-CHORD_C23 = 1.2
-CHORD_END = 0.4
 # cosine between the traction and its goal below which the direction of the turn is not defined
 OPPOSITE = -0.999999
 
@@ -113,10 +102,9 @@ def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
     """
     unit = patch.shear_Pa * math.pi * a_m * b_m / (2.0 * limit_N)
     slimness = b_m / a_m
-    chord = chord_excess(slimness)
-    s1 = 0.375 * unit * patch.c11 / (1.0 + CHORD_C11 * chord)  # [F6], also the next two lines
-    s2 = 0.375 * unit * patch.c22 / (1.0 + CHORD_C22 * chord)
-    s3 = 4.0 / math.pi * unit * patch.c23 * math.sqrt(slimness) / (1.0 + CHORD_C23 * chord)
+    s1 = 0.375 * unit * patch.c11  # [F1], also the next two lines
+    s2 = 0.375 * unit * patch.c22
+    s3 = 4.0 / math.pi * unit * patch.c23 * math.sqrt(slimness)
     s4 = s3
     if a_m < b_m:
         s4 += (1.0 - a_m / b_m) * (s1 - s3)  # [F2]
@@ -138,17 +126,6 @@ def stiffnesses(xi, eta, phi_1_m, a_m, b_m, limit_N, patch):
         - STIFFENING_ALONG_AND_SPIN * roundness * along * spin
     )
     return s1, s2, s3, s4, stiffening * whole / (x / s1 + y / s2 + z / s3)
-
-
-@kernel
-def chord_excess(slimness):
-    """Return q of [F6] for b/a: 0 at the rows of Kalker's table, and outside 0.1 .. 0.4."""
-    if not kalker.END < slimness < CHORD_END:
-        return 0.0
-    row = int(slimness / kalker.SPACING)
-    low = row * kalker.SPACING
-    high = low + kalker.SPACING
-    return (slimness - low) * (high - slimness) / (low * high)
 
 
 @kernel

@@ -16,6 +16,13 @@ interpolates between his rows. Beyond them (slender patches) it follows his asym
 [K1] linear in g = min(a/b, b/a) along a row of one Poisson's ratio
 [K2] 1/c quadratic in Poisson's ratio through 0, 1/4 and 1/2
 [K3] g < 0.1: c = asymptote(g) [1 + (c(0.1) / asymptote(0.1) - 1) g / 0.1], continuous at g = 0.1
+[K4] long patches, s = b/a = 0.1 .. 0.4: c = c' / (1 + k q), with c' of [K1] and [K2] and
+     q = (s - s1) (s2 - s) / (s1 s2) between the rows s1 and s2; k = 0.45, 0.52 and 1.2 for c11, c22
+     and c23
+
+[K4]: the coefficients of a long patch grow as (b/a)^-n. The chord between two rows is above that
+curve by the fraction k q, with k = n (n + 1) / 2. At a/b = 6 this is 14 % of c23. n = 0.57, 0.64
+and 1.13 are the slopes between the table's last rows.
 
 Source: Kalker 1967; Three-Dimensional Elastic Bodies in Rolling Contact (1990), Table E3.
 c23(a/b = 0.8, nu = 1/4) is 1.25; some codes carry the misprint 1.15.
@@ -58,6 +65,11 @@ END = 0.1  # smallest g = min(a/b, b/a) of the table
 SPACING = 0.1  # change of g from row to row
 LAST_ROW = len(TABLE) - 1
 SLENDEREST = 1e-6  # smallest g; a more slender patch counts as this one
+# k of [K4] for c11, c22 and c23, and the b/a above which the chord is within 1.2 % of the curve
+CHORD_C11 = 0.45
+CHORD_C22 = 0.52
+CHORD_C23 = 1.2
+CHORD_END = 0.4
 # columns of the coefficients in TABLE, and layers of the Poisson's ratios
 _C11, _C22, _C23, _C33 = range(4)
 _NU_0, _NU_QUARTER, _NU_HALF = range(3)
@@ -83,7 +95,13 @@ def coefficients(a_over_b, poisson):
     place = (coordinate - END) / SPACING
     c11, c22, c23, c33 = _interpolated(place, nu)
     if g >= END:
-        return c11, c22, c23, c33
+        excess = _chord_excess(g) if long_patch else 0.0
+        return (
+            c11 / (1.0 + CHORD_C11 * excess),  # [K4], also the next two lines
+            c22 / (1.0 + CHORD_C22 * excess),
+            c23 / (1.0 + CHORD_C23 * excess),
+            c33,
+        )
 
     # more slender than the table: the asymptote at g, corrected by how far table and asymptote
     # differ at the end of the table, with a weight that falls to 0 with g
@@ -96,6 +114,17 @@ def coefficients(a_over_b, poisson):
         g23 * (1.0 + (c23 / end23 - 1.0) * weight),
         g33 * (1.0 + (c33 / end33 - 1.0) * weight),
     )
+
+
+@kernel
+def _chord_excess(slimness):
+    """Return q of [K4] for b/a: 0 at the rows of the table, and outside 0.1 .. 0.4."""
+    if not END < slimness < CHORD_END:
+        return 0.0
+    row = int(slimness / SPACING)
+    low = row * SPACING
+    high = low + SPACING
+    return (slimness - low) * (high - slimness) / (low * high)
 
 
 @kernel

@@ -1,6 +1,7 @@
 """Files of users are opened, written, unpacked and shown within limits."""
 
 import os
+import signal
 import socket
 import struct
 import zipfile
@@ -116,6 +117,13 @@ def test_a_wrong_json_file_is_refused(text, tmp_path):
         user_files.read_json(tmp_path / "a.json")
 
 
+def test_toml_that_would_take_long_to_parse_is_refused_before(tmp_path):
+    path = tmp_path / "large.toml"
+    path.write_text("".join(f"key_{number} = 1\n" for number in range(100_000)))
+    with pytest.raises(ConfigError, match=r"large\.toml: has 1\.\d+ MB; .* at most 1 MB"):
+        user_files.read_text(path, user_files.TOML)
+
+
 # --- writing ---
 
 
@@ -136,6 +144,83 @@ def test_a_written_file_replaces_a_link_and_leaves_its_target(tmp_path):
     for name in ("a.json", "b.json", "c.log"):
         assert (out / name).read_text() == "new"
         assert not (out / name).is_symlink()
+
+
+@pytest.fixture(params=["files without a name", "no files without a name"])
+def file_system(request, monkeypatch):
+    """The tests run also as on a file system that gives each file a name; returns whether it is."""
+    if request.param.startswith("no"):
+        # what a kernel that does not know O_TMPFILE sees
+        monkeypatch.setattr(os, "O_TMPFILE", os.O_DIRECTORY)
+    return request.param.startswith("no")
+
+
+def attacked(path, suffix, target):
+    """Write a file, while another program puts links to `target` in its folder."""
+    with output_files.replaced(path, suffix) as new:
+        for name in [*os.listdir(path.parent), path.name, f".{path.name}.new{suffix}"]:
+            (path.parent / name).unlink(missing_ok=True)
+            (path.parent / name).symlink_to(target)
+        # a writer that opens by name, changes its mind, and opens again
+        new.write_text("first")
+        new.write_text("new")
+
+
+@pytest.mark.parametrize("suffix", ["", ".png"])
+def test_a_link_that_another_user_makes_while_a_file_is_written_leads_nowhere(
+    tmp_path, suffix, file_system
+):
+    target = tmp_path / "target"
+    target.write_text("precious")
+    out = tmp_path / "shared"
+    out.mkdir()
+    if file_system:
+        with pytest.raises(ConfigError, match=r"report: another program has replaced"):
+            attacked(out / "report", suffix, target)
+    else:
+        attacked(out / "report", suffix, target)
+        assert (out / "report").read_text() == "new"
+        assert not (out / "report").is_symlink()
+    assert target.read_text() == "precious"
+
+
+def fail_to_write(path):
+    with output_files.replaced(path) as new:
+        new.write_text("half" * 1000)
+        raise ZeroDivisionError
+
+
+@pytest.mark.usefixtures("file_system")
+def test_a_failed_write_leaves_nothing(tmp_path):
+    (tmp_path / "report").write_text("old")
+    with pytest.raises(ZeroDivisionError):
+        fail_to_write(tmp_path / "report")
+    assert os.listdir(tmp_path) == ["report"]
+    assert (tmp_path / "report").read_text() == "old"
+
+
+def test_a_killed_write_leaves_nothing(tmp_path):
+    try:
+        os.close(os.open(tmp_path, os.O_RDWR | os.O_TMPFILE))
+    except OSError:
+        pytest.skip("this file system has no files without a name")
+    process = os.fork()
+    if process == 0:
+        with output_files.replaced(tmp_path / "report") as new:
+            new.write_text("half")
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(process, 0)
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_new_file_has_the_permissions_of_the_umask(tmp_path):
+    for umask, permissions in ((0o022, 0o644), (0o077, 0o600)):
+        before = os.umask(umask)
+        try:
+            output_files.write_text(tmp_path / "report", "new")
+        finally:
+            os.umask(before)
+        assert (tmp_path / "report").stat().st_mode & 0o777 == permissions
 
 
 @pytest.mark.parametrize("make", [pipe, unix_socket, folder])

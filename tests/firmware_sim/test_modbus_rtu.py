@@ -128,6 +128,13 @@ def test_everybody_obeys_unit_0_and_nobody_answers(line, site):
     assert line.rest() == b""
 
 
+def test_a_broadcast_stops_the_rig_and_resets_the_stop(line, site):
+    for value, word in ((1, 0xFF00), (0, 0)):
+        line.send(frame(struct.pack(">BHH", 5, 2, word), unit=0))
+        until(lambda value=value: site.written[-1:] == [("emergency_stop", value)])
+    assert line.rest() == b""
+
+
 def test_a_frame_in_single_bytes_is_one_frame(line, site):
     site.lines[0].silence_s = 60.0  # however busy the machine is
     for byte in frame(READ):

@@ -114,7 +114,8 @@ def test_units_0_and_255_address_the_device_itself_and_stand_in_its_answers(unit
     # `ask` checks that the answer carries the unit of the request
     assert client.words(208, 3, unit) == client.words(208, 3, 1) == [100, 200, 300]
     assert client.ask(two(6, 1, 2500), unit) == two(6, 1, 2500)
-    assert site.written == [("speed_set_point", 2500)]
+    assert client.ask(two(5, 2, 0xFF00), unit) == two(5, 2, 0xFF00)
+    assert site.written == [("speed_set_point", 2500), ("emergency_stop", 1)]
     assert client.ask(two(3, 9000, 1), unit).hex() == "8302"
 
 

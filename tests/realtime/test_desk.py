@@ -5,6 +5,7 @@ import contextlib
 import json
 import math
 import os
+import resource
 import shutil
 import subprocess
 import sys
@@ -575,9 +576,14 @@ def test_the_library_lists_the_faults_of_a_run_once_each(runs):
 
 def test_a_note_that_cannot_be_written_leaves_the_old_one(runs):
     library.write_note(runs / "runs/with", "first stop of the day")
-    (runs / "runs/with/.note.txt.new").mkdir()
-    with pytest.raises(ConfigError, match=r"cannot be written.*the old note is kept"):
-        library.write_note(runs / "runs/with", "another")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    # as on a full disk
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, before[1]))
+    try:
+        with pytest.raises(ConfigError, match=r"cannot be written.*the old note is kept"):
+            library.write_note(runs / "runs/with", "another")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert library.note(runs / "runs/with") == "first stop of the day"
 
 

@@ -4,18 +4,21 @@ import contextlib
 import itertools
 import multiprocessing
 import os
+import resource
 import socket
+import time
 from pathlib import Path
 
 import program
 import pytest
 from bench_process import until
 from chromium import browsing
-from desk_process import Client, entered, served
+from desk_process import PATIENCE_S, Client, entered, served
 
 pytest.importorskip("nicegui", reason="the desk needs nicegui")
 
-from rollerrig.realtime.desk import guard, page, server
+from rollerrig.realtime.desk import connections, guard, page, server
+from rollerrig.wsp_interface.places import PLACES
 
 NOBODY = 65534  # the user without rights of Linux
 WEBSOCKET = "/_nicegui_ws/socket.io/?EIO=4&transport=polling"
@@ -269,6 +272,51 @@ def test_the_number_of_open_pages_is_limited(desk_beyond_loopback):
     allowed = list(itertools.takewhile(lambda status: status == 200, statuses))
     assert guard.MOST_PAGES - 3 <= len(allowed) <= guard.MOST_PAGES
     assert set(statuses[len(allowed) :]) == {503}
+
+
+# -- connections without requests
+
+
+def descriptors(process):
+    return len(os.listdir(f"/proc/{process.pid}/fd"))
+
+
+def test_idle_connections_of_another_user_do_not_keep_the_owner_out(folder):
+    with served(folder) as desk, contextlib.ExitStack() as others:
+        resource.prlimit(desk.process.pid, resource.RLIMIT_NOFILE, (300, 300))
+        before = descriptors(desk.process)
+        client = entered(desk)
+        # half of them send a part of a request, again and again
+        idle = []
+        for number in range(600):
+            connection = others.enter_context(socket.create_connection(("127.0.0.1", desk.port)))
+            idle.append(connection)
+            for slow in idle[-20:]:
+                # the desk may have closed it
+                with contextlib.suppress(OSError):
+                    slow.send(b"GET / HTTP/1.1\r\n" if slow is connection else b"a: b\r\n")
+            if number % 60 == 0:
+                assert client.get("/desk/rows").status == 200
+        assert entered(desk).get("/desk/rows").status == 200
+        assert descriptors(desk.process) - before < PLACES + 20
+
+
+def test_a_connection_that_sends_no_request_with_the_token_is_closed(desk):
+    begin_s = time.monotonic()
+    with (
+        socket.create_connection(("127.0.0.1", desk.port)) as silent,
+        socket.create_connection(("127.0.0.1", desk.port)) as refused,
+    ):
+        for connection in (silent, refused):
+            connection.settimeout(PATIENCE_S)
+        refused.send(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+        assert b"403" in refused.recv(10_000)
+        while refused.recv(10_000):
+            pass
+        # the system ends a connection that is aborted by an error or by its end
+        with contextlib.suppress(ConnectionResetError):
+            assert silent.recv(1) == b""
+        assert time.monotonic() - begin_s > connections.FIRST_REQUEST_S
 
 
 # -- rules for browsers

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from bench_process import BenchProcess
 
+from rollerrig.realtime.bench import interrupts
 from rollerrig.realtime.commands import check
 from rollerrig.realtime.loop import cores
 
@@ -190,46 +191,98 @@ def test_a_core_that_the_system_refuses_is_not_reported_as_the_core_of_the_loop(
 
 
 @pytest.fixture
-def interrupts(monkeypatch, tmp_path):
-    """Files as in /proc/irq: other tests run benches that move the real interrupts."""
-    for number, served in (("24", "0"), ("25", "1"), ("26", "1"), ("27", "1")):
-        folder = tmp_path / number
-        (folder / "device").mkdir(parents=True)
-        (folder / "smp_affinity_list").write_text("0-1\n")
-        (folder / "effective_affinity_list").write_text(served)
-    (tmp_path / "27" / "device").rmdir()  # no device uses it
-    monkeypatch.setattr(cores, "_INTERRUPTS", tmp_path)
+def lists(monkeypatch, tmp_path, claims):
+    """Files as in /proc/irq: other tests run benches that move the real interrupts.
 
-    def allowed():
-        return [(tmp_path / n / "smp_affinity_list").read_text() for n in ("24", "25", "26", "27")]
+    Returns a function that returns the cores of interrupts 24 to 27. No device uses 27.
+    """
+    folder = tmp_path / "irq"
+    for number, served in (("24", "0"), ("25", "1"), ("26", "2"), ("27", "1")):
+        (folder / number / "device").mkdir(parents=True)
+        (folder / number / "smp_affinity_list").write_text("0-3\n")
+        (folder / number / "effective_affinity_list").write_text(served)
+    (folder / "27" / "device").rmdir()
+    monkeypatch.setattr(cores, "_INTERRUPTS", folder)
+    monkeypatch.setattr(interrupts, "_INTERRUPTS", folder)
+    monkeypatch.setattr(interrupts, "_RECORD", tmp_path / "record.json")
 
-    return allowed
+    def read():
+        numbers = ("24", "25", "26", "27")
+        return [(folder / number / "smp_affinity_list").read_text().strip() for number in numbers]
+
+    return read
 
 
-def test_interrupts_of_devices_leave_the_core_and_come_back(interrupts):
-    assert cores.interrupts_on(1) == ["25", "26"]
-    with cores.without_interrupts(1) as stay:
+EVERYWHERE = ["0-3", "0-3", "0-3", "0-3"]
+
+
+def claim_of(core):
+    """A claim of a core, which this machine need not have."""
+    return cores.Claim(core, cores._hold(core))
+
+
+def test_interrupts_of_devices_leave_the_core_and_come_back(lists):
+    assert cores.interrupts_on(1) == ["25"]
+    with interrupts.kept_off(claim_of(1)) as stay:
         assert stay == []
-        assert cores.interrupts_on(1) == []
-        assert interrupts() == ["0-1\n", "0", "0", "0-1\n"]
-    assert cores.interrupts_on(1) == ["25", "26"]
+        assert lists() == ["0-3", "0,2,3", "0-3", "0-3"]
+    assert lists() == EVERYWHERE
 
 
-def test_interrupts_that_the_kernel_keeps_are_named(interrupts, tmp_path):
-    # the kernel refuses to write: here because it is a folder
-    path = tmp_path / "26" / "smp_affinity_list"
+def test_interrupts_come_back_when_the_last_bench_that_moved_them_ends(lists):
+    first = contextlib.ExitStack()
+    second = contextlib.ExitStack()
+    first.enter_context(interrupts.kept_off(claim_of(1)))
+    second.enter_context(interrupts.kept_off(claim_of(2)))
+    assert lists() == ["0-3", "0,3", "0,3", "0-3"]
+    first.close()
+    assert lists() == ["0-3", "0,1,3", "0,1,3", "0-3"]
+    assert cores.interrupts_on(2) == []
+    second.close()
+    assert lists() == EVERYWHERE
 
-    def refuse():
-        path.unlink()
-        path.mkdir()
 
-    found = cores.interrupts_on(1)
-    assert "26" in found
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(cores, "interrupts_on", lambda core: found)
-        refuse()
-        with cores.without_interrupts(1) as stay:
-            assert stay == ["26"]
+def test_the_next_start_brings_back_the_interrupts_of_a_killed_bench(lists):
+    reader, writer = os.pipe()
+    process = os.fork()
+    if process == 0:
+        with interrupts.kept_off(claim_of(1)):
+            os.write(writer, b"moved")
+            signal.pause()
+    assert os.read(reader, 5) == b"moved"
+    assert lists()[1] == "0,2,3"
+    os.kill(process, signal.SIGKILL)
+    os.waitpid(process, 0)
+    assert lists()[1] == "0,2,3"
+    with interrupts.kept_off(claim_of(2)):
+        assert lists() == ["0-3", "0,1,3", "0,1,3", "0-3"]
+    assert lists() == EVERYWHERE
+
+
+def test_an_interrupt_that_somebody_else_has_moved_meanwhile_stays_there(lists, tmp_path):
+    with interrupts.kept_off(claim_of(1)):
+        (tmp_path / "irq" / "25" / "smp_affinity_list").write_text("3\n")
+    assert lists() == ["0-3", "3", "0-3", "0-3"]
+
+
+@pytest.mark.parametrize(
+    "content", ["{", "[]", '{"25": 1}', '{"25": ["a", "b"]}', '{"99": ["0", "1"]}']
+)
+def test_a_damaged_record_of_interrupts_is_passed_over(lists, tmp_path, content):
+    (tmp_path / "record.json").write_text(content)
+    with interrupts.kept_off(claim_of(1)):
+        assert lists() == ["0-3", "0,2,3", "0-3", "0-3"]
+    assert lists() == EVERYWHERE
+
+
+@needs_two_cores
+def test_interrupts_that_the_kernel_keeps_are_named(lists, tmp_path):
+    path = tmp_path / "irq" / "25" / "smp_affinity_list"
+    path.unlink()
+    # a list of cores that cannot be written
+    path.symlink_to("/sys/devices/system/cpu/online")
+    with interrupts.kept_off(claim_of(1)) as stay:
+        assert stay == ["25"]
 
 
 @needs_two_cores

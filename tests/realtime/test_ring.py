@@ -7,13 +7,17 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.vehicle import COACH
+from rollerrig.realtime.desk import reader
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
+from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import Code, make
 
 _WRITER = """
@@ -274,3 +278,49 @@ def test_of_a_long_event_the_longest_text_is_cut_and_code_and_other_fields_are_k
     assert found.fields["message"] == "hub: node failed"
     assert 60 < len(found.fields["exception"]) < 500
     assert text.startswith(found.fields["exception"])
+
+
+def put_file(path):
+    """Make an empty file of another user, or, without root rights, one that all may write."""
+    path.touch()
+    if os.geteuid() == 0:
+        os.chown(path, 65534, 65534)
+    path.chmod(0o666)
+
+
+FOREIGN = {
+    "a file of another user": put_file,
+    "a folder": Path.mkdir,
+    "a pipe": os.mkfifo,
+    "a link": lambda path: path.symlink_to("/etc/passwd"),
+}
+
+
+@pytest.mark.parametrize("foreign", FOREIGN)
+def test_foreign_files_with_names_of_rings_hide_no_running_bench(foreign):
+    width = len(signals.table(COACH).columns)
+    rows = Ring(ring.place("rows"), np.float64, 8, width)
+    _, pid, created_ns, _ = rows.path.name.split("-")
+    # the names of the attacker come before that of the ring of events, and after the ring of rows
+    names = [
+        f"rollerrig-{pid}-{int(created_ns) + 1}-events",
+        f"rollerrig-{pid}-0-events",
+        f"rollerrig-{pid}-none-events",
+        f"rollerrig-{pid}-{int(created_ns) + 1}-rows",
+    ]
+    attacks = [rows.path.with_name(name) for name in names]
+    events = Ring(ring.place("events"), np.int64, 8, ring.EVENT_WORDS)
+    try:
+        for path in attacks:
+            FOREIGN[foreign](path)
+        (bench,) = reader.running(lambda of: of == os.getpid())
+        ring.push_event(events, make(0.0, Code.BUS_PLACE, address="vcan:here"))
+        bench.poll()
+        assert bench.bus == "vcan:here"
+    finally:
+        for path in attacks:
+            path.rmdir() if path.is_dir() and not path.is_symlink() else path.unlink(
+                missing_ok=True
+            )
+        rows.unlink()
+        events.unlink()

@@ -331,3 +331,22 @@ def test_a_message_of_the_unit_with_a_wrong_checksum_is_no_answer(files):
     assert [(message.arbitration_id, bytes(message.data)) for message in log.sent] == [
         (MAGNETS_ID, b"\x03")
     ]
+
+
+def multiplexed(number, signals_of_message):
+    """The lines of a message whose signals are all multiplexed."""
+    lines = [f"BO_ {number} M{number}: 8 RIG", ' SG_ X M : 0|16@1+ (1,0) [0|1] "" UNIT']
+    for group in range(signals_of_message):
+        lines.append(f' SG_ S{group} m{group} : 16|8@1+ (1,0) [0|1] "" UNIT')
+    return "\n".join(lines) + "\n"
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [multiplexed(500, 2_000), "".join(multiplexed(500 + n, 900) for n in range(30))],
+    ids=["in one message", "in all"],
+)
+def test_a_dbc_that_would_take_minutes_to_read_is_refused(files, tmp_path, lines):
+    (tmp_path / "unit.dbc").write_text(DBC + lines)
+    with pytest.raises(ConfigError, match=r"more than 20000 signals.*more than 1000"):
+        mapping.load(files(), TABLE)

@@ -59,6 +59,10 @@ _CHECKSUM_KEYS = ("signal", "kind", "prefix")
 _CAN_BYTES = 8
 _BOTH_WAYS = "a mapping has at least one [[to_unit]] and one [from_unit]"
 
+# signals of a DBC, and of one message in it
+_MOST_SIGNALS = 20_000
+_MOST_OF_MESSAGE = 1_000
+
 _QUANTITIES = ("measured_speed", "cylinder_pressure")
 
 
@@ -198,9 +202,31 @@ def _database(path: Path, name: Any) -> Any:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
             text = content.decode("cp1252", errors="replace")
+        _check_sizes(text)
         return cantools.database.load_string(text, "dbc", strict=False)
     except (ConfigError, OSError, cantools.Error, ValueError, RecursionError) as error:
         raise ConfigError(f"{path}: dbc = {name!r}: cannot be read: {error}") from None
+
+
+def _check_sizes(text: str) -> None:
+    """Raise ConfigError if a DBC has so many signals that cantools takes minutes for it.
+
+    It compares each multiplexed signal of a message with all others.
+    """
+    in_all = 0
+    in_message = 0
+    for line in text.splitlines():
+        word = line.lstrip()[:4]
+        if word == "BO_ ":
+            in_message = 0
+        elif word == "SG_ ":
+            in_all += 1
+            in_message += 1
+        if in_all > _MOST_SIGNALS or in_message > _MOST_OF_MESSAGE:
+            raise ConfigError(
+                f"it has more than {_MOST_SIGNALS} signals, or a message with more than "
+                f"{_MOST_OF_MESSAGE}; keep the messages of the unit only"
+            )
 
 
 def _outgoing(table: Any, database: Any, where: str, vehicle: Table) -> Outgoing:

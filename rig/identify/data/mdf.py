@@ -12,10 +12,13 @@ Source of the format: ASAM MDF 4.1.
 """
 
 import contextlib
+import gc
 import math
 import mmap
 import re
 import struct
+import sys
+import traceback
 from collections.abc import Collection, Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -206,7 +209,25 @@ def _opened(path: Path) -> Iterator[Any]:
     except ConfigError:
         raise
     except Exception as error:  # the parser of asammdf raises many types
-        raise ConfigError(f"{path}: cannot be read as MDF: {error}") from None
+        _delete_unread(error)
+        raise ConfigError(
+            f"{path}: cannot be read as MDF: {error}; copy it again, it may be cut off"
+        ) from None
+
+
+def _delete_unread(error: Exception) -> None:
+    """Delete the file object of asammdf that an error has kept, and ignore what this raises.
+
+    asammdf raises another error when a file that it could not read is deleted, and Python would
+    print that one with a traceback.
+    """
+    hook = sys.unraisablehook
+    sys.unraisablehook = lambda _: None
+    try:
+        traceback.clear_frames(error.__traceback__)
+        gc.collect()
+    finally:
+        sys.unraisablehook = hook
 
 
 def _check_blocks(path: Path) -> None:

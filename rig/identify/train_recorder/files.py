@@ -8,7 +8,7 @@ rosbag2 needs the package rosbags (the extra `rosbag`). Its columns are written
 reception.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -120,8 +120,10 @@ def _check_rosbag(path: Path, folder: Path) -> None:
 def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
     """Return the columns of a rosbag2 recording. Raises ConfigError."""
     try:
-        from rosbags.highlevel import AnyReader, AnyReaderError
+        from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
+
+        from rollerrig.rig.identify.train_recorder import rosbag_limits
     except ImportError:
         raise ConfigError(
             f"{path}: rosbag2 needs the package rosbags, which is not installed; install the extra: "
@@ -136,14 +138,23 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
 
     samples: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
     try:
-        with AnyReader([path], default_typestore=get_typestore(Stores.LATEST)) as bag:
-            _collect_messages(path, bag, samples)
-    except AttributeError as error:  # a message has no field of this name
+        unpacking = rosbag_limits.check(path)
+        typestore = get_typestore(Stores.LATEST)
+        with (
+            rosbag_limits.applied(unpacking),
+            AnyReader([path], default_typestore=typestore) as bag,
+        ):
+            unpack = unpacking.zstd if rosbag_limits.compressed_messages(bag) else None
+            _collect_messages(path, bag, samples, unpack)
+    except ConfigError:
+        raise
+    except MemoryError:
         raise ConfigError(
-            f'{path}: {error}; name a field that is a single number: "/topic:field.field"'
+            f"{path}: needs more memory than there is; split it into several recordings"
         ) from None
-    except (AnyReaderError, OSError, ValueError, TypeError) as error:
-        raise ConfigError(f"{path}: cannot be read as rosbag2: {error}") from None
+    except Exception as error:  # rosbags and what it uses raise exceptions of many kinds
+        reason = str(error) or type(error).__name__
+        raise ConfigError(f"{path}: cannot be read as rosbag2: {reason}; record it again") from None
 
     columns = {}
     for name, rows in samples.items():
@@ -154,8 +165,16 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
     return columns
 
 
-def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float, float]]]) -> None:
-    """Append (stamp s, value) of every message to the samples of its fields."""
+def _collect_messages(
+    path: Path,
+    bag: Any,
+    samples: dict[str, list[tuple[float, float]]],
+    unpack: Callable[[bytes], bytes] | None,
+) -> None:
+    """Append (stamp s, value) of every message to the samples of its fields.
+
+    `unpack` unpacks the messages if they are compressed.
+    """
     topic_of = {}
     fields_of = {}  # path from the message to the number, field by field
     for name in samples:
@@ -168,6 +187,8 @@ def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float,
 
     wanted = [connection for connection in bag.connections if connection.topic in topic_of.values()]
     for connection, received_ns, raw in bag.messages(connections=wanted):
+        if unpack is not None:
+            raw = unpack(raw)
         message: Any = bag.deserialize(raw, connection.msgtype)
 
         # the stamp of the header, if the message has one, else the time of reception
@@ -178,5 +199,11 @@ def _collect_messages(path: Path, bag: Any, samples: dict[str, list[tuple[float,
 
         for name in samples:
             if topic_of[name] == connection.topic:
-                value = reduce(getattr, fields_of[name], message)
+                try:
+                    value = reduce(getattr, fields_of[name], message)
+                except AttributeError as error:
+                    raise ConfigError(
+                        f"{path}: {error}; name a field that is a single number: "
+                        '"/topic:field.field"'
+                    ) from None
                 samples[name].append((time_s, float(value)))

@@ -16,7 +16,7 @@ from paper_law import TABLE_4
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.rig import wheelset
-from rollerrig.rig.contact import adhesion, creep_force, fastsim, polach_spin
+from rollerrig.rig.contact import adhesion, creep_force, polach_spin
 from rollerrig.rig.contact.creep_force import DEGRADED, FASTSIM, MODELS, POLACH
 from rollerrig.rig.contact.patch import patch_for
 
@@ -67,33 +67,16 @@ def test_without_spin_each_model_stays_within_0_08_mu_N_of_contact(model):
         assert result.distance(fx, fy) < 0.08, result
 
 
-def coefficients(model, patch):
-    """Return Kalker's c11, c22 and c23 as a model takes them from his table.
-
-    Between two rows of the table the coefficients of a patch follow the chord. FASTSIM takes the
-    curve below it, its [F6].
-    """
-    chord = 0.0
-    if model == FASTSIM:
-        chord = fastsim.chord_excess(patch.b1 / patch.a1)
-    return (
-        patch.c11 / (1.0 + fastsim.CHORD_C11 * chord),
-        patch.c22 / (1.0 + fastsim.CHORD_C22 * chord),
-        patch.c23 / (1.0 + fastsim.CHORD_C23 * chord),
-    )
-
-
 @each_model
 @each_patch
 def test_at_vanishing_creepage_every_force_is_kalkers(model, patch):
     unit_N = patch.shear_Pa * size_m(patch) ** 2
-    c11, c22, c23 = coefficients(model, patch)
     along, _, _ = force(model, 1e-8, 0, 0, patch)
     _, across, _ = force(model, 0, 1e-8, 0, patch)
     _, by_spin, _ = force(model, 0, 0, 1e-5, patch)
-    assert along == near(-unit_N * c11 * 1e-8, rel=0.02)
-    assert across == near(-unit_N * c22 * 1e-8, rel=0.02)
-    assert by_spin == near(-unit_N * size_m(patch) * c23 * 1e-5, rel=0.02)
+    assert along == near(-unit_N * patch.c11 * 1e-8, rel=0.02)
+    assert across == near(-unit_N * patch.c22 * 1e-8, rel=0.02)
+    assert by_spin == near(-unit_N * size_m(patch) * patch.c23 * 1e-5, rel=0.02)
 
 
 @each_model

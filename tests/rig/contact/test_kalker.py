@@ -62,10 +62,22 @@ def test_c11_follows_the_fit_of_the_literature_in_its_range():
 
 
 def test_halfway_between_two_rows_the_coefficient_is_their_mean():
-    one_row = kalker.coefficients(1.0 / 0.3, 0.25)
+    one_row = kalker.coefficients(1.0 / 0.5, 0.25)
     next_row = kalker.coefficients(1.0 / 0.4, 0.25)
     mean = np.mean([one_row, next_row], axis=0)
-    assert kalker.coefficients(1.0 / 0.35, 0.25) == near(mean, rel=1e-13)
+    assert kalker.coefficients(1.0 / 0.45, 0.25) == near(mean, rel=1e-13)
+
+
+@pytest.mark.parametrize("end", [0.1, 0.2, 0.3])
+def test_between_the_rows_of_long_patches_the_coefficients_are_powers_of_the_ratio(end):
+    one_row, next_row = np.array(
+        [kalker.coefficients(1.0 / slimness, 0.25)[:3] for slimness in (end, end + 0.1)]
+    )
+    exponents = np.log(next_row / one_row) / math.log((end + 0.1) / end)
+    for slimness in np.linspace(end, end + 0.1, 11):
+        on_the_curve = one_row * (slimness / end) ** exponents
+        c11, c22, c23, _ = kalker.coefficients(1.0 / slimness, 0.25)
+        assert (c11, c22, c23) == near(on_the_curve, rel=0.012)
 
 
 def test_the_compliance_is_quadratic_in_poissons_ratio():

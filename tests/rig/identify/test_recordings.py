@@ -230,51 +230,6 @@ def test_other_separators_a_row_of_units_and_stamps_in_milliseconds_read_the_sam
         np.testing.assert_allclose(other.channels[name].time_s, channel.time_s, atol=1e-6)
 
 
-ROSBAG_DATASET = """kind = "recorder"
-[channels]
-bogie_speed_1_m_s = { column = "/axle:data", name = "axle" }
-reference_speed_m_s = { column = "/gnss:twist.linear.x", name = "gnss" }
-[[run]]
-file = "run"
-"""
-
-
-def test_a_rosbag_reads_as_the_csv(tmp_path):
-    rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    typesys = pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.LATEST)
-    Float64 = store.types["std_msgs/msg/Float64"]
-    Header = store.types["std_msgs/msg/Header"]
-    Time = store.types["builtin_interfaces/msg/Time"]
-    Twist = store.types["geometry_msgs/msg/Twist"]
-    TwistStamped = store.types["geometry_msgs/msg/TwistStamped"]
-    Vector3 = store.types["geometry_msgs/msg/Vector3"]
-
-    time_s = 1000.0 + 0.1 * np.arange(300)
-    speed_m_s = 20.0 - 0.05 * np.arange(300)
-    with rosbag2.Writer(tmp_path / "run", version=9) as bag:
-        axle = bag.add_connection("/axle", Float64.__msgtype__, typestore=store)
-        gnss = bag.add_connection("/gnss", TwistStamped.__msgtype__, typestore=store)
-        for at_s, speed in zip(time_s, speed_m_s, strict=True):
-            at_ns = round(at_s * 1e9)
-            plain = Float64(speed)
-            bag.write(axle, at_ns, store.serialize_cdr(plain, Float64.__msgtype__))
-
-            # the stamp of the header differs from the time at which the bag received the message
-            header = Header(Time(int(at_s) + 1, 0), "")
-            twist = Twist(Vector3(speed, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))
-            stamped = TwistStamped(header, twist)
-            bag.write(gnss, at_ns, store.serialize_cdr(stamped, TwistStamped.__msgtype__))
-    (tmp_path / "dataset.toml").write_text(ROSBAG_DATASET)
-
-    run = recording.load(tmp_path).runs[0]
-    np.testing.assert_allclose(run.channels["axle"].values, speed_m_s)
-    np.testing.assert_allclose(run.channels["axle"].time_s, time_s - time_s[0], atol=1e-6)
-    # a channel with a header has the stamps of the header
-    stamps_s = np.floor(time_s) + 1.0
-    np.testing.assert_allclose(run.channels["gnss"].time_s, stamps_s - time_s[0], atol=1e-6)
-
-
 class Edit(NamedTuple):
     """A pattern in dataset.toml, the text that replaces it, and the pattern of the message."""
 
