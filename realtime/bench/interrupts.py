@@ -76,7 +76,7 @@ def _planned(number: str, moved: Moved | None, taken: set[int]) -> Moved:
     before = (_INTERRUPTS / number / _LIST).read_text().strip()
     if moved is not None and _same(moved.after, before):
         before = moved.before
-    allowed = cores._cores_of(before)
+    allowed = cores.cores_of(before)
     others = allowed - taken or set(range(os.cpu_count() or 1)) - taken
     if not others or others == allowed:
         return Moved(before, before)
@@ -85,7 +85,7 @@ def _planned(number: str, moved: Moved | None, taken: set[int]) -> Moved:
 
 def _same(one: str, other: str) -> bool:
     """Return whether two lists name the same cores."""
-    return cores._cores_of(one) == cores._cores_of(other)
+    return cores.cores_of(one) == cores.cores_of(other)
 
 
 @contextlib.contextmanager
@@ -106,8 +106,8 @@ def _read(descriptor: int) -> dict[str, Moved]:
         content = json.loads(os.pread(descriptor, _MOST_BYTES, 0))
         moved = {number: Moved(*lists) for number, lists in content.items()}
         for one in moved.values():
-            cores._cores_of(one.before)
-            cores._cores_of(one.after)
+            cores.cores_of(one.before)
+            cores.cores_of(one.after)
         return moved
     except (ValueError, TypeError, AttributeError):
         return {}

@@ -12,7 +12,6 @@ served where its packets are sent, so they leave the core together with the thre
 import contextlib
 import os
 import socket
-from collections.abc import Iterator
 from pathlib import Path
 
 # loop.cpu of a scenario: the bench claims a core, or the loop runs on any
@@ -162,8 +161,8 @@ def interrupts_on(core: int) -> list[str]:
     for folder in sorted(_INTERRUPTS.glob("[0-9]*"), key=lambda folder: int(folder.name)):
         with contextlib.suppress(OSError, ValueError):
             in_use = any(path.is_dir() for path in folder.iterdir())
-            allowed = _cores_of((folder / "smp_affinity_list").read_text())
-            served = _cores_of((folder / "effective_affinity_list").read_text())
+            allowed = cores_of((folder / "smp_affinity_list").read_text())
+            served = cores_of((folder / "effective_affinity_list").read_text())
             if in_use and core in allowed & served:
                 found.append(folder.name)
     return found
@@ -191,29 +190,7 @@ def _interrupts_served() -> dict[int, int]:
     return served
 
 
-@contextlib.contextmanager
-def without_interrupts(core: int) -> Iterator[list[str]]:
-    """Keep interrupts of devices off a core inside the block; yield those that stay on it."""
-    moved = {}
-    stay = []
-    for number in interrupts_on(core):
-        path = _INTERRUPTS / number / "smp_affinity_list"
-        try:
-            before = path.read_text().strip()
-            others = _cores_of(before) - {core} or set(range(os.cpu_count() or 1)) - {core}
-            path.write_text(",".join(map(str, sorted(others))))
-            moved[path] = before
-        except (OSError, ValueError):
-            stay.append(number)
-    try:
-        yield stay
-    finally:
-        for path, before in moved.items():
-            with contextlib.suppress(OSError):
-                path.write_text(before)
-
-
-def _cores_of(text: str) -> set[int]:
+def cores_of(text: str) -> set[int]:
     """Return the cores of a list of the kernel, as in "0-3,7". Raises ValueError."""
     found: set[int] = set()
     for part in text.strip().split(","):
