@@ -135,22 +135,28 @@ class _Together:
         if not placed:
             return
         stops = record_type.table(records)
-        state = views(self._buffer, self._kind.axles * len(placed))
-        clocks = self._clocks[: len(placed)]
         while placed:
-            ticks_in_lanes.run_ticks(stops, state, clocks, _MOST_STEPS)
+            state = views(self._buffer, self._kind.axles * len(placed))
+            ticks_in_lanes.run_ticks(stops, state, self._clocks[: len(placed)], _MOST_STEPS)
             for rig, (tag, stop) in list(placed.items()):
                 if not stop.data.control[DONE]:
                     continue
                 recorded = stop.data.ring_rows[: int(stop.data.ring_header[WRITTEN])]
                 yield tag, stop, recorded.T.copy()
                 following = next(waiting, None)
-                if following is None:
-                    del placed[rig]
-                else:
+                if following is not None:
                     tag, plan, unit = following
                     placed[rig] = tag, self._place(rig, plan, unit)
                     record_type.write(stops, rig, self._record(placed[rig][1]))
+                else:
+                    del placed[rig]
+            # fewer stops than places: those in the last places move up
+            empty = [rig for rig in range(len(placed)) if rig not in placed]
+            for rig in empty:
+                last = max(placed)
+                placed[rig] = placed.pop(last)
+                self._move(last, rig, placed[rig][1], stops)
+            stops = record_type.first(stops, len(placed))
 
     def _place(self, rig: int, plan: Scenario, unit: free.Unit) -> free.Stop:
         """Give a place to a stop that has not begun."""
@@ -164,6 +170,17 @@ class _Together:
             ring_rows=np.empty((free.most_samples(plan), self._kept.size)),
         )
         return free.Stop(plan, data, unit)
+
+    def _move(self, before: int, rig: int, stop: free.Stop, stops: record_type.Table) -> None:
+        """Give another place to a stop that has begun."""
+        state = views(self._buffer, self._kind.axles, rig)
+        for old, new in zip(stop.data.state, state, strict=True):
+            if old is not None:
+                new[:] = old
+        gather = tick.gather(self._kind, rig=rig)
+        stop.data = stop.data._replace(state=state, roller_state=state, gather=gather)
+        self._clocks[rig] = self._clocks[before]
+        record_type.write(stops, rig, stops.records[before]._replace(m=stop.data))
 
     def _record(self, stop: free.Stop) -> ticks_in_lanes.Stop:
         """Return a stop as the ticks need it."""

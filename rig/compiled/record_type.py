@@ -196,6 +196,11 @@ def write(table: Table, number: int, record: Any) -> None:
     _store(record, table.memory[number])
 
 
+def first(table: Table, records: int) -> Table:
+    """Return the table of the first so many records of a table."""
+    return Table(table.memory[:records], table.records[:records])
+
+
 class TableOf(types.Type):
     """The type of a table in compiled code."""
 
