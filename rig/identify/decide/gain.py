@@ -76,7 +76,7 @@ class Gain(NamedTuple):
 def predicted(i: Inputs, at: slice, omega: np.ndarray, p: np.ndarray, step_s: float) -> np.ndarray:
     """Return (sliding in m/s, adhesion) of one wheel along its speed `omega`, shape (2, n)."""
     sliding = i.speed_m_s[at] - p[parameters.RADIUS] * omega
-    adhesion_of_law, _ = sensitivity.replay_law(
+    adhesion_of_law, *_ = sensitivity.replay_law(
         sliding,
         i.speed_m_s[at],
         i.load_N[at],

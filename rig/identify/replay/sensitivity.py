@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import exprel
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_with_memory
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.parameters import wheel_model
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.replay import lanes, memory_replay, replay
+from rollerrig.rig.identify.replay import lanes, replay, wheel
 
 # A change of the wheel's acceleration is known for a change of the logarithm of each of these; the
 # last one is the irregularity m.
@@ -53,6 +54,15 @@ class LinearisedReplay(NamedTuple):
     acceleration_rad_s2: np.ndarray
     vehicle_nu: np.ndarray  # innovations of the vehicles
     vehicle_variance: np.ndarray
+
+
+class _Job(NamedTuple):
+    """A run to replay under inputs."""
+
+    has_memory: bool
+    samples: int
+    run: int
+    inputs: int  # number among several
 
 
 class Inputs(NamedTuple):
@@ -213,7 +223,7 @@ def _linearise_wheel(
     nu, variance, field = replayed
     r = row[parameters.RADIUS]
     inertia = row[parameters.INERTIA]
-    h = 0.5 * design.step_s
+    h = design.step_s / replay.SUBSTEPS
 
     # the filter after each sample
     p00 = np.maximum(variance - row[parameters.SPEED_NOISE] ** 2, 0.0)
@@ -224,7 +234,7 @@ def _linearise_wheel(
     friction = inputs.friction[:, at]
     sliding = v - r * omega
     lagging = np.zeros(v.size + 1)
-    f, slope = replay_law(sliding, v, load_N, friction, row, design.step_s, lagging, True)
+    f, slope, _, _ = replay_law(sliding, v, load_N, friction, row, design.step_s, lagging, True)
     force = r * load_N * np.exp(field) / inertia  # acceleration for an adhesion of 1
     path[0] = sliding
     path[1] = f * 0.5 * load_N * sliding / v
@@ -232,12 +242,10 @@ def _linearise_wheel(
 
     # two substeps of the filter, as in `replay.predict`
     error_rate_1_s = -r * slope * force  # d (domega/dt) / d omega
-    x = np.minimum(error_rate_1_s * h, replay.LARGEST_EXPONENT)
+    x = np.minimum(error_rate_1_s * h, wheel.LARGEST_EXPONENT)
     growth = np.exp(x)
     keep = np.exp(-v * h / row[parameters.IRREGULARITY_LENGTH])
-    large = np.abs(x) > replay.SMALLEST_EXPONENT
-    divisor = np.where(large, x, 1.0)
-    mean_growth = np.where(large, np.expm1(divisor) / divisor, 1.0 + 0.5 * x)
+    mean_growth = exprel(x)
     of_irregularity = h * mean_growth * force * f
     coefficients[:, F00] = growth * growth
     coefficients[:, F01] = of_irregularity * (growth + keep)
@@ -265,23 +273,25 @@ def replay_law(
     load: np.ndarray,
     friction: np.ndarray,
     row: np.ndarray,
-    step_s: float,
-    lagging: np.ndarray,
-    follow: bool,
+    step_s: float = 0.0,
+    lagging: np.ndarray | None = None,
+    follow: bool = False,
 ) -> np.ndarray:
-    """Return (f, df/dsliding) of one wheel along a path, shape (2, n).
+    """Return (f, df/dsliding, f_d, f_r) of one wheel along a path, shape (4, n).
 
-    `lagging` (n + 1,) is lambda before each sample; with `follow` it is written.
+    Where recovery has a memory, `lagging` (n + 1,) is lambda before each sample; with `follow` it
+    is written.
     """
-    out = np.empty((2, sliding.size))
-    friction = np.ascontiguousarray(friction)
-    has_memory = row[parameters.MEMORY] > 0.0
-    if not has_memory:
-        cells = np.empty(lanes.PATH_CELLS)
-        lanes.adhesion_along(sliding, speed, load, friction, row, cells, out)
+    path = np.array([sliding, speed, load, *friction])
+    out = np.empty((lanes.PATH_RESULTS, sliding.size))
+    if row[parameters.MEMORY] > 0.0:
+        lanes.lagging_adhesion_along(path, row, step_s, lagging, follow, out)
+        return out
+    cells = np.empty(lanes.PATH_CELLS)
+    lanes.adhesion_along(path, row, None, cells, out)
     # the vector code gives NaN where recovered adhesion is below degraded
-    if has_memory or not np.all(np.isfinite(out)):
-        replay.adhesion_along(sliding, speed, load, friction, row, step_s, lagging, follow, out)
+    if not np.all(np.isfinite(out)):
+        lanes.adhesion_along(path, row, True, cells, out)
     return out
 
 
@@ -304,54 +314,48 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
     runs = range(design.mass_kg.size)
     axles = design.axles
     starts = [design.start[run * axles : (run + 1) * axles + 1] for run in runs]
-    models = [[i.parameters[run * axles : (run + 1) * axles] for run in runs] for i in several]
     out = np.empty((len(several), 3, design.measured_rad_s.size))
     cells = np.empty(lanes.CELLS)
 
-    # Two runs are replayed simultaneously, the longest first: a pair takes as long as its longer
-    # run. The last one of an odd number is replayed together with itself.
-    jobs = sorted(
-        np.ndindex(len(several), len(starts)),
-        key=lambda job: int(starts[job[1]][0] - starts[job[1]][1]),
-    )
-    firsts = jobs[::2]
-    seconds = jobs[1::2]
-    if len(jobs) % 2:
-        seconds.append(jobs[-1])
-    for (k, run), (m, other) in zip(firsts, seconds, strict=True):
+    def replay_pair(first: _Job, second: _Job, exact: bool | None) -> None:
+        """Write the replays of two runs."""
+        models = [
+            several[job.inputs].parameters[job.run * axles : (job.run + 1) * axles]
+            for job in (first, second)
+        ]
         lanes.replay_runs(
-            starts[run],
-            starts[other],
+            starts[first.run],
+            starts[second.run],
             design.measured_rad_s,
-            stacked[k],
-            stacked[m],
-            np.concatenate([models[k][run], models[m][other]]),
+            stacked[first.inputs],
+            stacked[second.inputs],
+            np.concatenate(models),
             design.step_s,
+            first.has_memory or None,
+            exact,
             cells,
-            out[k],
-            out[m],
+            out[first.inputs],
+            out[second.inputs],
         )
 
-    # what the vector code cannot compute is NaN
-    for k, run in jobs:
-        samples = slice(int(starts[run][0]), int(starts[run][-1]))
-        if np.all(np.isfinite(out[k, 0, samples])):
-            continue
-        inputs = several[k]
-        nu, variance, field = out[k]
-        memory_replay.replay_wheels(
-            starts[run],
-            design.measured_rad_s,
-            inputs.torque_Nm,
-            inputs.load_N,
-            inputs.speed_m_s,
-            inputs.friction,
-            models[k][run],
-            design.step_s,
-            nu,
-            variance,
-            field,
-        )
+    def is_finite(job: _Job) -> bool:
+        """Return whether the vector code could compute a run."""
+        run = starts[job.run]
+        return bool(np.all(np.isfinite(out[job.inputs, 0, run[0] : run[-1]])))
+
+    # Two runs of models with the same states are replayed simultaneously, the longest first: a pair
+    # takes as long as its longer run. The last one of an odd number is replayed with itself.
+    jobs = [
+        _Job(bool(i.parameters[0, parameters.MEMORY] > 0.0), int(np.ptp(starts[run])), run, number)
+        for number, i in enumerate(several)
+        for run in runs
+    ]
+    for has_memory in (False, True):
+        alike = sorted((job for job in jobs if job.has_memory == has_memory), reverse=True)
+        for first, second in zip(alike[::2], alike[1::2] + alike[-1:], strict=False):
+            replay_pair(first, second, None)
+            if not (is_finite(first) and is_finite(second)):
+                replay_pair(first, second, True)
     return out
 
 
