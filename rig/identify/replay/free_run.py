@@ -85,7 +85,7 @@ def drive(stop, memory, exact, cells, motion):
     h = stop.step_s / SUBSTEPS
     v = stop.inputs[0, 0, 0]
     x = 0.0
-    lanes.store_models(stop.parameters, cells)
+    lanes.store_models(stop.parameters, 0, cells)
     _start(stop, 0, cells)
     for j in range(wheelsets):
         cells[FEEDBACK + j] = 0.0

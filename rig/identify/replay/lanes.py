@@ -13,6 +13,9 @@ arrays or rows overlap, and such a check would prevent the vector instructions.
 """
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
@@ -89,51 +92,73 @@ lane_model = tuple_builder(
 
 
 @kernel_inlined
-def store_models(parameters, cells):
-    """Write rows of parameters, one for each lane from the first on, for `lane_model`."""
+def store_models(parameters, first_lane, cells):
+    """Write rows of parameters, one for each lane from `first_lane` on, for `lane_model`."""
     for i in range(PARAMETERS):
         for j in range(len(parameters)):
-            cells[MODEL + MOST_LANES * i + j] = parameters[j, i]
+            cells[MODEL + MOST_LANES * i + first_lane + j] = parameters[j, i]
 
 
 # --- the replay of two runs ---
 
 
+class Run(NamedTuple):
+    """A run to replay."""
+
+    start: (
+        np.ndarray
+    )  # (wheelsets + 1,), where wheelsets begin in flat arrays, and the last one ends
+    measured_rad_s: np.ndarray  # (n,), wheel speeds
+    inputs: np.ndarray  # (INPUTS, n)
+    parameters: np.ndarray  # (wheelsets, PARAMETERS)
+    out: np.ndarray  # (3, n), written: innovation, its variance, filtered irregularity
+
+
 @kernel_inlined
-def _store_measured(start, measured, k, first_lane, cells):
+def _begin(run, first_lane, cells):
+    """Write the parameters of a run's wheelsets, and the state of their filters."""
+    store_models(run.parameters, first_lane, cells)
+    for j in range(len(run.parameters)):
+        lane = first_lane + j
+        measured_rad_s = run.measured_rad_s[run.start[j]]
+        store_state(cells, lane, replay.initial_state(measured_rad_s, lane_model(cells, lane)))
+
+
+@kernel_inlined
+def _store_measured(run, k, first_lane, cells):
     """Write the measured speeds of a run's wheelsets at sample k; after its end the last ones."""
-    at = min(k, start[1] - start[0] - 1)
-    for j in range(len(start) - 1):
-        cells[MEASURED + first_lane + j] = measured[start[j] + at]
+    at = min(k, run.start[1] - run.start[0] - 1)
+    for j in range(len(run.parameters)):
+        cells[MEASURED + first_lane + j] = run.measured_rad_s[run.start[j] + at]
 
 
 @kernel_inlined
-def _store_inputs(start, inputs, k, w, first_lane, cells):
+def _store_inputs(run, k, w, first_lane, cells):
     """Write the inputs of a run's wheelsets, a share `w` of the way from sample k to the next.
 
     After the end of its run a wheelset keeps the inputs of the last sample.
     """
-    last = start[1] - start[0] - 1
+    last = run.start[1] - run.start[0] - 1
     before = min(k, last)
     after = min(k + 1, last)
     for q in range(INPUTS):
         first = SPEED + MOST_LANES * q + first_lane
-        for j in range(len(start) - 1):
-            value_before = inputs[q, start[j] + before]
-            value_after = inputs[q, start[j] + after]
+        for j in range(len(run.parameters)):
+            value_before = run.inputs[q, run.start[j] + before]
+            value_after = run.inputs[q, run.start[j] + after]
             cells[first + j] = (1.0 - w) * value_before + w * value_after
 
 
 @kernel_inlined
-def _write_results(start, k, first_lane, cells, out):
+def _write_results(run, k, first_lane, cells):
     """Write innovation, variance and irregularity of a run's wheelsets, up to the run's end."""
-    if k < start[1] - start[0]:
-        for j in range(len(start) - 1):
-            at = start[j] + k
+    if k < run.start[1] - run.start[0]:
+        for j in range(len(run.parameters)):
+            at = run.start[j] + k
             lane = first_lane + j
-            out[0, at] = cells[INNOVATION + lane]
-            out[1, at] = cells[VARIANCE + lane]
-            out[2, at] = cells[M + lane]
+            run.out[0, at] = cells[INNOVATION + lane]
+            run.out[1, at] = cells[VARIANCE + lane]
+            run.out[2, at] = cells[M + lane]
 
 
 @kernel_inlined
@@ -156,35 +181,19 @@ def _predicted(j, cells, step_s, memory, exact):
 
 
 @kernel
-def replay_runs(
-    start, other, measured, inputs, others, parameters, step_s, memory, exact, cells, out, out_other
-):
-    """Write the innovations of the wheelsets of two runs, or of the same run twice.
+def replay_runs(run, other, step_s, memory, exact, cells):
+    """Replay the wheelsets of two runs, or of the same run twice.
 
-    Parameters
-    ----------
-    start, other : (wheelsets + 1,), where the wheelsets of a run begin in the flat arrays, and
-        where the last one ends
-    measured : (n,), wheel speeds in rad/s
-    inputs, others : (INPUTS, n), inputs of the two runs
-    parameters : (2 wheelsets, PARAMETERS), those of both runs
-    step_s : time of a sample
-    memory : None if recovery has no memory in these runs
-    exact : None for vector mathematics
-    cells : (CELLS,), work space
-    out, out_other : (3, n), written: innovation, its variance, filtered irregularity
+    `step_s` is the time of a sample. `memory` is None if recovery has no memory in both runs,
+    `exact` is None for vector mathematics. `cells` (CELLS,) is work space.
     """
-    store_models(parameters, cells)
-    wheelsets = len(start) - 1
-    _store_measured(start, measured, 0, 0, cells)
-    _store_measured(other, measured, 0, wheelsets, cells)
-    for j in range(2 * wheelsets):
-        store_state(cells, j, replay.initial_state(cells[MEASURED + j], lane_model(cells, j)))
-
-    samples = max(start[1] - start[0], other[1] - other[0])
+    wheelsets = len(run.parameters)
+    _begin(run, 0, cells)
+    _begin(other, wheelsets, cells)
+    samples = max(run.start[1] - run.start[0], other.start[1] - other.start[0])
     for k in range(samples):
-        _store_measured(start, measured, k, 0, cells)
-        _store_measured(other, measured, k, wheelsets, cells)
+        _store_measured(run, k, 0, cells)
+        _store_measured(other, k, wheelsets, cells)
         for j in range(2 * wheelsets):
             innovation, variance, state = replay.correct(
                 cells[MEASURED + j], load_state(cells, j), lane_model(cells, j)
@@ -192,15 +201,15 @@ def replay_runs(
             cells[INNOVATION + j] = innovation
             cells[VARIANCE + j] = variance
             store_state(cells, j, state)
-        _write_results(start, k, 0, cells, out)
-        _write_results(other, k, wheelsets, cells, out_other)
+        _write_results(run, k, 0, cells)
+        _write_results(other, k, wheelsets, cells)
         if k + 1 == samples:
             break
 
         for i in range(replay.SUBSTEPS):
             w = (i + 0.5) / replay.SUBSTEPS  # the middle of the substep, between the two samples
-            _store_inputs(start, inputs, k, w, 0, cells)
-            _store_inputs(other, others, k, w, wheelsets, cells)
+            _store_inputs(run, k, w, 0, cells)
+            _store_inputs(other, k, w, wheelsets, cells)
             for j in range(2 * wheelsets):
                 store_state(cells, j, _predicted(j, cells, step_s, memory, exact))
 

@@ -56,15 +56,6 @@ class LinearisedReplay(NamedTuple):
     vehicle_variance: np.ndarray
 
 
-class _Job(NamedTuple):
-    """A run to replay under inputs."""
-
-    has_memory: bool
-    samples: int
-    run: int
-    inputs: int  # number among several
-
-
 class Inputs(NamedTuple):
     """The inputs of a replay, as causes have changed them."""
 
@@ -162,65 +153,41 @@ def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> Linearised
     `changed` (segments, changes, PARAMETERS) are parameters of which one is larger by STEP.
     """
     n = design.measured_rad_s.size
-    wheels = replay_wheels(design, inputs)
-    coefficients = np.empty((n, _COEFFICIENTS))
-    rates = np.empty((len(RATES), n))
-    path = np.empty((3, n))
-    constants = np.empty((changed.shape[1], n))
-    for s in range(design.segments):
-        at = design.span(s)
-        _linearise_wheel(
-            design,
-            inputs,
-            s,
-            changed[s],
-            wheels[:, at],
-            coefficients[at],
-            rates[:, at],
-            constants[:, at],
-            path[:, at],
-        )
-        second_gain(
-            wheels[1, at],
-            coefficients[at],
-            inputs.parameters[s],
-        )
-    nu, variance, field = wheels
-    sliding_m_s, energy_J_m, acceleration_rad_s2 = path
+    nu, variance, field = replay_wheels(design, inputs)
     vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
-    return LinearisedReplay(
+    linear = LinearisedReplay(
         nu=nu,
         variance=variance,
         field=field,
-        coefficients=coefficients,
-        rates=rates,
-        constants=constants,
-        sliding_m_s=sliding_m_s,
-        energy_J_m=energy_J_m,
-        acceleration_rad_s2=acceleration_rad_s2,
+        coefficients=np.empty((n, _COEFFICIENTS)),
+        rates=np.empty((len(RATES), n)),
+        constants=np.empty((changed.shape[1], n)),
+        sliding_m_s=np.empty(n),
+        energy_J_m=np.empty(n),
+        acceleration_rad_s2=np.empty(n),
         vehicle_nu=vehicle_nu,
         vehicle_variance=vehicle_variance,
     )
+    for s in range(design.segments):
+        _linearise_wheel(design, inputs, s, changed[s], linear)
+        at = design.span(s)
+        second_gain(variance[at], linear.coefficients[at], inputs.parameters[s])
+    return linear
 
 
 def _linearise_wheel(
-    design: Design,
-    inputs: Inputs,
-    s: int,
-    changed: np.ndarray,
-    replayed: np.ndarray,
-    coefficients: np.ndarray,
-    rates: np.ndarray,
-    constants: np.ndarray,
-    path: np.ndarray,
+    design: Design, inputs: Inputs, s: int, changed: np.ndarray, linear: LinearisedReplay
 ) -> None:
-    """Write [S1] of one wheelset along the filtered path to the last four arguments.
+    """Write [S1] of the segment s along the filtered path.
 
-    `changed` (changes, PARAMETERS) and `replayed` (3, n) are those of the segment s.
+    `changed` (changes, PARAMETERS) are the changed parameters of this segment.
     """
     at = design.span(s)
     row = inputs.parameters[s]
-    nu, variance, field = replayed
+    nu = linear.nu[at]
+    variance = linear.variance[at]
+    rates = linear.rates[:, at]
+    coefficients = linear.coefficients[at]
     r = row[parameters.RADIUS]
     inertia = row[parameters.INERTIA]
     h = design.step_s / replay.SUBSTEPS
@@ -235,10 +202,10 @@ def _linearise_wheel(
     sliding = v - r * omega
     lagging = np.zeros(v.size + 1)
     f, slope, _, _ = replay_law(sliding, v, load_N, friction, row, design.step_s, lagging, True)
-    force = r * load_N * np.exp(field) / inertia  # acceleration for an adhesion of 1
-    path[0] = sliding
-    path[1] = f * 0.5 * load_N * sliding / v
-    path[2] = force * f - inputs.torque_Nm[at] / inertia
+    force = r * load_N * np.exp(linear.field[at]) / inertia  # acceleration for an adhesion of 1
+    linear.sliding_m_s[at] = sliding
+    linear.energy_J_m[at] = f * 0.5 * load_N * sliding / v
+    linear.acceleration_rad_s2[at] = force * f - inputs.torque_Nm[at] / inertia
 
     # two substeps of the filter, as in `replay.predict`
     error_rate_1_s = -r * slope * force  # d (domega/dt) / d omega
@@ -264,7 +231,7 @@ def _linearise_wheel(
     rates[2] = force * f + error_rate_1_s * omega
     rates[3] = force * f
     for i, other_row in enumerate(changed):
-        constants[i] = force * (adhesion_with(load_N, friction, other_row) - f) / STEP
+        linear.constants[i, at] = force * (adhesion_with(load_N, friction, other_row) - f) / STEP
 
 
 def replay_law(
@@ -307,56 +274,46 @@ def replay_wheels(design: Design, inputs: Inputs) -> np.ndarray:
 
 def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
     """Return the replays of all wheels under each of several inputs, shape (inputs, 3, n)."""
-    stacked = [
-        np.array([i.speed_m_s, i.load_N, i.torque_Nm, i.friction[0], i.friction[1]])
-        for i in several
-    ]
-    runs = range(design.mass_kg.size)
     axles = design.axles
-    starts = [design.start[run * axles : (run + 1) * axles + 1] for run in runs]
     out = np.empty((len(several), 3, design.measured_rad_s.size))
-    cells = np.empty(lanes.CELLS)
-
-    def replay_pair(first: _Job, second: _Job, exact: bool | None) -> None:
-        """Write the replays of two runs."""
-        models = [
-            several[job.inputs].parameters[job.run * axles : (job.run + 1) * axles]
-            for job in (first, second)
-        ]
-        lanes.replay_runs(
-            starts[first.run],
-            starts[second.run],
-            design.measured_rad_s,
-            stacked[first.inputs],
-            stacked[second.inputs],
-            np.concatenate(models),
-            design.step_s,
-            first.has_memory or None,
-            exact,
-            cells,
-            out[first.inputs],
-            out[second.inputs],
-        )
-
-    def is_finite(job: _Job) -> bool:
-        """Return whether the vector code could compute a run."""
-        run = starts[job.run]
-        return bool(np.all(np.isfinite(out[job.inputs, 0, run[0] : run[-1]])))
-
-    # Two runs of models with the same states are replayed simultaneously, the longest first: a pair
-    # takes as long as its longer run. The last one of an odd number is replayed with itself.
-    jobs = [
-        _Job(bool(i.parameters[0, parameters.MEMORY] > 0.0), int(np.ptp(starts[run])), run, number)
-        for number, i in enumerate(several)
-        for run in runs
-    ]
-    for has_memory in (False, True):
-        alike = sorted((job for job in jobs if job.has_memory == has_memory), reverse=True)
-        for first, second in zip(alike[::2], alike[1::2] + alike[-1:], strict=False):
-            replay_pair(first, second, None)
-            if not (is_finite(first) and is_finite(second)):
-                replay_pair(first, second, True)
+    without_memory = []
+    with_memory = []
+    for i, out_of_inputs in zip(several, out, strict=True):
+        stacked = np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction])
+        has_memory = bool(np.any(i.parameters[:, parameters.MEMORY] > 0.0))
+        for first in range(0, design.segments, axles):
+            run = lanes.Run(
+                start=design.start[first : first + axles + 1],
+                measured_rad_s=design.measured_rad_s,
+                inputs=stacked,
+                parameters=i.parameters[first : first + axles],
+                out=out_of_inputs,
+            )
+            (with_memory if has_memory else without_memory).append(run)
+    _replay_pairs(without_memory, design.step_s, None)
+    _replay_pairs(with_memory, design.step_s, True)
     return out
+
+
+def _replay_pairs(runs: list[lanes.Run], step_s: float, memory: bool | None) -> None:
+    """Replay runs whose models have the same states; `memory` as for `lanes.replay_runs`.
+
+    Two runs are replayed simultaneously, the longest first: a pair takes as long as its longer run.
+    The last one of an odd number is replayed together with itself.
+    """
+    cells = np.empty(lanes.CELLS)
+    longest_first = sorted(runs, key=lambda run: int(run.start[0] - run.start[-1]))
+    seconds = longest_first[1::2] + longest_first[-1:]
+    for run, other in zip(longest_first[::2], seconds, strict=False):
+        lanes.replay_runs(run, other, step_s, memory, None, cells)
+        # what the vector code cannot compute is NaN
+        if not (_is_finite(run) and _is_finite(other)):
+            lanes.replay_runs(run, other, step_s, memory, True, cells)
+
+
+def _is_finite(run: lanes.Run) -> bool:
+    """Return whether the innovations of a run are finite."""
+    return bool(np.all(np.isfinite(run.out[0, run.start[0] : run.start[-1]])))
 
 
 def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:

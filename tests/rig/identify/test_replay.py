@@ -82,20 +82,9 @@ def replayed_alone(design: preparation.Design, i: sensitivity.Inputs) -> np.ndar
     inputs = np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction])
     for s, row in enumerate(i.parameters):
         start = design.start[s : s + 2]
-        lanes.replay_runs(
-            start,
-            start,
-            design.measured_rad_s,
-            inputs,
-            inputs,
-            np.array([row, row]),
-            design.step_s,
-            bool(row[parameters.MEMORY] > 0.0) or None,
-            True,
-            cells,
-            out,
-            out,
-        )
+        run = lanes.Run(start, design.measured_rad_s, inputs, row[np.newaxis], out)
+        memory = bool(row[parameters.MEMORY] > 0.0) or None
+        lanes.replay_runs(run, run, design.step_s, memory, True, cells)
     return out
 
 
