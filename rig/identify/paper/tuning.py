@@ -124,12 +124,6 @@ def collect(design: Design, law: Law) -> Samples:
     axle = np.repeat(design.axle, samples_of_segment)
 
     creepage = design.sliding_m_s / design.speed_m_s
-    cleaning_shares = np.array(
-        [
-            adhesion.cleaning_share(sliding, speed, law)[0]
-            for sliding, speed in zip(design.sliding_m_s, design.speed_m_s, strict=True)
-        ]
-    )
     every = max(1, round(THINNED_TO_S / design.step_s))
     keep = (
         (number_in_segment % every == 0)
@@ -137,15 +131,21 @@ def collect(design: Design, law: Law) -> Samples:
         & (design.speed_m_s > LEAST_SPEED_M_S)
         & (creepage < MOST_CREEPAGE)
     )
+    sliding_m_s = design.sliding_m_s[keep]
+    speed_m_s = design.speed_m_s[keep]
+    cleaning_shares = [
+        adhesion.cleaning_share(sliding, speed, law)[0]
+        for sliding, speed in zip(sliding_m_s, speed_m_s, strict=True)
+    ]
     return Samples(
         run=run[keep],
         axle=axle[keep],
         time_s=design.time_s[keep],
-        sliding_m_s=design.sliding_m_s[keep],
-        speed_m_s=design.speed_m_s[keep],
+        sliding_m_s=sliding_m_s,
+        speed_m_s=speed_m_s,
         load_N=design.load_N[keep],
         adhesion=design.adhesion[keep],
-        creepage=(creepage * cleaning_shares)[keep],
+        creepage=creepage[keep] * np.array(cleaning_shares),
     )
 
 

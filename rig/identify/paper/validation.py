@@ -80,6 +80,7 @@ def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Ver
             "that shall be judged"
         )
     design = prepare(data, runs)
+    samples = tuning.collect(design, Law(*design.base[LAW]))
     verdicts = []
     for index, run in enumerate(runs):
         measured_m_s = design.speed_m_s[design.span(index * design.axles)]
@@ -100,8 +101,8 @@ def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Ver
                 measured_m_s,
                 sliding_m_s,
             ),
-            "new": _simulate(design, index, length, tau_m_J, run.mu_cd),
-            "classic": _simulate(design, index, length, 0.0, run.mu_cd),
+            "new": _simulate(design, samples, index, length, tau_m_J, run.mu_cd),
+            "classic": _simulate(design, samples, index, length, 0.0, run.mu_cd),
         }
         verdicts.append(
             Verdict(
@@ -117,13 +118,17 @@ def validate(data: Dataset, tau_m_J: float, group: str = "validate") -> list[Ver
 
 
 def _simulate(
-    design: Design, run: int, length: int, tau_m_J: float, stated_mu_cd: float | None
+    design: Design,
+    samples: tuning.Samples,
+    run: int,
+    length: int,
+    tau_m_J: float,
+    stated_mu_cd: float | None,
 ) -> _Simulated:
-    """Run one model free on the first samples of a run."""
-    all_samples = tuning.collect(design, Law(*design.base[LAW]))
-    samples = tuning.Samples(*(column[all_samples.run == run] for column in all_samples))
-    samples = samples._replace(run=np.zeros_like(samples.run))
-    mu_cd, rmse = tuning.contaminant(samples, design.base, stated_mu_cd, tau_m_J)
+    """Run one model free on the first samples of a run; `samples` are those of all runs."""
+    of_this = tuning.Samples(*(column[samples.run == run] for column in samples))
+    of_this = of_this._replace(run=np.zeros_like(of_this.run))
+    mu_cd, rmse = tuning.contaminant(of_this, design.base, stated_mu_cd, tau_m_J)
 
     def of_run(flat: np.ndarray) -> np.ndarray:
         return design.by_axle(flat, run)[:length]
