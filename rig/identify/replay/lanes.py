@@ -13,6 +13,7 @@ arrays or rows overlap, and such a check would prevent the vector instructions.
 """
 
 import math
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -38,31 +39,26 @@ def _not_a_number(_):
     return math.nan
 
 
+# compiles a formula with vector mathematics, and with other functions under some names
+_vector = partial(variant, math=MATH)
 _polach = module_variant(
     polach,
-    curve=variant(
-        polach.curve,
-        shape=variant(polach.shape, math=MATH),
-        friction=variant(polach.friction, math=MATH),
-    ),
+    curve=_vector(polach.curve, shape=_vector(polach.shape), friction=_vector(polach.friction)),
 )
-_recovery = variant(adhesion.recovery, math=MATH, lambert_w0=_not_a_number)
 _adhesion = module_variant(
     adhesion,
-    curves=variant(adhesion.curves, math=MATH, polach=_polach),
-    f_and_lambda=variant(adhesion.f_and_lambda, math=MATH, recovery=_recovery),
-    lag_rate_1_s=variant(adhesion.lag_rate_1_s, math=MATH),
+    curves=_vector(adhesion.curves, polach=_polach),
+    f_and_lambda=_vector(
+        adhesion.f_and_lambda, recovery=_vector(adhesion.recovery, lambert_w0=_not_a_number)
+    ),
+    lag_rate_1_s=_vector(adhesion.lag_rate_1_s),
 )
-matrix_step = variant(wheel.matrix_step, math=MATH)
-wheel_adhesion = variant(wheel.wheel_adhesion, adhesion=_adhesion)
-wheel_step = variant(
-    wheel.wheel_step,
-    math=MATH,
-    adhesion=_adhesion,
-    wheel_adhesion=wheel_adhesion,
-    matrix_step=matrix_step,
+matrix_step = _vector(wheel.matrix_step)
+wheel_adhesion = _vector(wheel.wheel_adhesion, adhesion=_adhesion)
+wheel_step = _vector(
+    wheel.wheel_step, adhesion=_adhesion, wheel_adhesion=wheel_adhesion, matrix_step=matrix_step
 )
-_predict = variant(replay.predict, math=MATH, wheel=module_variant(wheel, wheel_step=wheel_step))
+_predict = _vector(replay.predict, wheel=module_variant(wheel, wheel_step=wheel_step))
 
 
 # --- the cells: rows of MOST_LANES numbers ---
