@@ -165,10 +165,9 @@ def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, base: np.ndarray) -
     row = base.copy()
     row[TAU] = tau_m_J
     row[MU_CD] = 1.0
-    friction = np.array([mu_cd[s.run], np.ones(s.run.size)])
-    f, _, degraded, recovered = sensitivity.replay_law(
-        s.sliding_m_s, s.speed_m_s, s.load_N, friction, row
-    )
+    # the factor of the degraded friction is then mu_cd
+    path = np.array([s.sliding_m_s, s.speed_m_s, s.load_N, mu_cd[s.run], np.ones(s.run.size)])
+    f, _, degraded, recovered = sensitivity.replay_law(path, row)
     return Predicted(f, degraded, recovered)
 
 

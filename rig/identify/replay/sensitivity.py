@@ -198,10 +198,10 @@ def _linearise_wheel(
     omega = design.measured_rad_s[at] - nu + g0 * nu
     v = inputs.speed_m_s[at]
     load_N = inputs.load_N[at]
-    friction = inputs.friction[:, at]
     sliding = v - r * omega
+    path = np.array([sliding, v, load_N, *inputs.friction[:, at]])
     lagging = np.zeros(v.size + 1)
-    f, slope, _, _ = replay_law(sliding, v, load_N, friction, row, design.step_s, lagging, True)
+    f, slope, _, _ = replay_law(path, row, design.step_s, lagging, follow=True)
     force = r * load_N * np.exp(linear.field[at]) / inertia  # acceleration for an adhesion of 1
     linear.sliding_m_s[at] = sliding
     linear.energy_J_m[at] = f * 0.5 * load_N * sliding / v
@@ -220,25 +220,24 @@ def _linearise_wheel(
     coefficients[:, H] = h * mean_growth * (1.0 + growth)
     coefficients[:, G0] = g0
 
-    def adhesion_with(load: np.ndarray, factors: np.ndarray, model: np.ndarray) -> np.ndarray:
-        """Return f along the same path, with other inputs or parameters."""
-        return replay_law(sliding, v, load, factors, model, design.step_s, lagging, False)[0]
+    def adhesion_with(path: np.ndarray, model: np.ndarray) -> np.ndarray:
+        """Return f along the same sliding, with other inputs or parameters."""
+        return replay_law(path, model, design.step_s, lagging)[0]
 
-    rates[0] = force * (adhesion_with(load_N, friction * math.exp(STEP), row) - f) / STEP
     larger_N = load_N * (1.0 + STEP)
-    rates[1] = force * (adhesion_with(larger_N, friction, row) * larger_N / load_N - f) / STEP
+    with_friction = np.array([*path[:3], *(path[3:] * math.exp(STEP))])
+    with_load = np.array([sliding, v, larger_N, *path[3:]])
+    rates[0] = force * (adhesion_with(with_friction, row) - f) / STEP
+    rates[1] = force * (adhesion_with(with_load, row) * larger_N / load_N - f) / STEP
     # a larger radius is a longer lever, and less sliding
     rates[2] = force * f + error_rate_1_s * omega
     rates[3] = force * f
     for i, other_row in enumerate(changed):
-        linear.constants[i, at] = force * (adhesion_with(load_N, friction, other_row) - f) / STEP
+        linear.constants[i, at] = force * (adhesion_with(path, other_row) - f) / STEP
 
 
 def replay_law(
-    sliding: np.ndarray,
-    speed: np.ndarray,
-    load: np.ndarray,
-    friction: np.ndarray,
+    path: np.ndarray,
     row: np.ndarray,
     step_s: float = 0.0,
     lagging: np.ndarray | None = None,
@@ -246,11 +245,14 @@ def replay_law(
 ) -> np.ndarray:
     """Return (f, df/dsliding, f_d, f_r) of one wheel along a path, shape (4, n).
 
-    Where recovery has a memory, `lagging` (n + 1,) is lambda before each sample; with `follow` it
-    is written.
+    Parameters
+    ----------
+    path : (5, n), sliding and speed in m/s, load of the wheelset in N, factors of both frictions
+    row : (PARAMETERS,), parameters of the wheelset
+    step_s, lagging, follow : where recovery has a memory: time of a sample, lambda before each
+        sample (n + 1,), and whether it is written
     """
-    path = np.array([sliding, speed, load, *friction])
-    out = np.empty((lanes.PATH_RESULTS, sliding.size))
+    out = np.empty((lanes.PATH_RESULTS, path.shape[1]))
     if row[parameters.MEMORY] > 0.0:
         lanes.lagging_adhesion_along(path, row, step_s, lagging, follow, out)
         return out
@@ -276,8 +278,7 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
     """Return the replays of all wheels under each of several inputs, shape (inputs, 3, n)."""
     axles = design.axles
     out = np.empty((len(several), 3, design.measured_rad_s.size))
-    without_memory = []
-    with_memory = []
+    runs: dict[bool, list[lanes.Run]] = {False: [], True: []}  # by whether recovery has a memory
     for i, out_of_inputs in zip(several, out, strict=True):
         stacked = np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction])
         has_memory = bool(np.any(i.parameters[:, parameters.MEMORY] > 0.0))
@@ -289,9 +290,9 @@ def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
                 parameters=i.parameters[first : first + axles],
                 out=out_of_inputs,
             )
-            (with_memory if has_memory else without_memory).append(run)
-    _replay_pairs(without_memory, design.step_s, None)
-    _replay_pairs(with_memory, design.step_s, True)
+            runs[has_memory].append(run)
+    for has_memory, alike in runs.items():
+        _replay_pairs(alike, design.step_s, has_memory or None)
     return out
 
 

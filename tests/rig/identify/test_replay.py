@@ -104,12 +104,11 @@ def test_the_wheelsets_of_two_runs_are_replayed_together_as_one_by_one(
 
     at = design.span(1)
     n = at.stop - at.start
-    sliding_speed_load = (design.sliding_m_s[at], i.speed_m_s[at], i.load_N[at])
-    path = np.array([*sliding_speed_load, *i.friction[:, at]])
-    expected = np.empty((lanes.PATH_RESULTS, n))
-    lanes.adhesion_along(path, i.parameters[1], True, np.empty(lanes.PATH_CELLS), expected)
-    together = sensitivity.replay_law(*sliding_speed_load, i.friction[:, at], i.parameters[1])
-    np.testing.assert_allclose(together, expected, rtol=1e-9, atol=1e-13)
+    path = np.array([design.sliding_m_s[at], i.speed_m_s[at], i.load_N[at], *i.friction[:, at]])
+    exact = np.empty((lanes.PATH_RESULTS, n))
+    lanes.adhesion_along(path, i.parameters[1], True, np.empty(lanes.PATH_CELLS), exact)
+    vectors = sensitivity.replay_law(path, i.parameters[1])
+    np.testing.assert_allclose(vectors, exact, rtol=1e-9, atol=1e-13)
 
 
 @pytest.mark.parametrize("shape", MEMORIES, ids=["over distance", "over time", "of the work done"])
