@@ -35,7 +35,7 @@ def sampled(rig: Rig, values: np.ndarray) -> np.ndarray:
 
 def stop_of(rig: Rig, history: History, memory: dict[str, float]) -> Stop:
     """Return a stop with the torques and loads of the plant."""
-    torque_Nm = sampled(rig, history.brake_torque)
+    torque_Nm = sampled(rig, history.brake_torque).copy()
     speed_m_s = np.repeat(sampled(rig, history.vehicle_speed)[:, np.newaxis], AXLES, axis=1)
     unchanged = np.ones_like(torque_Nm)
     vehicle = rig.params.vehicle
@@ -48,16 +48,12 @@ def stop_of(rig: Rig, history: History, memory: dict[str, float]) -> Stop:
     row[parameters.MEMORY_POWER] = memory.get("speed_power", 0.0)
     row[parameters.MEMORY_OF_WORK] = memory.get("of_work", 0.0)
     return Stop(
-        inputs=np.array(
-            [
-                speed_m_s,
-                sampled(rig, history.wheel_load),
-                torque_Nm,
-                unchanged,
-                unchanged,
-                np.zeros_like(torque_Nm),
-            ]
-        ),
+        surface_m_s=speed_m_s,
+        load_N=sampled(rig, history.wheel_load).copy(),
+        torque_Nm=torque_Nm,
+        degraded=unchanged,
+        recovered=unchanged,
+        sliding_m_s=np.zeros_like(torque_Nm),
         parameters=np.tile(row, (AXLES, 1)),
         mass_kg=vehicle.mass_kg,
         extra_N=np.zeros(len(torque_Nm)),
@@ -104,13 +100,13 @@ def test_a_free_run_with_vector_mathematics_is_that_with_exact_mathematics(
 
 def shapes_of(stop: Stop) -> list[tuple[int, ...]]:
     """Return the shapes of speed, wheel speeds and torques of a stop."""
-    _, samples, axles = stop.inputs.shape
+    samples, axles = stop.torque_Nm.shape
     return [(samples,), (samples, axles), (samples, axles)]
 
 
 def test_a_wheel_that_is_braked_too_much_locks_and_never_turns_backwards() -> None:
     stop = stop_of(*braked({}), {})
-    stop.inputs[2, :, 0] = 2.0e4
+    stop.torque_Nm[:, 0] = 2.0e4
     motion = free_run.run(stop)
     locked = motion.wheel_rad_s[200:, 0]
     assert np.all(locked == 0.0)

@@ -164,17 +164,15 @@ def _simulate_run(
     surface_m_s = by_axle(design.speed_m_s)
     samples = run.time_s.size
     axles = design.axles
+    degraded, recovered = replay_inputs.friction
     motion = free_run.run(
         Stop(
-            inputs=np.array(
-                [
-                    surface_m_s,
-                    by_axle(replay_inputs.load_N) * (1.0 + errors.load),
-                    by_axle(shared.torque_Nm),
-                    *(by_axle(factor) for factor in replay_inputs.friction),
-                    by_axle(shared.sliding_m_s),
-                ]
-            ),
+            surface_m_s=surface_m_s,
+            load_N=by_axle(replay_inputs.load_N) * (1.0 + errors.load),
+            torque_Nm=by_axle(shared.torque_Nm),
+            degraded=by_axle(degraded),
+            recovered=by_axle(recovered),
+            sliding_m_s=by_axle(shared.sliding_m_s),
             parameters=replay_inputs.parameters[axles * number : axles * (number + 1)],
             mass_kg=replay_inputs.mass_kg[number] * (1.0 + errors.mass),
             extra_N=replay_inputs.force_N[design.vehicle_span(number)],

@@ -140,16 +140,12 @@ def _simulate(
     unchanged = np.ones_like(surface_m_s)
     motion = free_run.run(
         free_run.Stop(
-            inputs=np.array(
-                [
-                    surface_m_s,
-                    of_run(design.load_N),
-                    of_run(design.torque_Nm),
-                    unchanged,
-                    unchanged,
-                    of_run(design.sliding_m_s),
-                ]
-            ),
+            surface_m_s=surface_m_s,
+            load_N=of_run(design.load_N),
+            torque_Nm=of_run(design.torque_Nm),
+            degraded=unchanged,
+            recovered=unchanged,
+            sliding_m_s=of_run(design.sliding_m_s),
             parameters=np.tile(row, (design.axles, 1)),
             mass_kg=design.mass_kg[run],
             extra_N=np.zeros(length),

@@ -28,19 +28,19 @@ GRID_CELLS_IN_FRONT = 400.0  # the grid begins 100 m before the start of a stop
 
 # rows of the cells: where the filter of `lanes` has its covariances
 FEEDBACK, SLIDING, FORCE, *_ = lanes.FREE_ROWS
-# the row of each input of a stop, and numbers of inputs
-_ROWS = (lanes.SPEED, lanes.LOAD, lanes.TORQUE, lanes.DEGRADED, lanes.RECOVERED, SLIDING)
-_SURFACE = _ROWS.index(lanes.SPEED)
-_TORQUE = _ROWS.index(lanes.TORQUE)
-_SLIDING = _ROWS.index(SLIDING)
 
 
 class Stop(NamedTuple):
     """What moves a vehicle with n samples."""
 
-    # speed of the surface, load, torque, factors of degraded and recovered friction, sliding that
-    # the feedback aims at
-    inputs: np.ndarray  # (6, n, axles)
+    # (n, axles) each
+    surface_m_s: np.ndarray  # used on rollers only, but for its first values
+    load_N: np.ndarray
+    torque_Nm: np.ndarray
+    degraded: np.ndarray  # factors of degraded and recovered friction
+    recovered: np.ndarray
+    sliding_m_s: np.ndarray  # at which the wheels begin, and at which the feedback aims
+
     parameters: np.ndarray  # (axles, PARAMETERS)
     mass_kg: float
     extra_N: np.ndarray  # (n,), added to the resistance
@@ -63,7 +63,7 @@ class Motion(NamedTuple):
 
 def run(stop: Stop) -> Motion:
     """Return the motion of a vehicle, which begins at the speed and sliding of the first sample."""
-    _, n, axles = stop.inputs.shape
+    n, axles = stop.torque_Nm.shape
     motion = Motion(np.empty(n), np.empty((n, axles)), np.empty((n, axles)))
     memory = bool(stop.parameters[0, MEMORY] > 0.0) or None
     cells = np.empty(lanes.CELLS)
@@ -80,10 +80,10 @@ def drive(stop, memory, exact, cells, motion):
     `memory` is None if recovery has no memory, `exact` is None for vector mathematics. `cells`
     (lanes.CELLS,) is work space.
     """
-    _, n, wheelsets = stop.inputs.shape
+    n, wheelsets = stop.torque_Nm.shape
     A, B, C = stop.resistance
     h = stop.step_s / SUBSTEPS
-    v = stop.inputs[0, 0, 0]
+    v = stop.surface_m_s[0, 0]
     x = 0.0
     lanes.store_models(stop.parameters, 0, cells)
     _start(stop, 0, cells)
@@ -97,7 +97,7 @@ def drive(stop, memory, exact, cells, motion):
         motion.speed_m_s[k] = v
         for j in range(wheelsets):
             motion.wheel_rad_s[k, j] = cells[lanes.OMEGA + j]
-            motion.torque_Nm[k, j] = max(0.0, stop.inputs[_TORQUE, k, j] + cells[FEEDBACK + j])
+            motion.torque_Nm[k, j] = max(0.0, stop.torque_Nm[k, j] + cells[FEEDBACK + j])
         if k + 1 == n:
             break
 
@@ -119,8 +119,8 @@ def drive(stop, memory, exact, cells, motion):
 @kernel_inlined
 def _start(stop, k, cells):
     """Set the speeds of the wheels to those of the given sliding at sample k."""
-    for j in range(stop.inputs.shape[2]):
-        rim_m_s = stop.inputs[_SURFACE, k, j] - stop.inputs[_SLIDING, k, j]
+    for j in range(stop.torque_Nm.shape[1]):
+        rim_m_s = stop.surface_m_s[k, j] - stop.sliding_m_s[k, j]
         cells[lanes.OMEGA + j] = rim_m_s / stop.parameters[j, RADIUS]
 
 
@@ -128,16 +128,23 @@ def _start(stop, k, cells):
 def _store_inputs(stop, k, w, v, x, cells):
     """Write the inputs a share `w` of the way from sample k to the next, at speed v and place x."""
     field = stop.field
-    for j in range(stop.inputs.shape[2]):
-        for q in range(len(_ROWS)):
-            before = stop.inputs[q, k, j]
-            cells[_ROWS[q] + j] = (1.0 - w) * before + w * stop.inputs[q, k + 1, j]
-        if not stop.on_rollers:
-            cells[lanes.SPEED + j] = v
+    for j in range(stop.torque_Nm.shape[1]):
+        cells[lanes.SPEED + j] = _at(stop.surface_m_s, k, j, w) if stop.on_rollers else v
+        cells[lanes.LOAD + j] = _at(stop.load_N, k, j, w)
+        cells[lanes.TORQUE + j] = _at(stop.torque_Nm, k, j, w)
+        cells[lanes.DEGRADED + j] = _at(stop.degraded, k, j, w)
+        cells[lanes.RECOVERED + j] = _at(stop.recovered, k, j, w)
+        cells[SLIDING + j] = _at(stop.sliding_m_s, k, j, w)
         at = (x - stop.axle_position_m[j]) / GRID_M + GRID_CELLS_IN_FRONT
         cell = min(max(int(at), 0), field.shape[0] - 2)
         share = min(max(at - cell, 0.0), 1.0)
         cells[lanes.M + j] = (1.0 - share) * field[cell, j] + share * field[cell + 1, j]
+
+
+@kernel_inlined
+def _at(values, k, j, w):
+    """Return the value of column j a share `w` of the way from row k to the next."""
+    return (1.0 - w) * values[k, j] + w * values[k + 1, j]
 
 
 @kernel_inlined

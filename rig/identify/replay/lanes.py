@@ -99,11 +99,9 @@ def store_models(parameters, first_lane, cells):
 
 
 class Run(NamedTuple):
-    """A run to replay."""
+    """A run to replay. `start` is where wheelsets begin in flat arrays, and where the last ends."""
 
-    start: (
-        np.ndarray
-    )  # (wheelsets + 1,), where wheelsets begin in flat arrays, and the last one ends
+    start: np.ndarray  # (wheelsets + 1,)
     measured_rad_s: np.ndarray  # (n,), wheel speeds
     inputs: np.ndarray  # (INPUTS, n)
     parameters: np.ndarray  # (wheelsets, PARAMETERS)

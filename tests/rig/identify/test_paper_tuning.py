@@ -139,16 +139,18 @@ def test_a_wheel_that_is_not_braked_rolls_on_at_the_speed_of_the_vehicle():
     row[parameters.LAW] = law
 
     speed_m_s = 30.0 - deceleration_m_s2 * STEP_S * np.arange(n)
-    load_N = np.full(n, 1.05e5)
-    nothing = np.zeros(n)
-    unchanged = np.ones(n)
-    inputs = np.array([speed_m_s, load_N, nothing, unchanged, unchanged, nothing])
+    unchanged = np.ones((n, 1))
     motion = free_run.run(
         free_run.Stop(
-            inputs=inputs[:, :, np.newaxis],
+            surface_m_s=speed_m_s[:, np.newaxis],
+            load_N=1.05e5 * unchanged,
+            torque_Nm=np.zeros((n, 1)),
+            degraded=unchanged,
+            recovered=unchanged,
+            sliding_m_s=np.zeros((n, 1)),
             parameters=row[np.newaxis],
             mass_kg=mass_kg,
-            extra_N=nothing,
+            extra_N=np.zeros(n),
             resistance=(0.0, 0.0, 0.0),
             field=np.zeros((2, 1)),
             axle_position_m=np.zeros(1),
