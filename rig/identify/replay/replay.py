@@ -109,9 +109,9 @@ def predict(state, speed, load, torque, degraded, recovered, model, step_s, memo
 
     e00 = step.e00
     b0 = step.b00 * step.drive_rad_s2  # d omega after the step / d m
-    of_omega = (e00 * e00 * state.p00 + b0 * b0 * state.p11) + 2.0 * e00 * b0 * state.p01
-    of_omega += b0 * b0 * q / 3.0 + q_rate * step.b00 * step.b00
-    of_both = keep * (e00 * state.p01 + b0 * state.p11) + 0.5 * b0 * q
+    p00 = e00 * e00 * state.p00 + b0 * b0 * (state.p11 + q / 3.0) + 2.0 * e00 * b0 * state.p01
+    p00 += q_rate * step.b00 * step.b00
+    p01 = keep * (e00 * state.p01 + b0 * state.p11) + 0.5 * b0 * q
     p02 = 0.0
     p12 = 0.0
     p22 = 0.0
@@ -121,8 +121,8 @@ def predict(state, speed, load, torque, degraded, recovered, model, step_s, memo
         e10 = step.e10
         e11 = step.e11
         b2 = step.b10 * step.drive_rad_s2  # d lambda after the step / d m
-        of_omega += e01 * (e01 * state.p22 + 2.0 * (e00 * state.p02 + b0 * state.p12))
-        of_both += keep * e01 * state.p12
+        p00 += e01 * (e01 * state.p22 + 2.0 * (e00 * state.p02 + b0 * state.p12))
+        p01 += keep * e01 * state.p12
         p02 = (
             e00 * e10 * state.p00
             + e01 * e11 * state.p22
@@ -144,8 +144,8 @@ def predict(state, speed, load, torque, degraded, recovered, model, step_s, memo
         omega=step.omega,
         m=state.m * keep,
         lambda_=step.lambda_,
-        p00=of_omega,
-        p01=of_both,
+        p00=p00,
+        p01=p01,
         p11=keep * keep * state.p11 + q,
         p02=p02,
         p12=p12,
