@@ -1,7 +1,7 @@
 """Mechanisms of loads, of recovery and of sensors.
 
 A course of a load is a share of it. The memory of recovery [X4] is computed in `wheelset` and in
-the replay's `memory_replay`. The effect of a sensor is in the recording, not in the plant.
+the replay's `wheel`. The effect of a sensor is in the recording, not in the plant.
 """
 
 import math

@@ -10,7 +10,7 @@ from rollerrig.rig import plant, vehicle, wheelset
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.identify.causes import courses
 from rollerrig.rig.identify.data import parameters
-from rollerrig.rig.identify.replay import replay
+from rollerrig.rig.identify.replay import wheel
 from rollerrig.rig.mechanisms import applied as effects
 from rollerrig.rig.mechanisms import friction, table
 from rollerrig.rig.plant import Plant
@@ -286,7 +286,7 @@ def test_memory_in_the_plant_equals_that_of_the_replay_and_is_finite_at_standsti
     model = parameters.WheelModel(*row)
     for speed_m_s in (0.1, 5.0, 20.0, 44.0):
         in_plant = wheelset.lagged_transition(0.0, 1.0, speed_m_s, 0.01, memory)
-        in_replay = replay.lag_share(speed_m_s, 0.01, model)
+        in_replay = wheel.lag_share(speed_m_s, 0.01, model)
         assert in_plant == pytest.approx(in_replay, rel=1e-12)
 
     standing = wheelset.lagged_transition(0.2, 1.0, 0.0, 0.01, memory)

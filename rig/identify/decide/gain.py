@@ -76,16 +76,9 @@ class Gain(NamedTuple):
 def predicted(i: Inputs, at: slice, omega: np.ndarray, p: np.ndarray, step_s: float) -> np.ndarray:
     """Return (sliding in m/s, adhesion) of one wheel along its speed `omega`, shape (2, n)."""
     sliding = i.speed_m_s[at] - p[parameters.RADIUS] * omega
-    adhesion_of_law, _ = sensitivity.replay_law(
-        sliding,
-        i.speed_m_s[at],
-        i.load_N[at],
-        i.friction[:, at],
-        p,
-        step_s,
-        np.zeros(omega.size + 1),
-        True,
-    )
+    path = np.array([sliding, i.speed_m_s[at], i.load_N[at], *i.friction[:, at]])
+    lagging = np.zeros(omega.size + 1)
+    adhesion_of_law, *_ = sensitivity.replay_law(path, p, step_s, lagging, follow=True)
     return np.array([sliding, adhesion_of_law])
 
 

@@ -15,11 +15,11 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2, brake_torque_Nm_Pa
-from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.contact import adhesion
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.parameters import MU_CD, TAU, wheel_model
 from rollerrig.rig.identify.data.runs import Dataset, Run
-from rollerrig.rig.identify.replay import replay
 
 LONGEST_S = 45.0  # a stop that takes longer is cut off
 SLOWEST_M_S = 4.0  # a stop ends at this speed
@@ -181,17 +181,24 @@ def braked_wheel(speed, wanted_N, load_N, row, time_s):
     model = wheel_model(row)
     swing = SWING * math.sin(2.0 * math.pi * time_s / PERIOD_S)
     high = (SHARE * speed + LEAST_M_S) * (1.0 + swing)
-    f, _, _ = replay.wheel_adhesion(high, speed, 0.5 * load_N, 1.0, 1.0, model, 0.0, 1.0)
-    if wanted_N >= load_N * f:
-        return high, load_N * f
+    largest_N = _force_N(high, speed, load_N, model)
+    if wanted_N >= largest_N:
+        return high, largest_N
 
     # the brake is too weak for this sliding: find the creep that gives the wanted force
     low = 0.0
     for _ in range(BISECTIONS):
         middle = 0.5 * (low + high)
-        f, _, _ = replay.wheel_adhesion(middle, speed, 0.5 * load_N, 1.0, 1.0, model, 0.0, 1.0)
-        if load_N * f < wanted_N:
+        if _force_N(middle, speed, load_N, model) < wanted_N:
             low = middle
         else:
             high = middle
     return 0.5 * (low + high), wanted_N
+
+
+@kernel_inlined
+def _force_N(sliding, speed, load_N, model):
+    """Return the contact force of a wheelset with this load."""
+    # a WheelModel has all fields of patch and law that the adhesion needs
+    f, _, _, _, _, _ = adhesion.wheel_adhesion(sliding, speed, 0.5 * load_N, model, model)
+    return load_N * f

@@ -26,16 +26,14 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig import params, wheelset
-from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.adhesion import Law
-from rollerrig.rig.contact.patch import Patch
 from rollerrig.rig.identify.causes import candidates
-from rollerrig.rig.identify.data.parameters import TAU, patch_of
+from rollerrig.rig.identify.data.parameters import LAW, MU_CD, TAU
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import fitting
+from rollerrig.rig.identify.replay import sensitivity
 
 # Samples count where the wheel slides by more, the vehicle is faster, and the wheel does not lock.
 LEAST_SLIDING_M_S = 0.3
@@ -118,18 +116,6 @@ class Tuned(NamedTuple):
     warnings: list[str]
 
 
-class ContactModel(NamedTuple):
-    """Contact patch and adhesion law of a base model."""
-
-    patch: Patch
-    law: Law
-
-
-def contact(data: Dataset) -> ContactModel:
-    """Return patch and law of a dataset's base model."""
-    return ContactModel(patch_of(data), params.law_of(data.sections["adhesion"]))
-
-
 def collect(design: Design, law: Law) -> Samples:
     """Return the samples of sliding braked wheels, thinned to independent samples [U1] [U2]."""
     samples_of_segment = np.diff(design.start)
@@ -138,12 +124,6 @@ def collect(design: Design, law: Law) -> Samples:
     axle = np.repeat(design.axle, samples_of_segment)
 
     creepage = design.sliding_m_s / design.speed_m_s
-    cleaning_shares = np.array(
-        [
-            adhesion.cleaning_share(sliding, speed, law)[0]
-            for sliding, speed in zip(design.sliding_m_s, design.speed_m_s, strict=True)
-        ]
-    )
     every = max(1, round(THINNED_TO_S / design.step_s))
     keep = (
         (number_in_segment % every == 0)
@@ -151,28 +131,22 @@ def collect(design: Design, law: Law) -> Samples:
         & (design.speed_m_s > LEAST_SPEED_M_S)
         & (creepage < MOST_CREEPAGE)
     )
+    sliding_m_s = design.sliding_m_s[keep]
+    speed_m_s = design.speed_m_s[keep]
+    cleaning_shares = [
+        adhesion.cleaning_share(sliding, speed, law)[0]
+        for sliding, speed in zip(sliding_m_s, speed_m_s, strict=True)
+    ]
     return Samples(
         run=run[keep],
         axle=axle[keep],
         time_s=design.time_s[keep],
-        sliding_m_s=design.sliding_m_s[keep],
-        speed_m_s=design.speed_m_s[keep],
+        sliding_m_s=sliding_m_s,
+        speed_m_s=speed_m_s,
         load_N=design.load_N[keep],
         adhesion=design.adhesion[keep],
-        creepage=(creepage * cleaning_shares)[keep],
+        creepage=creepage[keep] * np.array(cleaning_shares),
     )
-
-
-@kernel
-def curves(sliding_m_s, speed_m_s, load_N, mu_cd, patch, law, out):
-    """Write f, f_d, f_r of the model at each sample into out (n, 3)."""
-    for i in range(sliding_m_s.size):
-        f, f_d, f_r, _, _, _ = wheelset.wheelset_adhesion(
-            sliding_m_s[i], speed_m_s[i], load_N[i], mu_cd[i], law.mu_cr, patch, law
-        )
-        out[i, 0] = f
-        out[i, 1] = f_d
-        out[i, 2] = f_r
 
 
 class Predicted(NamedTuple):
@@ -183,19 +157,18 @@ class Predicted(NamedTuple):
     recovered: np.ndarray  # f_r
 
 
-def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, model: ContactModel) -> Predicted:
-    """Return the adhesion for a recovery and the contaminants of the runs, mu_cd (runs,)."""
-    out = np.empty((s.run.size, 3))
-    curves(
-        s.sliding_m_s,
-        s.speed_m_s,
-        s.load_N,
-        mu_cd[s.run],
-        model.patch,
-        model.law._replace(tau_m_J=tau_m_J),
-        out,
-    )
-    return Predicted(*out.T)
+def predicted(s: Samples, tau_m_J: float, mu_cd: np.ndarray, base: np.ndarray) -> Predicted:
+    """Return the adhesion for a recovery and the contaminants of the runs, mu_cd (runs,).
+
+    `base` (PARAMETERS,) holds the parameters of the base model.
+    """
+    row = base.copy()
+    row[TAU] = tau_m_J
+    row[MU_CD] = 1.0
+    # the factor of the degraded friction is then mu_cd
+    path = np.array([s.sliding_m_s, s.speed_m_s, s.load_N, mu_cd[s.run], np.ones(s.run.size)])
+    f, _, degraded, recovered = sensitivity.replay_law(path, row)
+    return Predicted(f, degraded, recovered)
 
 
 class _Fit:
@@ -207,15 +180,15 @@ class _Fit:
     def __init__(
         self,
         s: Samples,
-        model: ContactModel,
+        base: np.ndarray,
         stated_mu_cd: list[float | None],
         tau_m_J: float | None,
     ) -> None:
         self.s = s
-        self.model = model
+        self.base = base
         self.tau_m_J = tau_m_J
         self._mu_cd = np.array(
-            [model.law.mu_cd if stated is None else stated for stated in stated_mu_cd]
+            [base[MU_CD] if stated is None else stated for stated in stated_mu_cd]
         )
         self._free_runs = [
             run
@@ -234,12 +207,12 @@ class _Fit:
     def residual(self, x: np.ndarray) -> np.ndarray:
         """Return the error of f (n,)."""
         tau_m_J, mu_cd = self.unpack(x)
-        return predicted(self.s, tau_m_J, mu_cd, self.model).f - self.s.adhesion
+        return predicted(self.s, tau_m_J, mu_cd, self.base).f - self.s.adhesion
 
     def paper_residual(self, x: np.ndarray) -> np.ndarray:
         """Return the paper's error (n,) [U3]."""
         tau_m_J, mu_cd = self.unpack(x)
-        _, f_d, f_r = predicted(self.s, tau_m_J, mu_cd, self.model)
+        _, f_d, f_r = predicted(self.s, tau_m_J, mu_cd, self.base)
         transition = -np.expm1(-tau_m_J * np.maximum(self.s.energy_J_m, 0.0))
         return self.s.adhesion - f_d - (f_r - f_d) * transition  # [U3]
 
@@ -247,14 +220,13 @@ class _Fit:
         self, residual: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> tuple[np.ndarray, float]:
         """Return the free parameters and the rms of the residual."""
-        law = self.model.law
         start = []
         bounds = []
         if self.tau_m_J is None:
-            start.append(np.log(max(law.tau_m_J, _LEAST_START_TAU_M_J)))
+            start.append(np.log(max(self.base[TAU], _LEAST_START_TAU_M_J)))
             bounds.append(TAU_BOUNDS)
         for _ in self._free_runs:
-            start.append(np.log(law.mu_cd))
+            start.append(np.log(self.base[MU_CD]))
             bounds.append(MU_BOUNDS)
 
         x0 = np.array(start)
@@ -280,30 +252,30 @@ def tune(data: Dataset, seed: int = 0) -> Tuned:
     """Fit tau to the tuning runs of a dataset. Raises ConfigError where wheels hardly slide."""
     runs = data.group("tune")
     design = prepare(data, runs)
-    model = contact(data)
-    s = collect(design, model.law)
+    base = design.base
+    s = collect(design, Law(*base[LAW]))
     if s.run.size < LEAST_SAMPLES:
         raise ConfigError(
             f"{data.folder}: wheels slide by more than {LEAST_SLIDING_M_S} m/s in {s.run.size} samples "
             f"of the tuning runs; {LEAST_SAMPLES} are needed; give runs in which the WSP works"
         )
 
-    intervals = likeliest(design, model.law.mu_cd, seed)
+    intervals = likeliest(design, seed)
     tau = intervals.pop("tau")
     mu_cd = dict(zip([run.name for run in runs], intervals.values(), strict=True))
 
     # the error of f with this tau, the dataset's tau and no recovery; mu_cd is fitted each time
     nothing_stated: list[float | None] = [None] * len(runs)
-    fit = _Fit(s, model, nothing_stated, tau.value)
+    fit = _Fit(s, base, nothing_stated, tau.value)
     x, rmse = fit.solve()
-    _, rmse_base = _Fit(s, model, nothing_stated, model.law.tau_m_J).solve()
-    _, rmse_classic = _Fit(s, model, nothing_stated, 0.0).solve()
-    paper_fit = _Fit(s, model, nothing_stated, None)
+    _, rmse_base = _Fit(s, base, nothing_stated, float(base[TAU])).solve()
+    _, rmse_classic = _Fit(s, base, nothing_stated, 0.0).solve()
+    paper_fit = _Fit(s, base, nothing_stated, None)
     paper_x, _ = paper_fit.solve(paper_fit.paper_residual)
     tau_paper_m_J, _ = paper_fit.unpack(paper_x)
 
     tau_m_J, fitted_mu_cd = fit.unpack(x)
-    f, f_d, f_r = predicted(s, tau_m_J, fitted_mu_cd, model)
+    f, f_d, f_r = predicted(s, tau_m_J, fitted_mu_cd, base)
     return Tuned(
         tau_m_J=tau,
         mu_cd=mu_cd,
@@ -332,7 +304,7 @@ def _warnings(tau: Interval, runs: int) -> list[str]:
     return warnings
 
 
-def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
+def likeliest(design: Design, seed: int) -> dict[str, Interval]:
     """Return tau and mu_cd of each run by [U4] with their intervals; keys "tau", "mu_cd_0" ...
 
     A replicate of the bootstrap draws the 3 s blocks of each run and the declared tolerances anew,
@@ -379,7 +351,7 @@ def likeliest(design: Design, mu_cd: float, seed: int) -> dict[str, Interval]:
     # the coefficients are logarithms of a parameter over its base value
     base_values = {"ln_tau": float(design.base[TAU])}
     for run in range(runs):
-        base_values[f"ln_mu_cd_{run}"] = mu_cd
+        base_values[f"ln_mu_cd_{run}"] = float(design.base[MU_CD])
     intervals = {}
     for label, base_value in base_values.items():
         at = labels.index(label)
@@ -406,15 +378,15 @@ def _deviation_between_runs(A: np.ndarray, b_of_run: np.ndarray) -> np.ndarray:
 
 
 def contaminant(
-    s: Samples, model: ContactModel, stated_mu_cd: float | None, tau_m_J: float
+    s: Samples, base: np.ndarray, stated_mu_cd: float | None, tau_m_J: float
 ) -> tuple[float, float]:
     """Return mu_cd and the rms error of f of one run for a given recovery.
 
     mu_cd is fitted unless it is stated. The error is NaN where the run has too few samples.
     """
     if s.run.size < LEAST_SAMPLES_OF_RUN:
-        return stated_mu_cd or model.law.mu_cd, float("nan")
-    fit = _Fit(s, model, [stated_mu_cd], tau_m_J)
+        return stated_mu_cd or float(base[MU_CD]), float("nan")
+    fit = _Fit(s, base, [stated_mu_cd], tau_m_J)
     x, rmse = fit.solve()
     _, mu_cd = fit.unpack(x)
     return float(mu_cd[0]), rmse

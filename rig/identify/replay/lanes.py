@@ -1,18 +1,22 @@
-"""Replays the wheelsets of two runs simultaneously, in the processor's vector registers.
+"""The replay and the adhesion law for several wheelsets, in the processor's vector registers.
 
-The filters of `replay` and `memory_replay` and the adhesion law have one source each. Here the same
-sources are compiled a second time, with the functions of `vector_math`, which the compiler can turn
+The filter, the step of a wheelset and the adhesion law have one source each, in `replay`, `wheel`
+and `adhesion`. Here it is compiled with the functions of `vector_math`, which the compiler can turn
 into vector instructions. Where recovered adhesion is below degraded, the law needs more than these
-functions: the result is then NaN, and the caller replays the wheelsets one by one.
+functions: the result is then NaN. A kernel with the argument `exact` is compiled with the functions
+of `math` for such wheelsets; otherwise `exact` is None.
 
-A loop over the lanes (the wheelsets of both runs) reads and writes one array only, `cells`. It
-holds a row of numbers for each quantity, at known places: a row has room for the lanes of the
+A loop over the lanes (the wheelsets of one or two runs) reads and writes one array only, `cells`.
+It holds a row of numbers for each quantity, at known places: a row has room for the lanes of the
 longest vehicles, and those of the others use its beginning. The compiler then needs no check that
 arrays or rows overlap, and such a check would prevent the vector instructions.
 """
 
 import math
-from typing import Any
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
 
 from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.rig.compiled.generated import tuple_builder, tuple_writer
@@ -20,19 +24,13 @@ from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.compiled.variants import module_variant, variant
 from rollerrig.rig.compiled.vector_math import MATH
 from rollerrig.rig.contact import adhesion, polach
-from rollerrig.rig.identify.data.parameters import MEMORY, PARAMETERS, WheelModel, wheel_model
-from rollerrig.rig.identify.replay import memory_replay, replay
+from rollerrig.rig.identify.data.parameters import PARAMETERS, WheelModel, wheel_model
+from rollerrig.rig.identify.replay import replay, wheel
 
 # wheelsets of two of the longest vehicles
 MOST_LANES = 2 * MOST_AXLES
 
-# --- the law and the filter with vector mathematics ---
-
-
-@kernel_inlined
-def _no_lag(*_):
-    """Return 1: lambda goes all of its way in a step. Takes the place of `replay.lag_share`."""
-    return 1.0
+# --- the law, the step and the filter with vector mathematics ---
 
 
 @kernel_inlined
@@ -41,52 +39,48 @@ def _not_a_number(_):
     return math.nan
 
 
+# compiles a formula with vector mathematics, and with other functions under some names
+_vector = partial(variant, math=MATH)
 _polach = module_variant(
     polach,
-    curve=variant(
-        polach.curve,
-        shape=variant(polach.shape, math=MATH),
-        friction=variant(polach.friction, math=MATH),
-    ),
+    curve=_vector(polach.curve, shape=_vector(polach.shape), friction=_vector(polach.friction)),
 )
-_recovery = variant(adhesion.recovery, math=MATH, lambert_w0=_not_a_number)
 _adhesion = module_variant(
     adhesion,
-    curves=variant(adhesion.curves, math=MATH, polach=_polach),
-    f_and_lambda=variant(adhesion.f_and_lambda, math=MATH, recovery=_recovery),
+    curves=_vector(adhesion.curves, polach=_polach),
+    f_and_lambda=_vector(
+        adhesion.f_and_lambda, recovery=_vector(adhesion.recovery, lambert_w0=_not_a_number)
+    ),
+    lag_rate_1_s=_vector(adhesion.lag_rate_1_s),
 )
-_curves = variant(replay.curves, math=MATH, adhesion=_adhesion)
-_wheel_adhesion = variant(replay.wheel_adhesion, adhesion=_adhesion, curves=_curves)
-# the module `replay` for callers that have vector mathematics and no adhesion memory
-REPLAY = module_variant(replay, wheel_adhesion=_wheel_adhesion, lag_share=_no_lag)
-
-_adhesion_with_memory = module_variant(
-    adhesion,
-    f_and_lambda=_adhesion.f_and_lambda,
-    lag_rate_1_s=variant(adhesion.lag_rate_1_s, math=MATH),
+matrix_step = _vector(wheel.matrix_step)
+wheel_adhesion = _vector(wheel.wheel_adhesion, adhesion=_adhesion)
+wheel_step = _vector(
+    wheel.wheel_step, adhesion=_adhesion, wheel_adhesion=wheel_adhesion, matrix_step=matrix_step
 )
-_matrix_step = variant(memory_replay.matrix_step, math=MATH)
+_predict = _vector(replay.predict, wheel=module_variant(wheel, wheel_step=wheel_step))
 
 
 # --- the cells: rows of MOST_LANES numbers ---
 
-STATE_ROWS = len(memory_replay.MemoryFilterState._fields)  # of the larger of both filters
+# the rows of the state are those of `replay.FilterState`; the next ones are
+_AFTER_STATE = len(replay.FilterState._fields)
 INPUTS = 5  # speed, load, torque, factor of the degraded friction, of the recovered
-# also that of `replay.FilterState`
-M = memory_replay.MemoryFilterState._fields.index("m") * MOST_LANES
-
-# where the rows begin, after those of the state
-MEASURED = STATE_ROWS * MOST_LANES
-SPEED = MEASURED + MOST_LANES
+OMEGA, M, LAMBDA, *FREE_ROWS = range(0, _AFTER_STATE * MOST_LANES, MOST_LANES)
+MEASURED = _AFTER_STATE * MOST_LANES
+INNOVATION = MEASURED + MOST_LANES
+VARIANCE = INNOVATION + MOST_LANES
+SPEED = VARIANCE + MOST_LANES
 LOAD = SPEED + MOST_LANES
 TORQUE = LOAD + MOST_LANES
 DEGRADED = TORQUE + MOST_LANES
 RECOVERED = DEGRADED + MOST_LANES
-INNOVATION = RECOVERED + MOST_LANES
-VARIANCE = INNOVATION + MOST_LANES
-MODEL = VARIANCE + MOST_LANES  # PARAMETERS rows
+MODEL = RECOVERED + MOST_LANES  # PARAMETERS rows
 CELLS = MODEL + MOST_LANES * PARAMETERS
 
+_STATE = [f"cells[{MOST_LANES * k} + j]" for k in range(_AFTER_STATE)]
+load_state = tuple_builder(replay.FilterState, "cells, j", _STATE)
+store_state = tuple_writer("cells, j", _STATE)
 # builds the WheelModel of lane j
 lane_model = tuple_builder(
     WheelModel, "cells, j", [f"cells[{MODEL + MOST_LANES * k} + j]" for k in range(PARAMETERS)]
@@ -94,192 +88,192 @@ lane_model = tuple_builder(
 
 
 @kernel_inlined
-def store_models(parameters, cells):
-    """Write rows of parameters, one for each lane from the first on, for `lane_model`."""
+def store_models(parameters, first_lane, cells):
+    """Write rows of parameters, one for each lane from `first_lane` on, for `lane_model`."""
     for i in range(PARAMETERS):
         for j in range(len(parameters)):
-            cells[MODEL + MOST_LANES * i + j] = parameters[j, i]
-
-
-def _state_kernels(state: Any) -> dict[str, Any]:
-    """Return the kernels that read and write the state of a filter in the cells of a lane."""
-    places = [f"cells[{MOST_LANES * k} + j]" for k in range(len(state._fields))]
-    return {
-        "load_state": tuple_builder(state, "cells, j", places),
-        "store_state": tuple_writer("cells, j", places),
-    }
+            cells[MODEL + MOST_LANES * i + first_lane + j] = parameters[j, i]
 
 
 # --- the replay of two runs ---
 
-# The names that `_replay_pair` uses. Its variant with memory has others under them.
-initial_state = replay.initial_state
-correct = replay.correct
-predict = variant(replay.predict, math=MATH, wheel_adhesion=_wheel_adhesion)
-_kernels = _state_kernels(replay.FilterState)
-load_state = _kernels["load_state"]
-store_state = _kernels["store_state"]
+
+class Run(NamedTuple):
+    """A run to replay. `start` is where wheelsets begin in flat arrays, and where the last ends."""
+
+    start: np.ndarray  # (wheelsets + 1,)
+    measured_rad_s: np.ndarray  # (n,), wheel speeds
+    inputs: np.ndarray  # (INPUTS, n)
+    parameters: np.ndarray  # (wheelsets, PARAMETERS)
+    out: np.ndarray  # (3, n), written: innovation, its variance, filtered irregularity
 
 
 @kernel_inlined
-def _store_inputs(start, inputs, k, w, first_lane, cells):
+def _begin(run, first_lane, cells):
+    """Write the parameters of a run's wheelsets, and the state of their filters."""
+    store_models(run.parameters, first_lane, cells)
+    for j in range(len(run.parameters)):
+        lane = first_lane + j
+        measured_rad_s = run.measured_rad_s[run.start[j]]
+        store_state(cells, lane, replay.initial_state(measured_rad_s, lane_model(cells, lane)))
+
+
+@kernel_inlined
+def _store_measured(run, k, first_lane, cells):
+    """Write the measured speeds of a run's wheelsets at sample k; after its end the last ones."""
+    at = min(k, run.start[1] - run.start[0] - 1)
+    for j in range(len(run.parameters)):
+        cells[MEASURED + first_lane + j] = run.measured_rad_s[run.start[j] + at]
+
+
+@kernel_inlined
+def _store_inputs(run, k, w, first_lane, cells):
     """Write the inputs of a run's wheelsets, a share `w` of the way from sample k to the next.
 
     After the end of its run a wheelset keeps the inputs of the last sample.
     """
-    length = start[1] - start[0]
-    wheelsets = len(start) - 1
-    before = min(k, length - 1)
-    after = min(k + 1, length - 1)
+    last = run.start[1] - run.start[0] - 1
+    before = min(k, last)
+    after = min(k + 1, last)
     for q in range(INPUTS):
         first = SPEED + MOST_LANES * q + first_lane
-        for j in range(wheelsets):
-            value_before = inputs[q, start[j] + before]
-            value_after = inputs[q, start[j] + after]
+        for j in range(len(run.parameters)):
+            value_before = run.inputs[q, run.start[j] + before]
+            value_after = run.inputs[q, run.start[j] + after]
             cells[first + j] = (1.0 - w) * value_before + w * value_after
 
 
 @kernel_inlined
-def _write_results(start, k, first_lane, cells, out):
+def _write_results(run, k, first_lane, cells):
     """Write innovation, variance and irregularity of a run's wheelsets, up to the run's end."""
-    if k < start[1] - start[0]:
-        for j in range(len(start) - 1):
-            at = start[j] + k
+    if k < run.start[1] - run.start[0]:
+        for j in range(len(run.parameters)):
+            at = run.start[j] + k
             lane = first_lane + j
-            out[0, at] = cells[INNOVATION + lane]
-            out[1, at] = cells[VARIANCE + lane]
-            out[2, at] = cells[M + lane]
+            run.out[0, at] = cells[INNOVATION + lane]
+            run.out[1, at] = cells[VARIANCE + lane]
+            run.out[2, at] = cells[M + lane]
 
 
 @kernel_inlined
-def _replay_pair(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
-    """Do what `replay_runs` does, for wheelsets without adhesion memory."""
-    store_models(parameters, cells)
-    wheelsets = len(start) - 1
-    lanes = 2 * wheelsets
-    for j in range(wheelsets):
-        store_state(cells, j, initial_state(measured[start[j]], lane_model(cells, j)))
-        lane = wheelsets + j
-        store_state(cells, lane, initial_state(measured[other[j]], lane_model(cells, lane)))
+def _predicted(j, cells, step_s, memory, exact):
+    """Return the state of the filter of lane j after a substep."""
+    arguments = (
+        load_state(cells, j),
+        cells[SPEED + j],
+        cells[LOAD + j],
+        cells[TORQUE + j],
+        cells[DEGRADED + j],
+        cells[RECOVERED + j],
+        lane_model(cells, j),
+        step_s,
+        memory,
+    )
+    if exact is None:
+        return _predict(*arguments)
+    return replay.predict(*arguments)
 
-    n = start[1] - start[0]
-    m = other[1] - other[0]
-    for k in range(max(n, m)):
-        # a run that has ended stays at its last sample
-        for j in range(wheelsets):
-            cells[MEASURED + j] = measured[start[j] + min(k, n - 1)]
-            cells[MEASURED + wheelsets + j] = measured[other[j] + min(k, m - 1)]
-        for j in range(lanes):
-            innovation, variance, state = correct(
+
+@kernel
+def replay_runs(run, other, step_s, memory, exact, cells):
+    """Replay the wheelsets of two runs, or of the same run twice.
+
+    `step_s` is the time of a sample. `memory` is None if recovery has no memory in both runs,
+    `exact` is None for vector mathematics. `cells` (CELLS,) is work space.
+    """
+    wheelsets = len(run.parameters)
+    _begin(run, 0, cells)
+    _begin(other, wheelsets, cells)
+    samples = max(run.start[1] - run.start[0], other.start[1] - other.start[0])
+    for k in range(samples):
+        _store_measured(run, k, 0, cells)
+        _store_measured(other, k, wheelsets, cells)
+        for j in range(2 * wheelsets):
+            innovation, variance, state = replay.correct(
                 cells[MEASURED + j], load_state(cells, j), lane_model(cells, j)
             )
             cells[INNOVATION + j] = innovation
             cells[VARIANCE + j] = variance
             store_state(cells, j, state)
-        _write_results(start, k, 0, cells, out)
-        _write_results(other, k, wheelsets, cells, out_other)
-        if k + 1 == max(n, m):
+        _write_results(run, k, 0, cells)
+        _write_results(other, k, wheelsets, cells)
+        if k + 1 == samples:
             break
 
         for i in range(replay.SUBSTEPS):
             w = (i + 0.5) / replay.SUBSTEPS  # the middle of the substep, between the two samples
-            _store_inputs(start, inputs, k, w, 0, cells)
-            _store_inputs(other, others, k, w, wheelsets, cells)
-            for j in range(lanes):
-                state = predict(
-                    load_state(cells, j),
-                    cells[SPEED + j],
-                    cells[LOAD + j],
-                    cells[TORQUE + j],
-                    cells[DEGRADED + j],
-                    cells[RECOVERED + j],
-                    lane_model(cells, j),
-                    step_s,
-                )
-                store_state(cells, j, state)
-
-
-_predict_with_memory = variant(
-    memory_replay.predict,
-    math=MATH,
-    adhesion=_adhesion_with_memory,
-    matrix_step=_matrix_step,
-    replay=module_variant(replay, curves=_curves),
-)
-_replay_pair_with_memory = variant(
-    _replay_pair,
-    initial_state=memory_replay.initial_state,
-    correct=memory_replay.correct,
-    predict=_predict_with_memory,
-    **_state_kernels(memory_replay.MemoryFilterState),
-)
-
-
-@kernel
-def replay_runs(start, other, measured, inputs, others, parameters, step_s, cells, out, out_other):
-    """Write the innovations of the wheelsets of two runs, or of the same run twice.
-
-    `start` and `other` (wheelsets + 1,) are where the wheelsets of a run begin in the flat arrays,
-    and where the last one ends. `inputs` and `others` (INPUTS, n) are those of the two runs,
-    `parameters` (2 wheelsets, PARAMETERS) those of both. `out` and `out_other` (3, n) are written
-    as `replay.replay_wheel` does: innovation, its variance, irregularity. `cells` (CELLS,) is work
-    space.
-
-    If only one of the runs has adhesion memory, the results of the other one are NaN.
-    """
-    if parameters[0, MEMORY] > 0.0 or parameters[len(start) - 1, MEMORY] > 0.0:
-        _replay_pair_with_memory(
-            start, other, measured, inputs, others, parameters, step_s, cells, out, out_other
-        )
-    else:
-        _replay_pair(
-            start, other, measured, inputs, others, parameters, step_s, cells, out, out_other
-        )
+            _store_inputs(run, k, w, 0, cells)
+            _store_inputs(other, k, w, wheelsets, cells)
+            for j in range(2 * wheelsets):
+                store_state(cells, j, _predicted(j, cells, step_s, memory, exact))
 
 
 # --- adhesion along a path ---
 
 PATH_LANES = 16  # samples that are computed simultaneously
-PATH_CELLS = 7 * PATH_LANES
-# where the rows of the cells begin
-PATH_SLIDING = 0
-PATH_SPEED = PATH_LANES
-PATH_LOAD = 2 * PATH_LANES
-PATH_DEGRADED = 3 * PATH_LANES
-PATH_RECOVERED = 4 * PATH_LANES
-PATH_F = 5 * PATH_LANES
-PATH_SLOPE = 6 * PATH_LANES
+# rows of the path: sliding, speed, load, factors of degraded and recovered friction
+PATH_INPUTS = 5
+# rows of the results: f, its slope, f_d and f_r
+PATH_RESULTS = 4
+PATH_CELLS = (PATH_INPUTS + PATH_RESULTS) * PATH_LANES
 
 
 @kernel
-def adhesion_along(sliding, speed, load, friction, row, cells, out):
-    """Write what `replay.adhesion_along` writes without a lag of recovery, 16 samples at a time.
+def adhesion_along(path, row, exact, cells, out):
+    """Write f, df/dsliding, f_d and f_r of one wheel along a path to `out`, shape (4, n).
 
-    `cells` (PATH_CELLS,) is work space.
+    `path` (5, n) has the sliding, the speed, the wheelset's load and the factors of its two
+    frictions, `row` (PARAMETERS,) its parameters; recovery has no memory. `exact` is None for
+    vector mathematics. `cells` (PATH_CELLS,) is work space.
     """
     model = wheel_model(row)
-    for first in range(0, sliding.size, PATH_LANES):
-        count = min(PATH_LANES, sliding.size - first)
+    n = path.shape[1]
+    for first in range(0, n, PATH_LANES):
+        count = min(PATH_LANES, n - first)
+        for q in range(PATH_INPUTS):
+            for j in range(PATH_LANES):
+                # the last lanes may repeat the last sample
+                cells[PATH_LANES * q + j] = path[q, first + min(j, count - 1)]
         for j in range(PATH_LANES):
-            k = first + min(j, count - 1)  # the last lanes may repeat the last sample
-            cells[PATH_SLIDING + j] = sliding[k]
-            cells[PATH_SPEED + j] = speed[k]
-            cells[PATH_LOAD + j] = load[k]
-            cells[PATH_DEGRADED + j] = friction[0, k]
-            cells[PATH_RECOVERED + j] = friction[1, k]
-        for j in range(PATH_LANES):
-            f, slope, _ = _wheel_adhesion(
-                cells[PATH_SLIDING + j],
-                cells[PATH_SPEED + j],
-                0.5 * cells[PATH_LOAD + j],
-                cells[PATH_DEGRADED + j],
-                cells[PATH_RECOVERED + j],
+            arguments = (
+                cells[j],
+                cells[PATH_LANES + j],
+                0.5 * cells[2 * PATH_LANES + j],
+                cells[3 * PATH_LANES + j],
+                cells[4 * PATH_LANES + j],
                 model,
-                0.0,
-                1.0,
+                None,
             )
-            cells[PATH_F + j] = f
-            cells[PATH_SLOPE + j] = slope
-        for j in range(count):
-            out[0, first + j] = cells[PATH_F + j]
-            out[1, first + j] = cells[PATH_SLOPE + j]
+            a = wheel_adhesion(*arguments) if exact is None else wheel.wheel_adhesion(*arguments)
+            cells[5 * PATH_LANES + j] = a.f
+            cells[6 * PATH_LANES + j] = a.slope_s_m
+            cells[7 * PATH_LANES + j] = a.degraded
+            cells[8 * PATH_LANES + j] = a.recovered
+        for q in range(PATH_RESULTS):
+            for j in range(count):
+                out[q, first + j] = cells[PATH_LANES * (PATH_INPUTS + q) + j]
+
+
+@kernel
+def lagging_adhesion_along(path, row, step_s, lagging, follow, out):
+    """Write what `adhesion_along` writes where recovery has a memory.
+
+    `lagging` (n + 1,) is lambda before each sample, each `step_s` long; with `follow` it is
+    written, otherwise only read.
+    """
+    model = wheel_model(row)
+    for k in range(path.shape[1]):
+        speed = path[1, k]
+        a = wheel.wheel_adhesion(
+            path[0, k], speed, 0.5 * path[2, k], path[3, k], path[4, k], model, lagging[k]
+        )
+        share = wheel.lag_share(speed, step_s, model)
+        change = share * (a.lambda_0 - lagging[k])
+        spread = a.recovered - a.degraded
+        out[0, k] = a.f + change * math.copysign(1.0, path[0, k]) * spread
+        out[1, k] = a.slope_s_m + change * a.slope_by_lambda_s_m
+        out[1, k] += share * spread * a.lambda_0_slope_s_m
+        out[2, k] = a.degraded
+        out[3, k] = a.recovered
+        if follow:
+            lagging[k + 1] = lagging[k] + change

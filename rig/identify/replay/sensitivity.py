@@ -13,12 +13,13 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import exprel
 
 from rollerrig.rig.compiled.kernel import kernel, kernel_with_memory
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.parameters import wheel_model
 from rollerrig.rig.identify.data.preparation import Design
-from rollerrig.rig.identify.replay import lanes, memory_replay, replay
+from rollerrig.rig.identify.replay import lanes, replay, wheel
 
 # A change of the wheel's acceleration is known for a change of the logarithm of each of these; the
 # last one is the irregularity m.
@@ -152,68 +153,44 @@ def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> Linearised
     `changed` (segments, changes, PARAMETERS) are parameters of which one is larger by STEP.
     """
     n = design.measured_rad_s.size
-    wheels = replay_wheels(design, inputs)
-    coefficients = np.empty((n, _COEFFICIENTS))
-    rates = np.empty((len(RATES), n))
-    path = np.empty((3, n))
-    constants = np.empty((changed.shape[1], n))
-    for s in range(design.segments):
-        at = design.span(s)
-        _linearise_wheel(
-            design,
-            inputs,
-            s,
-            changed[s],
-            wheels[:, at],
-            coefficients[at],
-            rates[:, at],
-            constants[:, at],
-            path[:, at],
-        )
-        second_gain(
-            wheels[1, at],
-            coefficients[at],
-            inputs.parameters[s],
-        )
-    nu, variance, field = wheels
-    sliding_m_s, energy_J_m, acceleration_rad_s2 = path
+    nu, variance, field = replay_wheels(design, inputs)
     vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
-    return LinearisedReplay(
+    linear = LinearisedReplay(
         nu=nu,
         variance=variance,
         field=field,
-        coefficients=coefficients,
-        rates=rates,
-        constants=constants,
-        sliding_m_s=sliding_m_s,
-        energy_J_m=energy_J_m,
-        acceleration_rad_s2=acceleration_rad_s2,
+        coefficients=np.empty((n, _COEFFICIENTS)),
+        rates=np.empty((len(RATES), n)),
+        constants=np.empty((changed.shape[1], n)),
+        sliding_m_s=np.empty(n),
+        energy_J_m=np.empty(n),
+        acceleration_rad_s2=np.empty(n),
         vehicle_nu=vehicle_nu,
         vehicle_variance=vehicle_variance,
     )
+    for s in range(design.segments):
+        _linearise_wheel(design, inputs, s, changed[s], linear)
+        at = design.span(s)
+        second_gain(variance[at], linear.coefficients[at], inputs.parameters[s])
+    return linear
 
 
 def _linearise_wheel(
-    design: Design,
-    inputs: Inputs,
-    s: int,
-    changed: np.ndarray,
-    replayed: np.ndarray,
-    coefficients: np.ndarray,
-    rates: np.ndarray,
-    constants: np.ndarray,
-    path: np.ndarray,
+    design: Design, inputs: Inputs, s: int, changed: np.ndarray, linear: LinearisedReplay
 ) -> None:
-    """Write [S1] of one wheelset along the filtered path to the last four arguments.
+    """Write [S1] of the segment s along the filtered path.
 
-    `changed` (changes, PARAMETERS) and `replayed` (3, n) are those of the segment s.
+    `changed` (changes, PARAMETERS) are the changed parameters of this segment.
     """
     at = design.span(s)
     row = inputs.parameters[s]
-    nu, variance, field = replayed
+    nu = linear.nu[at]
+    variance = linear.variance[at]
+    rates = linear.rates[:, at]
+    coefficients = linear.coefficients[at]
     r = row[parameters.RADIUS]
     inertia = row[parameters.INERTIA]
-    h = 0.5 * design.step_s
+    h = design.step_s / replay.SUBSTEPS
 
     # the filter after each sample
     p00 = np.maximum(variance - row[parameters.SPEED_NOISE] ** 2, 0.0)
@@ -221,23 +198,21 @@ def _linearise_wheel(
     omega = design.measured_rad_s[at] - nu + g0 * nu
     v = inputs.speed_m_s[at]
     load_N = inputs.load_N[at]
-    friction = inputs.friction[:, at]
     sliding = v - r * omega
+    path = np.array([sliding, v, load_N, *inputs.friction[:, at]])
     lagging = np.zeros(v.size + 1)
-    f, slope = replay_law(sliding, v, load_N, friction, row, design.step_s, lagging, True)
-    force = r * load_N * np.exp(field) / inertia  # acceleration for an adhesion of 1
-    path[0] = sliding
-    path[1] = f * 0.5 * load_N * sliding / v
-    path[2] = force * f - inputs.torque_Nm[at] / inertia
+    f, slope, _, _ = replay_law(path, row, design.step_s, lagging, follow=True)
+    force = r * load_N * np.exp(linear.field[at]) / inertia  # acceleration for an adhesion of 1
+    linear.sliding_m_s[at] = sliding
+    linear.energy_J_m[at] = f * 0.5 * load_N * sliding / v
+    linear.acceleration_rad_s2[at] = force * f - inputs.torque_Nm[at] / inertia
 
     # two substeps of the filter, as in `replay.predict`
     error_rate_1_s = -r * slope * force  # d (domega/dt) / d omega
-    x = np.minimum(error_rate_1_s * h, replay.LARGEST_EXPONENT)
+    x = np.minimum(error_rate_1_s * h, wheel.LARGEST_EXPONENT)
     growth = np.exp(x)
     keep = np.exp(-v * h / row[parameters.IRREGULARITY_LENGTH])
-    large = np.abs(x) > replay.SMALLEST_EXPONENT
-    divisor = np.where(large, x, 1.0)
-    mean_growth = np.where(large, np.expm1(divisor) / divisor, 1.0 + 0.5 * x)
+    mean_growth = exprel(x)
     of_irregularity = h * mean_growth * force * f
     coefficients[:, F00] = growth * growth
     coefficients[:, F01] = of_irregularity * (growth + keep)
@@ -245,43 +220,47 @@ def _linearise_wheel(
     coefficients[:, H] = h * mean_growth * (1.0 + growth)
     coefficients[:, G0] = g0
 
-    def adhesion_with(load: np.ndarray, factors: np.ndarray, model: np.ndarray) -> np.ndarray:
-        """Return f along the same path, with other inputs or parameters."""
-        return replay_law(sliding, v, load, factors, model, design.step_s, lagging, False)[0]
+    def adhesion_with(path: np.ndarray, model: np.ndarray) -> np.ndarray:
+        """Return f along the same sliding, with other inputs or parameters."""
+        return replay_law(path, model, design.step_s, lagging)[0]
 
-    rates[0] = force * (adhesion_with(load_N, friction * math.exp(STEP), row) - f) / STEP
     larger_N = load_N * (1.0 + STEP)
-    rates[1] = force * (adhesion_with(larger_N, friction, row) * larger_N / load_N - f) / STEP
+    with_friction = np.array([*path[:3], *(path[3:] * math.exp(STEP))])
+    with_load = np.array([sliding, v, larger_N, *path[3:]])
+    rates[0] = force * (adhesion_with(with_friction, row) - f) / STEP
+    rates[1] = force * (adhesion_with(with_load, row) * larger_N / load_N - f) / STEP
     # a larger radius is a longer lever, and less sliding
     rates[2] = force * f + error_rate_1_s * omega
     rates[3] = force * f
     for i, other_row in enumerate(changed):
-        constants[i] = force * (adhesion_with(load_N, friction, other_row) - f) / STEP
+        linear.constants[i, at] = force * (adhesion_with(path, other_row) - f) / STEP
 
 
 def replay_law(
-    sliding: np.ndarray,
-    speed: np.ndarray,
-    load: np.ndarray,
-    friction: np.ndarray,
+    path: np.ndarray,
     row: np.ndarray,
-    step_s: float,
-    lagging: np.ndarray,
-    follow: bool,
+    step_s: float = 0.0,
+    lagging: np.ndarray | None = None,
+    follow: bool = False,
 ) -> np.ndarray:
-    """Return (f, df/dsliding) of one wheel along a path, shape (2, n).
+    """Return (f, df/dsliding, f_d, f_r) of one wheel along a path, shape (4, n).
 
-    `lagging` (n + 1,) is lambda before each sample; with `follow` it is written.
+    Parameters
+    ----------
+    path : (5, n), sliding and speed in m/s, load of the wheelset in N, factors of both frictions
+    row : (PARAMETERS,), parameters of the wheelset
+    step_s, lagging, follow : where recovery has a memory: time of a sample, lambda before each
+        sample (n + 1,), and whether it is written
     """
-    out = np.empty((2, sliding.size))
-    friction = np.ascontiguousarray(friction)
-    has_memory = row[parameters.MEMORY] > 0.0
-    if not has_memory:
-        cells = np.empty(lanes.PATH_CELLS)
-        lanes.adhesion_along(sliding, speed, load, friction, row, cells, out)
+    out = np.empty((lanes.PATH_RESULTS, path.shape[1]))
+    if row[parameters.MEMORY] > 0.0:
+        lanes.lagging_adhesion_along(path, row, step_s, lagging, follow, out)
+        return out
+    cells = np.empty(lanes.PATH_CELLS)
+    lanes.adhesion_along(path, row, None, cells, out)
     # the vector code gives NaN where recovered adhesion is below degraded
-    if has_memory or not np.all(np.isfinite(out)):
-        replay.adhesion_along(sliding, speed, load, friction, row, step_s, lagging, follow, out)
+    if not np.all(np.isfinite(out)):
+        lanes.adhesion_along(path, row, True, cells, out)
     return out
 
 
@@ -297,62 +276,45 @@ def replay_wheels(design: Design, inputs: Inputs) -> np.ndarray:
 
 def replays(design: Design, several: Sequence[Inputs]) -> np.ndarray:
     """Return the replays of all wheels under each of several inputs, shape (inputs, 3, n)."""
-    stacked = [
-        np.array([i.speed_m_s, i.load_N, i.torque_Nm, i.friction[0], i.friction[1]])
-        for i in several
-    ]
-    runs = range(design.mass_kg.size)
     axles = design.axles
-    starts = [design.start[run * axles : (run + 1) * axles + 1] for run in runs]
-    models = [[i.parameters[run * axles : (run + 1) * axles] for run in runs] for i in several]
     out = np.empty((len(several), 3, design.measured_rad_s.size))
-    cells = np.empty(lanes.CELLS)
-
-    # Two runs are replayed simultaneously, the longest first: a pair takes as long as its longer
-    # run. The last one of an odd number is replayed together with itself.
-    jobs = sorted(
-        np.ndindex(len(several), len(starts)),
-        key=lambda job: int(starts[job[1]][0] - starts[job[1]][1]),
-    )
-    firsts = jobs[::2]
-    seconds = jobs[1::2]
-    if len(jobs) % 2:
-        seconds.append(jobs[-1])
-    for (k, run), (m, other) in zip(firsts, seconds, strict=True):
-        lanes.replay_runs(
-            starts[run],
-            starts[other],
-            design.measured_rad_s,
-            stacked[k],
-            stacked[m],
-            np.concatenate([models[k][run], models[m][other]]),
-            design.step_s,
-            cells,
-            out[k],
-            out[m],
-        )
-
-    # what the vector code cannot compute is NaN
-    for k, run in jobs:
-        samples = slice(int(starts[run][0]), int(starts[run][-1]))
-        if np.all(np.isfinite(out[k, 0, samples])):
-            continue
-        inputs = several[k]
-        nu, variance, field = out[k]
-        memory_replay.replay_wheels(
-            starts[run],
-            design.measured_rad_s,
-            inputs.torque_Nm,
-            inputs.load_N,
-            inputs.speed_m_s,
-            inputs.friction,
-            models[k][run],
-            design.step_s,
-            nu,
-            variance,
-            field,
-        )
+    runs: dict[bool, list[lanes.Run]] = {False: [], True: []}  # by whether recovery has a memory
+    for i, out_of_inputs in zip(several, out, strict=True):
+        stacked = np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction])
+        has_memory = bool(np.any(i.parameters[:, parameters.MEMORY] > 0.0))
+        for first in range(0, design.segments, axles):
+            run = lanes.Run(
+                start=design.start[first : first + axles + 1],
+                measured_rad_s=design.measured_rad_s,
+                inputs=stacked,
+                parameters=i.parameters[first : first + axles],
+                out=out_of_inputs,
+            )
+            runs[has_memory].append(run)
+    for has_memory, alike in runs.items():
+        _replay_pairs(alike, design.step_s, has_memory or None)
     return out
+
+
+def _replay_pairs(runs: list[lanes.Run], step_s: float, memory: bool | None) -> None:
+    """Replay runs whose models have the same states; `memory` as for `lanes.replay_runs`.
+
+    Two runs are replayed simultaneously, the longest first: a pair takes as long as its longer run.
+    The last one of an odd number is replayed together with itself.
+    """
+    cells = np.empty(lanes.CELLS)
+    longest_first = sorted(runs, key=lambda run: int(run.start[0] - run.start[-1]))
+    seconds = longest_first[1::2] + longest_first[-1:]
+    for run, other in zip(longest_first[::2], seconds, strict=False):
+        lanes.replay_runs(run, other, step_s, memory, None, cells)
+        # what the vector code cannot compute is NaN
+        if not (_is_finite(run) and _is_finite(other)):
+            lanes.replay_runs(run, other, step_s, memory, True, cells)
+
+
+def _is_finite(run: lanes.Run) -> bool:
+    """Return whether the innovations of a run are finite."""
+    return bool(np.all(np.isfinite(run.out[0, run.start[0] : run.start[-1]])))
 
 
 def momentum_m_s(design: Design, inputs: Inputs, run: int) -> np.ndarray:

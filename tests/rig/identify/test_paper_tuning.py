@@ -11,10 +11,11 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.reports import tuning as report
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
-from rollerrig.rig.identify.data import dataset
+from rollerrig.rig.identify.data import dataset, parameters
 from rollerrig.rig.identify.data.preparation import prepare
 from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.paper import tuning, validation
+from rollerrig.rig.identify.replay import free_run
 
 TRUE_TAU_M_J = 1.9e-4
 RADIUS_M = 0.445
@@ -107,6 +108,7 @@ def test_reports_hold_the_results_without_files_from_outside(data, tuned, verdic
 def test_a_wheel_that_is_not_braked_rolls_on_at_the_speed_of_the_vehicle():
     n = 200
     window = 100  # samples
+    mass_kg = 1000.0
     deceleration_m_s2 = 0.5
     mu_cd = 0.06
     patch = patch_for(
@@ -130,31 +132,39 @@ def test_a_wheel_that_is_not_braked_rolls_on_at_the_speed_of_the_vehicle():
         k_sr=0.4,
         tau_m_J=TRUE_TAU_M_J,
     )
+    row = np.zeros(parameters.PARAMETERS)
+    row[parameters.RADIUS] = RADIUS_M
+    row[parameters.INERTIA] = INERTIA_KGM2
+    row[parameters.EPS1] = patch.eps1
+    row[parameters.LAW] = law
+
     speed_m_s = 30.0 - deceleration_m_s2 * STEP_S * np.arange(n)
-    wheel_rad_s = speed_m_s / RADIUS_M
-    load_N = np.full(n, 1.05e5)
-    torque_Nm = np.zeros(n)
-    sliding_m_s = np.empty(n)
-    force_N = np.empty(n)
-    validation.free_run(
-        wheel_rad_s,
-        speed_m_s,
-        load_N,
-        torque_Nm,
-        mu_cd,
-        STEP_S,
-        window,
-        RADIUS_M,
-        INERTIA_KGM2,
-        patch,
-        law,
-        sliding_m_s,
-        force_N,
+    unchanged = np.ones((n, 1))
+    motion = free_run.run(
+        free_run.Stop(
+            surface_m_s=speed_m_s[:, np.newaxis],
+            load_N=1.05e5 * unchanged,
+            torque_Nm=np.zeros((n, 1)),
+            degraded=unchanged,
+            recovered=unchanged,
+            sliding_m_s=np.zeros((n, 1)),
+            parameters=row[np.newaxis],
+            mass_kg=mass_kg,
+            extra_N=np.zeros(n),
+            resistance=(0.0, 0.0, 0.0),
+            field=np.zeros((2, 1)),
+            axle_position_m=np.zeros(1),
+            step_s=STEP_S,
+            on_rollers=True,
+            feedback_Ns=0.0,
+            window=window,
+        )
     )
-    assert np.max(np.abs(sliding_m_s)) < 0.02
-    # the contact slows down the inertia of the wheelset: J a / r^2
+    assert np.max(np.abs(speed_m_s - RADIUS_M * motion.wheel_rad_s[:, 0])) < 0.02
+    # the contact slows down the inertia of the wheelset: J a / r^2; the vehicle feels it
     expected_N = -INERTIA_KGM2 * deceleration_m_s2 / RADIUS_M**2
-    assert np.mean(force_N[50:]) == pytest.approx(expected_N, rel=0.02)
+    rate_m_s2 = np.gradient(motion.speed_m_s, STEP_S)
+    assert np.mean(-mass_kg * rate_m_s2[50:]) == pytest.approx(expected_N, rel=0.02)
 
 
 def test_runs_without_enough_sliding_are_refused(data):
@@ -178,7 +188,8 @@ def test_a_dataset_without_runs_to_judge_is_refused(data):
 
 def test_samples_are_those_in_which_wheels_slide(data):
     design = prepare(data, data.group("tune"))
-    paper = tuning.contact(data).law._replace(cleaning_creepage=np.inf)
+    law = adhesion.Law(*design.base[parameters.LAW])
+    paper = law._replace(cleaning_creepage=np.inf)
     unbounded = tuning.collect(design, paper)
     bounded = tuning.collect(design, paper._replace(cleaning_creepage=0.1))
     assert bounded.sliding_m_s.min() > tuning.LEAST_SLIDING_M_S

@@ -17,7 +17,7 @@ from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, parameters, preparation
 from rollerrig.rig.identify.data.parameters import WheelModel
 from rollerrig.rig.identify.decide import evidence, fitting, simulate
-from rollerrig.rig.identify.replay import lanes, memory_replay, replay, sensitivity
+from rollerrig.rig.identify.replay import lanes, sensitivity, wheel
 
 SPEED_M_S = 25.0
 WHEEL_LOAD_N = 52700.0
@@ -59,14 +59,12 @@ def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) ->
         model = WheelModel(*design.base)._replace(**limit)
         law = adhesion.Law(*(getattr(model, name) for name in adhesion.Law._fields))
         for sliding in (0.01, 0.3, 2.0, 8.0, 15.0, 25.0, -1.0):
-            f, slope, _ = replay.wheel_adhesion(
-                sliding, SPEED_M_S, WHEEL_LOAD_N, 1.0, 1.0, model, 0.0, 1.0
-            )
+            replayed = wheel.wheel_adhesion(sliding, SPEED_M_S, WHEEL_LOAD_N, 1.0, 1.0, model, None)
             expected_f, _, _, _, _, expected_slope = adhesion.wheel_adhesion(
                 sliding, SPEED_M_S, WHEEL_LOAD_N, patch, law
             )
-            assert f == pytest.approx(expected_f, rel=1e-12)
-            assert slope == pytest.approx(expected_slope, rel=1e-9)
+            assert replayed.f == pytest.approx(expected_f, rel=1e-12)
+            assert replayed.slope_s_m == pytest.approx(expected_slope, rel=1e-9)
 
 
 MEMORIES = [{}, {"speed_power": 1.0}, {"of_work": 1.0}]
@@ -78,19 +76,15 @@ def with_memory(base: Explanation, shape: dict[str, float], length_m: float) -> 
 
 
 def replayed_alone(design: preparation.Design, i: sensitivity.Inputs) -> np.ndarray:
-    """Return the replay of all wheelsets without vector instructions, shape (3, n)."""
+    """Return the replay of each wheelset alone, without vector instructions, shape (3, n)."""
     out = np.empty((3, design.measured_rad_s.size))
-    memory_replay.replay_wheels(
-        design.start,
-        design.measured_rad_s,
-        i.torque_Nm,
-        i.load_N,
-        i.speed_m_s,
-        i.friction,
-        i.parameters,
-        design.step_s,
-        *out,
-    )
+    cells = np.empty(lanes.CELLS)
+    inputs = np.array([i.speed_m_s, i.load_N, i.torque_Nm, *i.friction])
+    for s, row in enumerate(i.parameters):
+        start = design.start[s : s + 2]
+        run = lanes.Run(start, design.measured_rad_s, inputs, row[np.newaxis], out)
+        memory = bool(row[parameters.MEMORY] > 0.0) or None
+        lanes.replay_runs(run, run, design.step_s, memory, True, cells)
     return out
 
 
@@ -110,19 +104,11 @@ def test_the_wheelsets_of_two_runs_are_replayed_together_as_one_by_one(
 
     at = design.span(1)
     n = at.stop - at.start
-    arguments = (
-        design.sliding_m_s[at],
-        i.speed_m_s[at],
-        i.load_N[at],
-        i.friction[:, at],
-        i.parameters[1],
-        design.step_s,
-        np.zeros(n + 1),
-        False,
-    )
-    expected = np.empty((2, n))
-    replay.adhesion_along(*arguments, expected)
-    np.testing.assert_allclose(sensitivity.replay_law(*arguments), expected, rtol=1e-9, atol=1e-13)
+    path = np.array([design.sliding_m_s[at], i.speed_m_s[at], i.load_N[at], *i.friction[:, at]])
+    exact = np.empty((lanes.PATH_RESULTS, n))
+    lanes.adhesion_along(path, i.parameters[1], True, np.empty(lanes.PATH_CELLS), exact)
+    vectors = sensitivity.replay_law(path, i.parameters[1])
+    np.testing.assert_allclose(vectors, exact, rtol=1e-9, atol=1e-13)
 
 
 @pytest.mark.parametrize("shape", MEMORIES, ids=["over distance", "over time", "of the work done"])
@@ -195,7 +181,7 @@ def test_several_explanations_are_replayed_together_as_each_alone(
 )
 @pytest.mark.parametrize(
     "step",
-    [memory_replay.matrix_step, lanes._matrix_step],
+    [wheel.matrix_step, lanes.matrix_step],
     ids=["one by one", "with vector mathematics"],
 )
 def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(
@@ -209,6 +195,70 @@ def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(
     expected = [*exponential[:2, :2].ravel(), *exponential[:2, 2:].ravel()]
     upper_row, lower_row = A
     np.testing.assert_allclose(step(*upper_row, *lower_row, step_s), expected, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("sliding", [0.1, 2.0, 9.0, -2.0])
+@pytest.mark.parametrize(
+    ("lambda_", "of_work"),
+    [(None, 0.0), (0.4, 0.0), (0.4, 1.0)],
+    ids=["without memory", "with memory", "of the work done"],
+)
+def test_a_step_of_a_wheelset_returns_its_derivatives(
+    design: preparation.Design, sliding: float, lambda_: float | None, of_work: float
+) -> None:
+    # cleaning fades from a sliding of 5.5 m/s on: there more sliding cleans less
+    model = WheelModel(*design.base)._replace(
+        memory_m=3.0,
+        memory_of_work=of_work,
+        cleaning_creepage=0.3,
+        cleaning_half_speed_m_s=9.0,
+    )
+    step_s = 1e-4
+    torque_Nm = 4000.0
+    start = {
+        "omega": (SPEED_M_S - sliding) / model.wheel_radius_m,
+        "lambda_": lambda_,
+        "m": 0.1,
+        "torque": torque_Nm,
+    }
+
+    def step(**changes: float) -> wheel.WheelStep:
+        """Return the step with changed arguments."""
+        at = {**start, **changes}
+        return wheel.wheel_step(
+            at["omega"],
+            at["lambda_"],
+            at["m"],
+            SPEED_M_S,
+            2.0 * WHEEL_LOAD_N,
+            at["torque"],
+            1.0,
+            1.0,
+            model,
+            step_s,
+        )
+
+    def change(name: str, by: float) -> tuple[float, float]:
+        """Return the derivatives of omega and lambda to an argument."""
+        less = step(**{name: start[name] - by})
+        more = step(**{name: start[name] + by})
+        return (more.omega - less.omega) / (2.0 * by), (more.lambda_ - less.lambda_) / (2.0 * by)
+
+    stated = step()
+    of_omega, lambda_of_omega = change("omega", 1e-4)
+    of_m, _ = change("m", 1e-4)
+    of_torque, lambda_of_torque = change("torque", 1.0)
+    inertia_kgm2 = model.wheelset_inertia_kgm2
+    assert stated.e00 - 1.0 == pytest.approx(of_omega - 1.0, rel=0.02, abs=5e-7)
+    assert stated.b00 * stated.drive_rad_s2 == pytest.approx(of_m, rel=0.02)
+    assert stated.b00 / inertia_kgm2 == pytest.approx(-of_torque, rel=1e-6)
+    if lambda_ is None:
+        return
+    of_lambda, lambda_of_lambda = change("lambda_", 1e-5)
+    assert stated.e01 == pytest.approx(of_lambda, rel=0.02)
+    assert stated.e10 == pytest.approx(lambda_of_omega, rel=0.02)
+    assert stated.e11 - 1.0 == pytest.approx(lambda_of_lambda - 1.0, rel=0.02)
+    assert stated.b10 / inertia_kgm2 == pytest.approx(-lambda_of_torque, rel=1e-3)
 
 
 def test_innovations_of_an_unchanged_recording_have_unit_variance(
