@@ -71,6 +71,8 @@ class Code(StrEnum):
     UNIT_EMERGENCY = "unit.emergency"
     UNIT_FAILED = "unit.failed"
     UNIT_UNANSWERED = "unit.unanswered"
+    UNIT_NO_COMMAND = "unit.no_command"
+    UNIT_TWO_SENDERS = "unit.two_senders"
     UNIT_ENDED = "unit.ended"
     NODE_LOST = "node.lost"
     NODE_BACK = "node.back"
@@ -85,6 +87,9 @@ class Code(StrEnum):
     PDO_TOO_SHORT = "pdo.too_short"
     PDO_REFUSED = "pdo.refused"
     PDO_LATE = "pdo.late"
+    FRAME_EXTENDED = "frame.extended"
+    FRAME_REMOTE = "frame.remote"
+    FRAME_LENGTH = "frame.length"
     CAN_ERROR_ACTIVE = "can.error_active"
     CAN_ERROR_PASSIVE = "can.error_passive"
     CAN_BUS_OFF = "can.bus_off"
@@ -161,6 +166,7 @@ class OnEvent(Protocol):
 
 
 _NODE = {"node": int}
+_CAN_ID = {"can_id": int}
 _REASON = {"reason": str}
 _FAULT = {"fault": str, "kind": str, "reaches_unit": bool, "units": list}
 _EMERGENCY = {"node": int, "error_code": int, "error_register": int}
@@ -351,6 +357,18 @@ TABLE: dict[Code, Row] = {
     Code.UNIT_UNANSWERED: Row(
         WARNING, {"syncs": int}, "the WSP unit left {syncs} SYNCs unanswered"
     ),
+    Code.UNIT_NO_COMMAND: Row(
+        ERROR,
+        _NODE | _CAN_ID,
+        "the WSP unit (node {node}) has given no valid command of the valves in the whole run",
+        "it ran without protection; send {can_id:03X}h with 11 bits and one data byte",
+    ),
+    Code.UNIT_TWO_SENDERS: Row(
+        ERROR,
+        _NODE | _CAN_ID,
+        "two programs command the valves of the WSP unit (node {node}): both send {can_id:03X}h",
+        "let one unit run, or give the other one a bus of another bench",
+    ),
     Code.UNIT_ENDED: Row(
         ERROR,
         {"unit": str, "status": int, "last_words": str, "log": str},
@@ -403,6 +421,24 @@ TABLE: dict[Code, Row] = {
         "node {node}: RPDO {pdo}: object {index:04X}h:{sub} refuses {value} ({abort})",
     ),
     Code.PDO_LATE: Row(WARNING, _NODE | {"pdo": int}, "node {node}: RPDO {pdo} is late"),
+    Code.FRAME_EXTENDED: Row(
+        WARNING,
+        _CAN_ID,
+        "another program sends {can_id:08X}h as an extended frame (29 bits), which the rig refuses",
+        "send {can_id:03X}h with 11 bits (in python-can: is_extended_id=False)",
+    ),
+    Code.FRAME_REMOTE: Row(
+        WARNING,
+        _CAN_ID,
+        "another program sends {can_id:03X}h as a remote frame, which the rig refuses",
+        "send {can_id:03X}h as a data frame",
+    ),
+    Code.FRAME_LENGTH: Row(
+        WARNING,
+        _CAN_ID | {"length": int, "least": int, "most": int},
+        "another program sends {can_id:03X}h with {length} data bytes, which the rig refuses",
+        "send {least} to {most} data bytes",
+    ),
     Code.CAN_ERROR_ACTIVE: Row(INFO, _NODE, "node {node}: error active again"),
     Code.CAN_ERROR_PASSIVE: Row(
         WARNING,

@@ -183,6 +183,7 @@ class Bench:
         if has_begun:
             parts.faults.report_waiting()
             parts.set_points.report_all()
+            parts.report_uncommanded()
         bus_counts = self._bus_counts()
         if parts.options.start == "modbus":
             self._rewrite_scenario()

@@ -20,6 +20,7 @@ from rollerrig.configs.vehicle import COACH, MOST_AXLES
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import Counters
+from rollerrig.firmware_sim.unit_answers import SILENT_AFTER_S
 from rollerrig.realtime.bench import brake_demand, derailment, rig_bus, scenario, tick_data
 from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.processes import Processes
@@ -248,6 +249,16 @@ class Parts:
         mailbox.fetch(self.data.published, self.row)
         self.diagnosis.look(_sample(self.row, self.table, self.faults.explanations))
 
+    def report_uncommanded(self) -> None:
+        """Record which units have given no valid command in a run in real time.
+
+        In lockstep a run without a command ends with an error.
+        """
+        awaits_commands = self.options.unit != "none" and self.options.pacing == "wall"
+        was_long_enough = self.simulated_ns() >= SILENT_AFTER_S * clock.SECOND_NS
+        if self.bus is not None and awaits_commands and was_long_enough:
+            self.bus.report_uncommanded()
+
     def _check_master(self, bus: rig_bus.RigBus) -> None:
         """Record an event if no master on the bus has enabled the drives."""
         off = [node for node in self.table.drive_nodes if not bus.nodes[node].device.enabled]
@@ -472,13 +483,21 @@ class Parts:
                     f"no WSP unit on {self.place}: no heartbeat on "
                     f"{self._heartbeat_ids(_groups_without_unit(bus), described=True)}"
                 ),
-                lambda: self._remedy_without_unit(_groups_without_unit(bus)),
+                lambda: (
+                    f"{_instead_of_heartbeats(bus)}; "
+                    f"{self._remedy_without_unit(_groups_without_unit(bus))}"
+                ),
             )
         except _AbsentError as error:
             if self.options.harness:  # for the program that has started this bench
                 silent = self._heartbeat_ids(_groups_without_unit(bus), described=True)
                 waited_s = self.options.unit_wait_s
-                absent = {"no_heartbeat": silent, "waited_s": waited_s, "error": str(error)}
+                absent = {
+                    "no_heartbeat": silent,
+                    "instead": _instead_of_heartbeats(bus),
+                    "waited_s": waited_s,
+                    "error": str(error),
+                }
                 self.report(json.dumps(absent))
             raise
         if not self.stopping:
@@ -564,3 +583,9 @@ def _groups_without_unit(bus: rig_bus.RigBus) -> list[int]:
     """Return the groups (from 0) whose unit has sent no heartbeat; all groups if each has."""
     silent = [group for group, unit in enumerate(bus.master.units) if unit.state is None]
     return silent or list(range(len(bus.master.units)))
+
+
+def _instead_of_heartbeats(bus: rig_bus.RigBus) -> str:
+    """Return what has come in place of the awaited heartbeats, as a part of a message."""
+    frames = (bus.seats[group].frames for group in _groups_without_unit(bus))
+    return bus.what_came_instead([one.heartbeat_id for one in frames])

@@ -15,17 +15,26 @@ from rollerrig.wsp_interface.events import Code, Event
 
 # a fault may still cause the loss of the unit for this time after it has been lifted
 RECOVERY_S = 1.0
+# a fault that begins within this time of the start begins with the run
+_WITH_THE_RUN_S = 0.5
 # events that make a run not valid; the first of each code counts
 _SPOILS = (
     Code.COACH_DERAILED,
     Code.UNIT_ENDED,
     Code.UNIT_FAILED,
+    Code.UNIT_TWO_SENDERS,
     Code.RECORDER_ENDED,
     Code.RUN_INTERRUPTED,
     Code.BENCH_KILLED,
 )
 _FAULTS = (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
-_UNIT = (Code.UNIT_LOST, Code.UNIT_BACK, Code.UNIT_SILENT, Code.UNIT_ANSWERS)
+_UNIT = (
+    Code.UNIT_LOST,
+    Code.UNIT_BACK,
+    Code.UNIT_SILENT,
+    Code.UNIT_ANSWERS,
+    Code.UNIT_NO_COMMAND,
+)
 _EMERGENCY_STOP = (Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET)
 _RELEVANT = (
     *_SPOILS,
@@ -74,6 +83,7 @@ def judge(
             f"the WSP unit was silent {len(silent_s)} {times} (heartbeat, but no command of the "
             f"valves), first at {silent_s[0]:.2f} s, and no fault was aimed at it or its bus"
         )
+    found += _without_command(relevant)
     found += _spoiled_by(relevant)
     emergency_stop = _emergency_stop(summary, relevant)
     if emergency_stop:
@@ -173,7 +183,23 @@ def silences(events: Iterable[Event], stop_time_s: float | None) -> list[float]:
     return [event.time_s for event in found if event.time_s - event.fields["silent_s"] < end_s]
 
 
-def _undisturbed(events: Iterable[Event], begins: Code, ends: Code) -> list[Event]:
+def _without_command(events: Iterable[Event]) -> list[str]:
+    """Return a sentence for each unit that has given no valid command, without a fault.
+
+    Only a fault that began with the run explains this.
+    """
+    early: set[str] = set()
+    considered: list[Event] = []
+    for event in events:
+        if event.code == Code.FAULT_BEGINS and event.time_s <= _WITH_THE_RUN_S:
+            early.add(event.fields["fault"])
+        if event.code not in _FAULTS or event.fields["fault"] in early:
+            considered.append(event)
+    found = _undisturbed(considered, Code.UNIT_NO_COMMAND)
+    return [run_events.text(Code.UNIT_NO_COMMAND, event.fields, advice=False) for event in found]
+
+
+def _undisturbed(events: Iterable[Event], begins: Code, ends: Code | None = None) -> list[Event]:
     """Return the events of a unit with the code `begins` that no fault explains.
 
     An event of the same unit with the code `ends` before the start cancels those before it.
@@ -194,7 +220,7 @@ def _undisturbed(events: Iterable[Event], begins: Code, ends: Code) -> list[Even
             )
             if event.time_s > max(reached, default=-math.inf):
                 found.append(event)
-        elif event.code == ends and event.time_s == 0.0:
+        elif ends is not None and event.code == ends and event.time_s == 0.0:
             found = [one for one in found if one.fields["node"] != event.fields["node"]]
     return found
 

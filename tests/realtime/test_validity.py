@@ -670,6 +670,8 @@ WORDS = {
     Code.BENCH_KILLED: "its bench was killed",
     Code.UNIT_LOST: "the unit was lost",
     Code.UNIT_SILENT: "the unit was [silent]",
+    Code.UNIT_NO_COMMAND: "a unit gave [no valid command]",
+    Code.UNIT_TWO_SENDERS: "two programs sent the commands of one unit",
     Code.EMERGENCY_STOP_SET: "the emergency stop was set over Modbus",
 }
 
