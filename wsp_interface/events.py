@@ -98,6 +98,7 @@ class Code(StrEnum):
     DRIVES_WITHOUT_MASTER = "drives.without_master"
     MAGNETS_FAIL_SAFE = "magnets.fail_safe"
     MAGNETS_VENT_ALONE = "magnets.vent_alone"
+    MAGNETS_FOREIGN = "magnets.foreign"
     SANDERS_STOPPED = "sanders.stopped"
     DYNAMIC_BRAKE_RELEASED = "dynamic_brake.released"
     BUS_PLACE = "bus.place"
@@ -474,6 +475,12 @@ TABLE: dict[Code, Row] = {
         WARNING,
         _NODE | {"axle": int},
         "node {node}: vent magnet of axle {axle} without its hold magnet: treated as vent",
+    ),
+    Code.MAGNETS_FOREIGN: Row(
+        WARNING,
+        _NODE,
+        "another program than the WSP unit sets the magnets of node {node} by SDO",
+        "from here on the run does not show what the unit does",
     ),
     Code.SANDERS_STOPPED: Row(
         WARNING, _NODE | {"reason": str}, "node {node}: sanders stop: {reason}"

@@ -28,6 +28,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, cores, loop, mailbox, ring, tick
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
+from rollerrig.realtime.record import validity
 from rollerrig.realtime.record.events import Events
 from rollerrig.realtime.record.set_points import SetPoints
 from rollerrig.wsp_interface import events, signals
@@ -209,6 +210,9 @@ class Parts:
             new_s = stalled_s - self._stalled_s
             self.event(Code.LOOP_STALLED, stalled_s=new_s, ahead_s=stalled_s)
             self._stalled_s = stalled_s
+            self.diagnosis.start_anew()
+            if new_s >= validity.LONG_STALL_S:
+                self.diagnosis.end()
 
     @property
     def stopping(self) -> bool:
@@ -246,8 +250,18 @@ class Parts:
         """
         if self.options.unit == "none" or self.plan["sealed"]:
             return
+        if self._others_act:
+            self.diagnosis.end()
         mailbox.fetch(self.data.published, self.row)
         self.diagnosis.look(_sample(self.row, self.table, self.faults.explanations))
+
+    @property
+    def _others_act(self) -> bool:
+        """Whether an emergency stop or another program decides what the run shows of the unit."""
+        if self.bus is not None and self.bus.is_set_by_others:
+            return True
+        has_begun = bool(self.data.control[TICK])
+        return has_begun and self.modbus_demand.emergency_stop
 
     def report_uncommanded(self) -> None:
         """Record which units have given no valid command in a run in real time.

@@ -66,6 +66,9 @@ _LISTEN_S = 0.25
 _VEHICLE_SPEED = signals.column("vehicle_speed")
 # what a harness sends to node 127: its answers, and requests by SDO
 _OF_HARNESS = (HARNESS_ANSWER_ID, SDO_REQUEST + signals.BENCH_NODE)
+# of an SDO: object 6200h:1 as its bytes 1 to 3, and the command in its byte 0 (CiA 301)
+_MAGNETS_OBJECT = b"\x00\x62\x01"
+_INITIATE_DOWNLOAD = 1
 # identifiers in a message
 _MOST_HEARD = 8
 _SENT_BY_NODES = (EMERGENCY, *TPDO, SDO_REPLY, HEARTBEAT)
@@ -272,9 +275,15 @@ class RigBus:
         groups = range(table.kind.groups)
         self.seats = tuple(UnitSeat(unit_frames(table, group)) for group in groups)
         self._seats_by_id: dict[int, UnitSeat] = {}
+        # by the identifier of an SDO request to the node with the magnets of the group
+        self._seats_by_sdo: dict[int, UnitSeat] = {}
         for seat in self.seats:
             self._seats_by_id[seat.frames.magnets_id] = seat
             self._seats_by_id[seat.frames.heartbeat_id] = seat
+            brake_node = signals.in_group(signals.BRAKE_NODE, seat.frames.group)
+            self._seats_by_sdo[SDO_REQUEST + brake_node] = seat
+        # whether another program than a unit has set magnets during the stop
+        self.is_set_by_others = False
         self.harness_partner = Partner(arbitrates=False)
         # the last refusal of each identifier of a frame from outside, and what has been reported
         self._refusals: dict[int, frame_forms.Refusal] = {}
@@ -400,6 +409,7 @@ class RigBus:
         if sender is self._port:
             return True
         self._note_heard(frame)
+        self._look_at_magnets(frame, sender)
         refused = self._refuse(frame)
         answers = not refused and self._count_answer(frame)
         if not isinstance(sender, Client):
@@ -452,6 +462,22 @@ class RigBus:
         if (code, can_id) not in self._reported:
             self._reported.add((code, can_id))
             self._on_event(code, can_id=can_id, **fields)
+
+    def _look_at_magnets(self, frame: Frame, sender: Port | Client) -> None:
+        """Note who sets magnets by SDO during the stop: the unit, or another program."""
+        seat = self._seats_by_sdo.get(frame.can_id)
+        is_command = seat is not None and frame.data[1:4] == _MAGNETS_OBJECT
+        is_download = is_command and frame.data[0] >> 5 == _INITIATE_DOWNLOAD
+        if seat is None or not is_download or self._has_stopped:
+            return
+        if sender in seat.partner.members:
+            seat.has_commanded = True
+            return
+        self.is_set_by_others = True
+        node = frame.can_id - SDO_REQUEST
+        if (Code.MAGNETS_FOREIGN, node) not in self._reported:
+            self._reported.add((Code.MAGNETS_FOREIGN, node))
+            self._on_event(Code.MAGNETS_FOREIGN, node=node)
 
     def _note_heard(self, frame: Frame) -> None:
         """Note which process data and heartbeats come from outside, for messages."""

@@ -23,10 +23,15 @@ _SPOILS = (
     Code.UNIT_ENDED,
     Code.UNIT_FAILED,
     Code.UNIT_TWO_SENDERS,
+    Code.MAGNETS_FOREIGN,
     Code.RECORDER_ENDED,
     Code.RUN_INTERRUPTED,
     Code.BENCH_KILLED,
 )
+# events that say nothing about a run without a unit
+_OF_A_UNIT = (Code.MAGNETS_FOREIGN, Code.LOOP_STALLED)
+# assumption: a unit in real time has to bridge shorter pauses of the bench
+LONG_STALL_S = 1.0
 _FAULTS = (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
 _UNIT = (
     Code.UNIT_LOST,
@@ -41,6 +46,7 @@ _RELEVANT = (
     *_FAULTS,
     *_UNIT,
     *_EMERGENCY_STOP,
+    Code.LOOP_STALLED,
     Code.RUN_ENDED_BY_HARNESS,
     Code.FAULT_NEVER_BEGAN,
 )
@@ -84,7 +90,10 @@ def judge(
             f"valves), first at {silent_s[0]:.2f} s, and no fault was aimed at it or its bus"
         )
     found += _without_command(relevant)
+    if summary["wsp"]["unit"] == "none":
+        relevant = [event for event in relevant if event.code not in _OF_A_UNIT]
     found += _spoiled_by(relevant)
+    found += _stalls(relevant, summary["stop_time_s"])
     emergency_stop = _emergency_stop(summary, relevant)
     if emergency_stop:
         found.append(emergency_stop)
@@ -181,6 +190,19 @@ def silences(events: Iterable[Event], stop_time_s: float | None) -> list[float]:
     found = _undisturbed(events, Code.UNIT_SILENT, Code.UNIT_ANSWERS)
     end_s = math.inf if stop_time_s is None else stop_time_s
     return [event.time_s for event in found if event.time_s - event.fields["silent_s"] < end_s]
+
+
+def _stalls(events: Iterable[Event], stop_time_s: float | None) -> list[str]:
+    """Return a sentence if the bench stood still for long before standstill; empty if not."""
+    end_s = math.inf if stop_time_s is None else stop_time_s
+    for event in events:
+        is_long = event.code == Code.LOOP_STALLED and event.fields["stalled_s"] >= LONG_STALL_S
+        if is_long and event.time_s < end_s:
+            return [
+                f"the bench stood still for {event.fields['stalled_s']:.2f} s, at {event.time_s:.2f} s, "
+                "while the WSP unit went on: what the unit did then is not its behaviour in a stop"
+            ]
+    return []
 
 
 def _without_command(events: Iterable[Event]) -> list[str]:

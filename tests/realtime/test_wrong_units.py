@@ -4,6 +4,8 @@ Other files have units that are swapped (`test_diagnosis.py`), that exit (`test_
 `test_command_units.py`) and whose outputs are no numbers (`test_failed_units.py`).
 """
 
+import os
+import signal
 import time
 
 import pytest
@@ -221,3 +223,47 @@ def test_an_answer_of_a_harness_that_the_rig_refuses_is_no_answer(tmp_path):
     (failed,) = bench.reported(Code.RUN_FAILED)
     assert "the harness has not answered SYNC within 1.8 s" in failed.text
     assert "sends 0000027Fh as an extended frame" in failed.text
+
+
+# --- what is not the doing of the unit ---
+
+BLAMES = {code for code in Code if code.startswith("wsp.")} | {
+    *(Code.UNIT_LOST, Code.UNIT_SILENT, Code.UNIT_NO_COMMAND, Code.UNIT_UNANSWERED)
+}
+
+
+def test_a_bench_that_stood_still_states_that_its_run_does_not_judge_the_unit(tmp_path):
+    words = ("--pacing", "wall", "--set", "adhesion=leaf_film", "--set", "initial_speed_m_s=6")
+    bench = BenchProcess(tmp_path / "run", *words)
+    bench.runs_for(0.5)
+    os.kill(bench.process.pid, signal.SIGSTOP)
+    time.sleep(3.0)
+    os.kill(bench.process.pid, signal.SIGCONT)
+    bench.finish()
+
+    assert bench.status == 4
+    stalls = [event.fields["stalled_s"] for event in bench.reported(Code.LOOP_STALLED)]
+    assert max(stalls) > 2.5
+    (reason,) = bench.result["invalid_because"]
+    assert "the bench stood still for" in reason
+    assert {event.code for event in bench.record.events} & BLAMES == set()
+
+
+def test_another_program_that_sets_the_magnets_is_named_and_the_unit_is_not_blamed(tmp_path):
+    vents = data_frame(0x611, bytes((0x2F, 0x00, 0x62, 0x01, 0xFF, 0, 0, 0)))
+    unit = {"answer": lambda n: [COMMAND] if n % 100 == 1 else []}
+    other = {"answer": lambda n: [vents] if n == 30 else [], "first": (), "beats": ()}
+    bench = play(tmp_path / "run", "wall", unit, other)
+    assert bench.status == 4
+    assert len(bench.reported(Code.MAGNETS_FOREIGN, node=17)) == 1
+    assert max(bench.record.column("valve_1")) == 2.0
+    (reason,) = bench.result["invalid_because"]
+    assert "another program than the WSP unit sets the magnets of node 17" in reason
+    assert {event.code for event in bench.record.events} & BLAMES == set()
+
+
+def test_a_unit_may_set_its_magnets_by_sdo(tmp_path):
+    by_sdo = data_frame(0x611, bytes((0x2F, 0x00, 0x62, 0x01, 0x00, 0, 0, 0)))
+    bench = play(tmp_path / "run", "wall", answers(by_sdo))
+    assert bench.status == 0, bench.stderr
+    assert not bench.reported(Code.MAGNETS_FOREIGN)
