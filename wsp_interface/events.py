@@ -373,8 +373,8 @@ TABLE: dict[Code, Row] = {
     Code.UNIT_ENDED: Row(
         ERROR,
         {"unit": str, "status": int, "last_words": str, "log": str},
-        "the {unit} {status:exit}",
-        "[its last words: {last_words}; ]its log is {log}",
+        "the {unit} {status:exit}[; its last words: {last_words}]",
+        "its log is {log}",
     ),
     # nodes of the rig
     Code.NODE_LOST: Row(
