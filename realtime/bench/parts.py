@@ -28,9 +28,10 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, cores, loop, mailbox, ring, tick
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
-from rollerrig.realtime.record import validity
+from rollerrig.realtime.record import played, validity
 from rollerrig.realtime.record.events import Events
 from rollerrig.realtime.record.set_points import SetPoints
+from rollerrig.realtime.record.validity import ENDED_BY
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
@@ -57,14 +58,6 @@ _UNIT_SETTLES_S = 0.5
 _OWN_UNIT_PATIENCE = 10
 # when drives that wait for a master on the bus must be enabled
 _MASTER_AFTER_NS = clock.SECOND_NS
-# how a run ended early, as its summary has it
-ENDED_BY = {
-    Code.RUN_INTERRUPTED: "interrupted",
-    Code.RUN_STOPPED: "stopped over Modbus",
-    Code.RUN_DERAILED: "derailed",
-    Code.RUN_BUS_LOST: "ended: its bus is lost",
-}
-
 
 # columns of the row of all signals
 _TIME = signals.column("time")
@@ -139,6 +132,7 @@ class Parts:
         )
         self.diagnosis = Diagnosis(self.table.kind, self.event)
         self.processes = Processes(options, self.event)
+        self.unit_played = played.unit_of(options.unit, options.unit_map, options.started_unit)
 
         self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(self.table.columns))
         self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
@@ -158,6 +152,7 @@ class Parts:
             "pacing": self.options.pacing,
             "seed": self.options.seed,
             "unit": self.options.unit,
+            "unit_played": self.unit_played._asdict(),
             "config_hash": scenario.digest(self.plan),
             "scenario": self.plan.name,
         }

@@ -45,6 +45,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "(FMI-LS-BUS); none: no unit (default: reference)",
     )
     wsp.unit_argument(parser)
+    # for the record: the command with which another program starts an external unit
+    parser.add_argument("--started-unit", default="", help=argparse.SUPPRESS)
     wsp.map_argument(parser)
     parser.add_argument("--model", default="", metavar="FILE", help="load an extended model")
     parser.add_argument(
@@ -170,6 +172,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         harness=options.harness,
         unit_map=options.unit_map,
         prepare_free=options.also_without_wsp,
+        started_unit=options.started_unit,
         **processes,
     )
 

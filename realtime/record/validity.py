@@ -50,6 +50,14 @@ _RELEVANT = (
     Code.RUN_ENDED_BY_HARNESS,
     Code.FAULT_NEVER_BEGAN,
 )
+# how a run ended early, as its summary has it, by the event
+ENDED_BY = {
+    Code.RUN_FAILED: "error",
+    Code.RUN_INTERRUPTED: "interrupted",
+    Code.RUN_STOPPED: "stopped over Modbus",
+    Code.RUN_DERAILED: "derailed",
+    Code.RUN_BUS_LOST: "ended: its bus is lost",
+}
 # a run that lasted to within this time of duration_max_s has reached the limit
 _LIMIT_TOLERANCE_S = 1.0
 

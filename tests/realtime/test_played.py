@@ -1,0 +1,220 @@
+"""Every record and report states what was played: unit, scenario, vehicle, seed, and validity."""
+
+import csv
+import hashlib
+import html
+import json
+import os
+import shlex
+import signal
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from bench_process import BenchProcess, SimpleUnit, until
+from process_tree import is_running
+from rerun.chunk import RrdReader
+from short_sequences import WALKING_PACE
+
+from rollerrig.realtime import cli
+from rollerrig.realtime.record import export, played, records
+from rollerrig.realtime.record.played import Unit
+from rollerrig.realtime.telemetry import views
+from rollerrig.wsp_interface.events import Code
+
+EXAMPLE = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
+COMMAND = f"{shlex.quote(sys.executable)} {shlex.quote(str(EXAMPLE))} {{host}} {{port}}"
+SHORT = ("--set", "initial_speed_m_s=3", "--set", "adhesion=dry")
+
+
+def metadata(folder):
+    """Return the metadata of channels.parquet as texts."""
+    found = pq.read_schema(folder / "channels.parquet").metadata
+    return {key.decode(): text.decode() for key, text in found.items()}
+
+
+def assert_metadata_are_those_of_the_summary(folder):
+    """The recorder writes the metadata, the bench the summary."""
+    assert metadata(folder) == played.of_summary(records.summary(folder)).texts()
+
+
+@pytest.fixture(scope="module")
+def command_run(tmp_path_factory):
+    """A run with a program of the user as its unit."""
+    out = tmp_path_factory.mktemp("played") / "run"
+    words = ("--pacing", "lockstep", "--unit", COMMAND, "--seed", "5", *SHORT)
+    bench = BenchProcess(out, *words).finish()
+    assert bench.status == 0, bench.stderr
+    return records.load(out)
+
+
+def test_the_summary_has_the_command_and_the_hashes_of_its_files(command_run):
+    unit = command_run.summary["unit_played"]
+    assert unit["kind"] == "command"
+    assert unit["command"] == COMMAND
+    assert unit["sha256"][str(EXAMPLE)] == hashlib.sha256(EXAMPLE.read_bytes()).hexdigest()
+    assert len(unit["sha256"]) == 2  # Python, too
+    assert command_run.summary["vehicle"] == "uic_z1"
+
+
+def test_the_channels_have_what_was_played_as_metadata(command_run):
+    assert_metadata_are_those_of_the_summary(command_run.folder)
+    found = metadata(command_run.folder)
+    assert json.loads(found["unit_played"])["command"] == COMMAND
+    assert (found["scenario"], found["vehicle"], found["seed"]) == ("velim_a1", "uic_z1", "5")
+    assert found["config_hash"] == command_run.summary["config_hash"]
+    assert json.loads(found["valid"]) is True
+    assert json.loads(found["invalid_because"]) == []
+
+
+def test_exported_files_have_what_was_played(command_run, tmp_path):
+    texts = played.of_summary(command_run.summary).texts()
+
+    *_, file = export.write(command_run, "csv", tmp_path / "run.csv")
+    assert file.name == "run.run.csv"
+    with file.open(encoding="utf-8", newline="") as lines:
+        assert dict(csv.reader(lines)) == texts
+
+    from scipy.io import loadmat
+
+    [file] = export.write(command_run, "mat", tmp_path / "run.mat")
+    read = loadmat(file, squeeze_me=True, simplify_cells=True)["run"]
+    assert read["unit_played"] == texts["unit_played"]
+    assert read["valid"] == "true"
+
+    asammdf = pytest.importorskip("asammdf")
+    [file] = export.write(command_run, "mdf4", tmp_path / "run.mf4")
+    with asammdf.MDF(file) as read:
+        comment = html.unescape(read.header.comment)
+    for key, text in texts.items():
+        assert f"{key}: {text}" in comment
+
+
+def test_the_recording_of_rerun_has_what_was_played(command_run):
+    contents = []
+    for chunk in RrdReader(command_run.folder / "run.rrd").stream():
+        if str(chunk.entity_path) == views.RESULT:
+            contents.append(str(chunk.to_record_batch().to_pydict()))
+    (content,) = contents
+    digest = hashlib.sha256(EXAMPLE.read_bytes()).hexdigest()
+    for part in ("unit played command", digest, "vehicle uic_z1", "seed 5", "**valid**"):
+        assert part in content
+
+
+def test_a_run_with_an_error_is_not_valid_in_its_channels_either(tmp_path):
+    bench = BenchProcess(
+        tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", "--answer-wait", "1", *SHORT
+    )
+    unit = SimpleUnit(bench.address(), lambda n: [(0x211, b"\0")] if n < 20 else None)
+    bench.finish()
+    unit.close()
+    assert bench.reported(Code.RUN_FAILED)
+    assert_metadata_are_those_of_the_summary(bench.out)
+    found = metadata(bench.out)
+    assert json.loads(found["valid"]) is False
+    assert "has not answered SYNC" in found["invalid_because"]
+    assert json.loads(found["unit_played"])["kind"] == "external"
+
+
+def test_a_killed_bench_leaves_what_was_played(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "wall", "--seed", "7")
+    bench.runs_for(0.3)
+    recorder = bench.child("rollerrig.realtime.telemetry.recorder")
+    os.kill(bench.process.pid, signal.SIGKILL)
+    bench.process.wait(60.0)
+    until(lambda: not is_running(recorder), "the end of the recorder")
+    assert_metadata_are_those_of_the_summary(bench.out)
+    found = metadata(bench.out)
+    assert json.loads(found["unit_played"])["kind"] == "reference"
+    assert found["seed"] == "7"
+    assert "the bench was killed" in found["invalid_because"]
+
+
+# --- reports ---
+
+
+def play(tmp_path, capfd, *words):
+    """Play a short sequence; return its report as data, as page and as JUnit, and the messages."""
+    path = tmp_path / "walk.toml"
+    path.write_text(WALKING_PACE, encoding="utf-8")
+    out = tmp_path / "report"
+    cli.main(["sequence", str(path), "--out", str(out), *words])
+    printed = capfd.readouterr()
+    data = json.loads((out / "report.json").read_text())
+    suite = ET.parse(out / "junit.xml").getroot()[0]
+    properties = {one.get("name"): one.get("value") for one in suite.iter("property")}
+    return data, (out / "report.html").read_text(), properties, printed.out + printed.err
+
+
+def test_a_report_states_the_command_that_was_played_whatever_its_user_states(tmp_path, capfd):
+    words = ("--unit", COMMAND, "--about", "unit under test=ACME 7")
+    data, page, properties, printed = play(tmp_path, capfd, *words)
+    (one,) = data["sequences"]
+    digest = hashlib.sha256(EXAMPLE.read_bytes()).hexdigest()
+    assert one["unit_played"]["kind"] == "command"
+    assert one["unit_played"]["sha256"][str(EXAMPLE)] == digest
+    for content in (page, properties["unit played"]):
+        assert "wsp_unit.py {host} {port}" in content
+        assert digest in content
+    assert "ACME 7" in page
+    assert "contradicts" not in printed
+    assert data["warnings"] == []
+
+
+def test_a_report_that_names_another_unit_than_the_reference_unit_warns(tmp_path, capfd):
+    words = ("--about", "unit under test=ACME 7", "--about", "version of the unit=3.2")
+    data, page, properties, printed = play(tmp_path, capfd, *words)
+    for content in (page, properties["unit played"]):
+        assert "reference WSP of rollerrig (simulated)" in content
+    (warning,) = data["warnings"]
+    assert "'unit under test=ACME 7' and 'version of the unit=3.2' contradicts" in warning
+    assert "the reference unit of rollerrig was played" in page
+    assert "contradicts the record" in printed
+
+
+def test_the_unit_that_was_played_cannot_be_stated(tmp_path, capfd):
+    words = ["sequence", "low_speed_010", "--about", "Unit played=ACME", "--out", str(tmp_path)]
+    assert cli.main(words) == 2
+    assert "write 'unit under test=...'" in capfd.readouterr().err
+
+
+# --- the value object ---
+
+
+@pytest.mark.parametrize(
+    ("unit", "words"),
+    [
+        (Unit("none"), "none"),
+        (Unit("external"), "unknown unit on the bus; without an identity object (1018h)"),
+        (Unit("reference", version="1.2"), "reference WSP of rollerrig (simulated); version 1.2"),
+        (Unit("command", "./unit", {"./unit": "ab"}), "command ./unit; ./unit: SHA-256 ab"),
+        (Unit("fmu", None, {"a.fmu": "cd"}, "3"), "FMU; version 3; a.fmu: SHA-256 cd"),
+        (None, "not stated in this record"),
+    ],
+)
+def test_a_unit_in_words(unit, words):
+    assert played.words(unit) == words
+
+
+def test_an_fmu_has_its_hash_and_the_version_of_its_description(tmp_path):
+    fmus = pytest.importorskip("fmus")
+
+    def with_version(xml):
+        return xml.replace("<fmiModelDescription ", '<fmiModelDescription version="4.2" ', 1)
+
+    file = fmus.build(tmp_path, edit=with_version)
+    unit = played.unit_of(f"fmu:{file}")
+    assert unit.kind == "fmu"
+    assert unit.version == "4.2"
+    assert unit.sha256 == {str(file): hashlib.sha256(file.read_bytes()).hexdigest()}
+
+
+def test_a_record_without_these_entries_is_still_read():
+    old = {"scenario": "velim_a1", "seed": 0, "valid": True, "invalid_because": []}
+    found = played.of_summary(old)
+    assert found.unit is None
+    assert found.valid
+    assert found.facts()["unit played"] == "not stated in this record"
+    assert not played.of_summary({}).valid
