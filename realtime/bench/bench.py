@@ -214,6 +214,7 @@ class Bench:
         control = parts.data.control
         return parts.identity() | {
             "ended": parts.ended_by or "finished",
+            "random": parts.is_random,
             "loop": {
                 "ticks": int(control[TICK]),
                 "core": parts.core.number,

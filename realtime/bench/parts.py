@@ -17,6 +17,7 @@ import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
 from rollerrig.configs.vehicle import COACH, MOST_AXLES
+from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import Counters
@@ -156,6 +157,12 @@ class Parts:
             "config_hash": scenario.digest(self.plan),
             "scenario": self.plan.name,
         }
+
+    @property
+    def is_random(self) -> bool:
+        """Whether the rig has drawn a random number in this run, so that its seed matters."""
+        first = pole_wheel.memory(self.options.seed, self.table.kind.axles)
+        return not np.array_equal(self.data.pulses[pole_wheel.RANDOM], first[pole_wheel.RANDOM])
 
     def _configuration(self) -> str:
         """Return what the bench plays as JSON in ASCII, for a harness on the bus."""

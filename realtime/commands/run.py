@@ -186,6 +186,11 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
     progress_line.close()
 
     items = [] if options.json else _items(summary, out)
+    if options.seed and not summary["random"]:
+        items.append(
+            f"--seed {options.seed} has no effect: nothing in this run of the rig is random (noise of a "
+            "speed sensor is: fault speed_noise_burst, wheel flats with noise)"
+        )
     result = summary | {"folder": str(out)}
     if options.also_without_wsp:
         without = without_wsp.record(plan, options_without, progress_line)

@@ -57,12 +57,16 @@ class Unit(NamedTuple):
 
 
 class Played(NamedTuple):
-    """What a run has played; `unit` is None in records of older versions."""
+    """What a run has played; `unit` is None in records of older versions.
+
+    random: whether the rig has drawn a random number; None if that is not known.
+    """
 
     unit: Unit | None
     scenario: str
     vehicle: str
     seed: int | None
+    random: bool | None
     version: str
     config_hash: str
     valid: bool
@@ -77,9 +81,16 @@ class Played(NamedTuple):
             "unit played": words(self.unit),
             "scenario": self.scenario,
             "vehicle": self.vehicle,
-            "seed": NOT_STATED if self.seed is None else str(self.seed),
+            "seed": self._seed_text(),
             "valid": validity_text,
         }
+
+    def _seed_text(self) -> str:
+        if self.seed is None:
+            return NOT_STATED
+        if self.random is False:
+            return f"{self.seed}, without effect: nothing in the rig was random"
+        return str(self.seed)
 
     def texts(self) -> dict[str, str]:
         """Return what was played as texts for the metadata of a file.
@@ -112,6 +123,7 @@ def of_summary(summary: Mapping[str, Any]) -> Played:
         scenario=str(summary.get("scenario") or NOT_STATED),
         vehicle=str(summary.get("vehicle") or NOT_STATED),
         seed=summary.get("seed"),
+        random=summary.get("random"),
         version=str(summary.get("version") or NOT_STATED),
         config_hash=str(summary.get("config_hash") or NOT_STATED),
         valid=not because,

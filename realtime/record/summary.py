@@ -52,9 +52,9 @@ def of(
     """Return the summary of recorded channels, as in summary.json.
 
     `columns` has arrays of shape (n,) by the names of the table of signals. `counters` may have
-    version, config_hash, scenario, pacing, seed, unit, unit_played, ended, and the tables loop,
-    bus, modbus and recorder. `scenario` is the resolved one, `events` are all events of the run.
-    `kind` is that of the vehicle; default: that of the scenario. The same input gives the same
+    version, config_hash, scenario, pacing, seed, random, unit, unit_played, ended, and the tables
+    loop, bus, modbus and recorder. `scenario` is the resolved one, `events` are all events of the
+    run. `kind` is that of the vehicle; default: that of the scenario. The same input gives the same
     output.
     """
     if kind is None:
@@ -100,6 +100,7 @@ def of(
         "unit_played": counters.get("unit_played") or _unit_played(counters.get("unit")),
         "pacing": counters.get("pacing"),
         "seed": counters.get("seed"),
+        "random": counters.get("random"),
         "ended": counters.get("ended", "finished"),
         "tick_hz": loop.get("tick_hz"),
         "step_s": loop.get("step_s"),

@@ -218,3 +218,23 @@ def test_a_record_without_these_entries_is_still_read():
     assert found.valid
     assert found.facts()["unit played"] == "not stated in this record"
     assert not played.of_summary({}).valid
+
+
+# --- the seed ---
+
+
+@pytest.mark.parametrize(
+    ("fault", "random"),
+    [(None, False), ("speed_noise_burst axle=1 std_rad_s=0.2", True)],
+    ids=["nothing", "noise"],
+)
+def test_a_seed_where_nothing_is_random_is_reported(fault, random, tmp_path, capsys):
+    words = ["run", "velim_a1", "--pacing", "free", *SHORT, "--out", str(tmp_path / "run")]
+    if fault:
+        words += ["--fault", fault]
+    assert cli.main([*words, "--seed", "3"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert ("--seed 3 has no effect: nothing in this run of the rig is random" in printed) != random
+    summary = records.summary(tmp_path / "run")
+    assert summary["random"] is random
+    assert ("without effect" in played.of_summary(summary).facts()["seed"]) != random
