@@ -64,6 +64,7 @@ class Code(StrEnum):
     UNIT_APPEARED = "unit.appeared"
     UNIT_STATE = "unit.state"
     UNIT_READY = "unit.ready"
+    UNIT_IDENTITY = "unit.identity"
     UNIT_LOST = "unit.lost"
     UNIT_BACK = "unit.back"
     UNIT_SILENT = "unit.silent"
@@ -329,6 +330,12 @@ TABLE: dict[Code, Row] = {
     ),
     Code.UNIT_STATE: Row(INFO, _NODE | {"state": str}, "the WSP unit (node {node}) is {state}"),
     Code.UNIT_READY: Row(INFO, {}, "the WSP unit is on the bus"),
+    Code.UNIT_IDENTITY: Row(
+        INFO,
+        _NODE | {"vendor_id": int, "product_code": int, "revision": int, "serial": int},
+        "the WSP unit (node {node}) identifies itself (1018h): vendor {vendor_id:X}h[, product "
+        "{product_code:X}h][, revision {revision:X}h][, serial number {serial:X}h]",
+    ),
     Code.UNIT_LOST: Row(
         ERROR,
         _NODE | {"silent_s": float},

@@ -57,6 +57,8 @@ _POLL_S = 0.005
 _UNIT_SETTLES_S = 0.5
 # the unit of the bench may start slowly on a busy machine: it gets so many times --wait
 _OWN_UNIT_PATIENCE = 10
+# how long to wait for the identity of units; most have none
+_IDENTITY_S = 0.2
 # when drives that wait for a master on the bus must be enabled
 _MASTER_AFTER_NS = clock.SECOND_NS
 
@@ -518,6 +520,24 @@ class Parts:
             raise
         if not self.stopping:
             self.event(Code.UNIT_READY)
+            await self._ask_for_identity(bus)
+
+    async def _ask_for_identity(self, bus: rig_bus.RigBus) -> None:
+        """Ask units that are not of this project for their identity, and wait a moment for it.
+
+        Only the master of a bus uses the SDO channel of a node.
+        """
+        if self.options.own_unit or not self.plan["bus"]["master"]:
+            return
+        bus.identities.ask(self.table.wsp_nodes)
+        deadline_s = time.monotonic() + _IDENTITY_S
+        while bus.identities.open and time.monotonic() < deadline_s and not self.stopping:
+            bus.poll()
+            await asyncio.sleep(_POLL_S)
+        found = bus.identities.of_units()
+        for identity in found:
+            self.event(Code.UNIT_IDENTITY, **identity)
+        self.unit_played = self.unit_played._replace(identity=found or None)
 
     async def _await_harness(self, bus: rig_bus.RigBus) -> None:
         self._report_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")

@@ -32,6 +32,7 @@ from rollerrig.firmware_sim.nmt_master import NmtMaster
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.firmware_sim.unit_answers import silent_after_syncs
 from rollerrig.realtime.bench.scenario import AUTOMATIC_PORT, Scenario
+from rollerrig.realtime.bench.unit_identity import Identities
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
 from rollerrig.wsp_interface import events, frame_forms, signals
@@ -320,6 +321,7 @@ class RigBus:
             member.clock_ns = clock_ns
             self.rack.add(member)
         self._port = hub.attach(self._from_bus, "rig")
+        self.identities = Identities(self._port.send)
         self.gate = Gate(Controllers(hub.destroy))
         hub.order = self._order
         self.rack.start(self._port.send, clock_ns())
@@ -350,6 +352,7 @@ class RigBus:
                 self._on_event(Code.SYNC_FOREIGN)
         self.rack.advance_clock(frame.time_ns)
         self.rack.on_frame(frame)
+        self.identities.hear(frame)
         self._set_alarm()
 
     # -- answers of the unit and the harness

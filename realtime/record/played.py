@@ -53,7 +53,7 @@ class Unit(NamedTuple):
     command: str | None = None
     sha256: Mapping[str, str] = {}
     version: str | None = None
-    identity: Sequence[Mapping[str, int]] | None = None
+    identity: Sequence[Mapping[str, int | None]] | None = None
 
 
 class Played(NamedTuple):
@@ -183,7 +183,8 @@ def words(unit: Unit | None) -> str:
         parts.append(f"version {unit.version}")
     parts += [f"{name}: SHA-256 {digest}" for name, digest in unit.sha256.items()]
     for one in unit.identity or ():
-        numbers = ", ".join(f"{key} {one[key]:X}h" for key in one if key != "node")
+        known = {key: value for key, value in one.items() if value is not None and key != "node"}
+        numbers = ", ".join(f"{key} {value:X}h" for key, value in known.items())
         parts.append(f"identity of node {one['node']} (1018h): {numbers}")
     if unit.kind == EXTERNAL and not unit.identity:
         parts.append("without an identity object (1018h)")

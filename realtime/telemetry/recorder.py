@@ -222,13 +222,20 @@ class Recorder:
             return
         for event in events:
             self._recorded_events.add(event)
-            if event.code in validity.ENDED_BY:
-                # a failure counts more than what has ended the run before it
-                is_failure = event.code == Code.RUN_FAILED
-                if is_failure or not self._ended_by:
-                    self._ended_by = validity.ENDED_BY[event.code]
+            self._note(event)
         self._event_log.write(_as_bytes([json.dumps(event._asdict()) for event in events]))
         self._drawing.events(events)
+
+    def _note(self, event: Event) -> None:
+        """Note what the summary needs of an event: the identity of a unit, and the end of a run."""
+        unit = self._counters.get("unit_played")
+        if unit and event.code == Code.UNIT_IDENTITY:
+            unit["identity"] = [*(unit["identity"] or ()), event.fields]
+        elif event.code in validity.ENDED_BY:
+            # a failure counts more than what has ended the run before it
+            is_failure = event.code == Code.RUN_FAILED
+            if is_failure or not self._ended_by:
+                self._ended_by = validity.ENDED_BY[event.code]
 
     def _send_rows(self) -> None:
         """Send the waiting rows to run.rrd."""

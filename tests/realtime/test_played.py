@@ -7,12 +7,14 @@ import json
 import os
 import shlex
 import signal
+import struct
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+import wrong_units
 from bench_process import BenchProcess, SimpleUnit, until
 from process_tree import is_running
 from rerun.chunk import RrdReader
@@ -238,3 +240,39 @@ def test_a_seed_where_nothing_is_random_is_reported(fault, random, tmp_path, cap
     summary = records.summary(tmp_path / "run")
     assert summary["random"] is random
     assert ("without effect" in played.of_summary(summary).facts()["seed"]) != random
+
+
+# --- the identity object of a unit ---
+
+IDENTITY = {"vendor_id": 0x123, "product_code": 0x45, "revision": 0x10002, "serial": 0xABCD}
+
+
+class UnitWithIdentity(wrong_units.Unit):
+    """A unit with an SDO server that has the object 1018h and nothing else."""
+
+    def take(self, message):
+        if message.arbitration_id != 0x620:
+            return
+        _, index, sub, _ = struct.unpack("<BHBI", message.data)
+        assert index == 0x1018
+        value = list(IDENTITY.values())[sub - 1]
+        reply = struct.pack("<BHBI", 0x43, index, sub, value)
+        self.bus.send(wrong_units.data_frame(0x5A0, reply))
+
+
+def test_an_unknown_unit_on_the_bus_is_recorded_with_its_identity_object(tmp_path):
+    bench = BenchProcess(tmp_path / "run", "--pacing", "lockstep", "--wsp", "external", *SHORT)
+    unit = UnitWithIdentity(bench.address(), lambda n: [wrong_units.COMMAND])
+    bench.finish()
+    unit.close()
+    assert bench.status == 0, bench.stderr
+    assert_metadata_has_identity(bench)
+    unit_played = bench.record.summary["unit_played"]
+    assert unit_played["identity"] == [{"node": 32, **IDENTITY}]
+    words = played.words(played.of_summary(bench.record.summary).unit)
+    assert "identity of node 32 (1018h): vendor_id 123h, product_code 45h" in words
+
+
+def assert_metadata_has_identity(bench):
+    found = json.loads(metadata(bench.out)["unit_played"])
+    assert found["identity"] == [{"node": 32, **IDENTITY}]

@@ -60,6 +60,11 @@ class Unit:
                     if frames is None:
                         return
                     self._send(frames)
+                else:
+                    self.take(message)
+
+    def take(self, message):
+        """Take a message that is no SYNC."""
 
     def _send(self, frames):
         for frame in frames:
