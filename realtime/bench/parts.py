@@ -334,6 +334,7 @@ class Parts:
             left=bus.dismiss_harness,
         )
         bus.harness.configuration = self._configuration
+        bus.has_unit = self.options.unit != "none"
         bus.own_unit = self.options.own_unit
         # an FMU answers when it has the pressures, the reference unit when it has the speeds
         if self.options.fmus:

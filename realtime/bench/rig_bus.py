@@ -292,6 +292,8 @@ class RigBus:
         # identifiers of process data and heartbeats from outside, as text
         self._heard: dict[str, None] = {}
         self._turns_taken_by: tuple[Partner, ...] = ()
+        # whether the run has a WSP unit at all
+        self.has_unit = True
         # the units of the bench answer every SYNC, also foreign ones; if the frame that starts the
         # cycle of a unit is missing, it answers at the next SYNC
         self.own_unit = False
@@ -412,14 +414,15 @@ class RigBus:
         if sender is self._port:
             return True
         self._note_heard(frame)
-        self._look_at_magnets(frame, sender)
         refused = self._refuse(frame)
+        if self.has_unit and not refused:
+            self._look_at_magnets(frame, sender)
         answers = not refused and self._count_answer(frame)
         if not isinstance(sender, Client):
             return True
         seat = self._seats_by_id.get(frame.can_id)
         if seat is not None and not refused:
-            if seat.is_commanded_by_another(frame, sender):
+            if self.has_unit and seat.is_commanded_by_another(frame, sender):
                 fields = {"node": seat.frames.node, "can_id": frame.can_id}
                 self._report_once(Code.UNIT_TWO_SENDERS, **fields)
             seat.note(frame, sender)

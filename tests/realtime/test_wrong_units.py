@@ -1,7 +1,8 @@
 """A unit that does one thing wrong: the record states what has happened, and no more.
 
-Other files have units that are swapped (`test_diagnosis.py`), that exit (`test_validity.py`,
-`test_command_units.py`) and whose outputs are no numbers (`test_failed_units.py`).
+Other files have units that are swapped (`test_diagnosis.py`), that exit or fall silent
+(`test_validity.py`, `test_command_units.py`) and whose outputs are no numbers
+(`test_failed_units.py`).
 """
 
 import os
@@ -267,3 +268,28 @@ def test_a_unit_may_set_its_magnets_by_sdo(tmp_path):
     bench = play(tmp_path / "run", "wall", answers(by_sdo))
     assert bench.status == 0, bench.stderr
     assert not bench.reported(Code.MAGNETS_FOREIGN)
+
+
+def test_frames_that_any_node_of_the_rig_takes_have_the_same_rule(tmp_path):
+    extended = [data_frame(can_id, b"\0\0", extended=True) for can_id in (0x000, 0x080, 0x611)]
+    refused = [*extended, remote_frame(0x201), data_frame(HEARTBEAT, b"\5\5")]
+    # other identifiers, a guarding master, and a request for a TPDO
+    allowed = [
+        data_frame(0x18FF50E5, bytes(8), extended=True),
+        data_frame(0x300, b""),
+        remote_frame(0x701),
+        remote_frame(0x181),
+    ]
+    frames = (*refused, *allowed, *refused)
+    unit = {"answer": lambda n: [*(frames if n == 30 else ()), COMMAND]}
+    bench = play(tmp_path / "run", "lockstep", unit)
+    assert bench.status == 0, bench.stderr
+    reported = {
+        code: [event.fields["can_id"] for event in bench.reported(code)]
+        for code in (Code.FRAME_EXTENDED, Code.FRAME_REMOTE, Code.FRAME_LENGTH)
+    }
+    assert reported == {
+        Code.FRAME_EXTENDED: [0x000, 0x080, 0x611],
+        Code.FRAME_REMOTE: [0x201],
+        Code.FRAME_LENGTH: [HEARTBEAT],
+    }
