@@ -23,7 +23,7 @@ is not observable from the magnets alone: a valve that vents too late may have a
 well as a wrong reference.
 
 `start_anew` and `end` are for what is not the doing of the unit: a pause of the bench, an emergency
-stop, another program that sets the valves.
+stop, another program that sets the valves, stops a node or moves the drives.
 
 Source of the thresholds: assumption. The reference unit stays below each of them by a factor of 1.5
 or more in all stops of the paper (`tests/realtime/test_diagnosis.py`). Limits: below `SLOWEST_M_S`

@@ -79,6 +79,7 @@ class Code(StrEnum):
     NODE_BACK = "node.back"
     NODE_EMERGENCY = "node.emergency"
     NMT_STATE = "nmt.state"
+    NMT_FOREIGN = "nmt.foreign"
     HEARTBEAT_LOST = "heartbeat.lost"
     HEARTBEAT_BACK = "heartbeat.back"
     GUARDING_LOST = "guarding.lost"
@@ -195,7 +196,8 @@ TABLE: dict[Code, Row] = {
         WARNING,
         {"stalled_s": float, "ahead_s": float},
         "the loop stood still for {stalled_s:.3f} s",
-        "from here on the times in can.log are {ahead_s:.3f} s ahead of simulated time",
+        "from here on the times in can.log are {ahead_s:.3f} s ahead of simulated time; a pause of 1 s "
+        "or longer before standstill makes the run of a unit not valid, a shorter one does not",
     ),
     Code.LOOP_REFUSED: Row(
         INFO, {"refused": str}, "the system refused the real-time thread {refused}"
@@ -394,6 +396,13 @@ TABLE: dict[Code, Row] = {
         "node {node}: EMCY {error_code:04X}h, error register {error_register:02X}h",
     ),
     Code.NMT_STATE: Row(INFO, _NODE | {"state": str}, "node {node}: NMT {state}"),
+    Code.NMT_FOREIGN: Row(
+        WARNING,
+        _NODE | {"command": int},
+        "another program sends the NMT command {command} (2 stop, 128 pre-operational, 129 and 130 "
+        "reset) to node {node} (0: all nodes) during the stop",
+        "from here on the run does not show what the unit does",
+    ),
     Code.HEARTBEAT_LOST: Row(
         ERROR,
         _NODE | {"partner": int, "silent_s": float},

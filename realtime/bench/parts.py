@@ -261,8 +261,13 @@ class Parts:
 
     @property
     def _others_act(self) -> bool:
-        """Whether an emergency stop or another program decides what the run shows of the unit."""
-        if self.bus is not None and self.bus.is_set_by_others:
+        """Whether an emergency stop or another program decides what the run shows of the unit.
+
+        A master on the bus that moves the drives always does.
+        """
+        if self.plan["rig"]["drives"] == "bus":
+            return True
+        if self.bus is not None and self.bus.others_act:
             return True
         has_begun = bool(self.data.control[TICK])
         return has_begun and self.modbus_demand.emergency_stop

@@ -23,6 +23,7 @@ from rollerrig.firmware_sim import (
     traction401,
 )
 from rollerrig.firmware_sim.cia301.host import NEVER
+from rollerrig.firmware_sim.cia301.nmt import Command
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.faults.bus import Gate
@@ -42,6 +43,7 @@ from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import (
     EMERGENCY,
     HEARTBEAT,
+    NMT,
     NODE_MASK,
     SDO_REPLY,
     SDO_REQUEST,
@@ -70,6 +72,9 @@ _OF_HARNESS = (HARNESS_ANSWER_ID, SDO_REQUEST + signals.BENCH_NODE)
 # of an SDO: object 6200h:1 as its bytes 1 to 3, and the command in its byte 0 (CiA 301)
 _MAGNETS_OBJECT = b"\x00\x62\x01"
 _INITIATE_DOWNLOAD = 1
+# bytes of an NMT command, and the commands after which a node does not do its work
+_NMT_BYTES = 2
+_STOPPING = frozenset(Command) - {Command.START}
 # identifiers in a message
 _MOST_HEARD = 8
 _SENT_BY_NODES = (EMERGENCY, *TPDO, SDO_REPLY, HEARTBEAT)
@@ -283,8 +288,15 @@ class RigBus:
             self._seats_by_id[seat.frames.heartbeat_id] = seat
             brake_node = signals.in_group(signals.BRAKE_NODE, seat.frames.group)
             self._seats_by_sdo[SDO_REQUEST + brake_node] = seat
-        # whether another program than a unit has set magnets during the stop
-        self.is_set_by_others = False
+        # units, and the nodes with their speeds and magnets; 0 addresses all nodes
+        self._nodes_of_units = {
+            0,
+            *table.wsp_nodes,
+            *table.nodes(signals.SPEED_NODE),
+            *table.nodes(signals.BRAKE_NODE),
+        }
+        # whether another program has set magnets, or stopped a node of them, during the stop
+        self.others_act = False
         self.harness_partner = Partner(arbitrates=False)
         # the last refusal of each identifier of a frame from outside, and what has been reported
         self._refusals: dict[int, frame_forms.Refusal] = {}
@@ -415,8 +427,9 @@ class RigBus:
             return True
         self._note_heard(frame)
         refused = self._refuse(frame)
-        if self.has_unit and not refused:
+        if self.has_unit and not refused and not self._has_stopped:
             self._look_at_magnets(frame, sender)
+            self._look_at_nmt(frame)
         answers = not refused and self._count_answer(frame)
         if not isinstance(sender, Client):
             return True
@@ -474,16 +487,27 @@ class RigBus:
         seat = self._seats_by_sdo.get(frame.can_id)
         is_command = seat is not None and frame.data[1:4] == _MAGNETS_OBJECT
         is_download = is_command and frame.data[0] >> 5 == _INITIATE_DOWNLOAD
-        if seat is None or not is_download or self._has_stopped:
+        if seat is None or not is_download:
             return
         if sender in seat.partner.members:
             seat.has_commanded = True
             return
-        self.is_set_by_others = True
+        self.others_act = True
         node = frame.can_id - SDO_REQUEST
         if (Code.MAGNETS_FOREIGN, node) not in self._reported:
             self._reported.add((Code.MAGNETS_FOREIGN, node))
             self._on_event(Code.MAGNETS_FOREIGN, node=node)
+
+    def _look_at_nmt(self, frame: Frame) -> None:
+        """Note a command of another program that stops a unit, or a node that a unit needs."""
+        if frame.can_id != NMT or len(frame.data) != _NMT_BYTES or not self._has_rolled:
+            return
+        command, node = frame.data
+        if command in _STOPPING and node in self._nodes_of_units:
+            self.others_act = True
+            if (Code.NMT_FOREIGN, node) not in self._reported:
+                self._reported.add((Code.NMT_FOREIGN, node))
+                self._on_event(Code.NMT_FOREIGN, node=node, command=command)
 
     def _note_heard(self, frame: Frame) -> None:
         """Note which process data and heartbeats come from outside, for messages."""

@@ -24,12 +24,13 @@ _SPOILS = (
     Code.UNIT_FAILED,
     Code.UNIT_TWO_SENDERS,
     Code.MAGNETS_FOREIGN,
+    Code.NMT_FOREIGN,
     Code.RECORDER_ENDED,
     Code.RUN_INTERRUPTED,
     Code.BENCH_KILLED,
 )
 # events that say nothing about a run without a unit
-_OF_A_UNIT = (Code.MAGNETS_FOREIGN, Code.LOOP_STALLED)
+_OF_A_UNIT = (Code.MAGNETS_FOREIGN, Code.NMT_FOREIGN, Code.LOOP_STALLED)
 # assumption: a unit in real time has to bridge shorter pauses of the bench
 LONG_STALL_S = 1.0
 _FAULTS = (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
@@ -238,7 +239,9 @@ def _undisturbed(events: Iterable[Event], begins: Code, ends: Code | None = None
     disturbed: dict[str, tuple[list[int] | None, float]] = {}
     found: list[Event] = []
     for event in events:
-        if event.code in _FAULTS:
+        if event.code == Code.NMT_FOREIGN:
+            disturbed[event.code] = (None, math.inf)
+        elif event.code in _FAULTS:
             fault_begins = event.code == Code.FAULT_BEGINS
             until_s = math.inf if fault_begins else event.time_s + RECOVERY_S
             # a record of an older version does not have the units: all of them

@@ -263,6 +263,20 @@ def test_another_program_that_sets_the_magnets_is_named_and_the_unit_is_not_blam
     assert {event.code for event in bench.record.events} & BLAMES == set()
 
 
+@pytest.mark.parametrize(("node", "command"), [(32, 2), (16, 128), (0, 129)])
+def test_a_master_that_stops_a_node_during_the_stop_is_named_and_not_the_unit(
+    node, command, tmp_path
+):
+    nmt = data_frame(0x000, bytes((command, node)))
+    other = {"answer": lambda n: [nmt] if n == 30 else [], "first": (), "beats": ()}
+    bench = play(tmp_path / "run", "wall", answers(COMMAND), other)
+    assert bench.status == 4
+    assert len(bench.reported(Code.NMT_FOREIGN, node=node, command=command)) == 1
+    (reason,) = bench.result["invalid_because"]
+    assert f"another program sends the NMT command {command}" in reason
+    assert not [event for event in bench.record.events if str(event.code).startswith("wsp.")]
+
+
 def test_a_unit_may_set_its_magnets_by_sdo(tmp_path):
     by_sdo = data_frame(0x611, bytes((0x2F, 0x00, 0x62, 0x01, 0x00, 0, 0, 0)))
     bench = play(tmp_path / "run", "wall", answers(by_sdo))
