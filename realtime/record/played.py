@@ -60,6 +60,7 @@ class Played(NamedTuple):
     """What a run has played; `unit` is None in records of older versions.
 
     random: whether the rig has drawn a random number; None if that is not known.
+    valid: None if that is not known: the record of a sequence on a running bench is elsewhere.
     """
 
     unit: Unit | None
@@ -69,21 +70,23 @@ class Played(NamedTuple):
     random: bool | None
     version: str
     config_hash: str
-    valid: bool
+    valid: bool | None
     invalid_because: tuple[str, ...]
 
     def facts(self) -> dict[str, str]:
         """Return what was played as rows for people."""
-        validity_text = "yes"
-        if self.invalid_because:
-            validity_text = f"NO: {'; '.join(self.invalid_because)}"
         return {
             "unit played": words(self.unit),
             "scenario": self.scenario,
             "vehicle": self.vehicle,
             "seed": self._seed_text(),
-            "valid": validity_text,
+            "valid": self._validity_text(),
         }
+
+    def _validity_text(self) -> str:
+        if self.valid is None:
+            return NOT_STATED
+        return "yes" if self.valid else f"NO: {'; '.join(self.invalid_because)}"
 
     def _seed_text(self) -> str:
         if self.seed is None:
@@ -95,7 +98,7 @@ class Played(NamedTuple):
     def texts(self) -> dict[str, str]:
         """Return what was played as texts for the metadata of a file.
 
-        `unit_played` and `invalid_because` are JSON, `valid` is true or false.
+        `unit_played` and `invalid_because` are JSON, `valid` is true, false or null.
         """
         return {
             "unit_played": json.dumps(None if self.unit is None else self.unit._asdict()),
@@ -126,7 +129,7 @@ def of_summary(summary: Mapping[str, Any]) -> Played:
         random=summary.get("random"),
         version=str(summary.get("version") or NOT_STATED),
         config_hash=str(summary.get("config_hash") or NOT_STATED),
-        valid=not because,
+        valid=summary.get("valid") if summary else False,
         invalid_because=because,
     )
 

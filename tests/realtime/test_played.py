@@ -219,7 +219,14 @@ def test_a_record_without_these_entries_is_still_read():
     assert found.unit is None
     assert found.valid
     assert found.facts()["unit played"] == "not stated in this record"
-    assert not played.of_summary({}).valid
+    assert played.of_summary({}).valid is False
+
+
+def test_a_report_on_a_running_bench_does_not_state_that_its_run_is_valid():
+    found = played.of_summary({"scenario": "velim_a1", "seed": 0})
+    assert found.valid is None
+    assert found.facts()["valid"] == "not stated"
+    assert found.texts()["valid"] == "null"
 
 
 # --- the seed ---

@@ -547,7 +547,18 @@ def test_the_fixture_finishes_a_test_with_an_error_if_the_run_was_not_valid(tmp_
     (tmp_path / "test_user.py").write_text(USER_TEST.format(here=here.stem))
     path = os.pathsep.join([str(here.parent), str(here.parents[1])])
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "test_user.py"],
+        # the user's session does not know the marks of this file, which his test imports
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-p",
+            "no:cacheprovider",
+            "-W",
+            "ignore",
+            "-q",
+            "test_user.py",
+        ],
         cwd=tmp_path,
         capture_output=True,
         text=True,
