@@ -489,7 +489,9 @@ class RigBus:
         is_download = is_command and frame.data[0] >> 5 == _INITIATE_DOWNLOAD
         if seat is None or not is_download:
             return
-        if sender in seat.partner.members:
+        # on a CAN interface of the kernel nobody knows which program has sent a frame
+        is_unit = sender in seat.partner.members or not isinstance(sender, Client)
+        if is_unit:
             seat.has_commanded = True
             return
         self.others_act = True
