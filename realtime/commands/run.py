@@ -7,10 +7,10 @@ import shlex
 import sys
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.commands import output, wsp
+from rollerrig.realtime.commands import output, repetition, wsp
 from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
@@ -85,6 +85,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
     )
     parser.add_argument(
+        "--repeat",
+        type=int,
+        default=1,
+        metavar="N",
+        help="do the run N times, with the seeds from --seed on, in the folders 1 to N of --out, and "
+        "print one table of their figures (default: 1)",
+    )
+    parser.add_argument(
         "--set",
         action="append",
         default=[],
@@ -130,12 +138,46 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+class Recorded(NamedTuple):
+    """A run that is recorded: its folder, its summary, and what the terminal shows of it.
+
+    result: the summary, with what --json prints besides.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+    result: dict[str, Any]
+    items: list[Any]
+
+
 def call(options: argparse.Namespace) -> int:
-    """Do one run and return the exit status."""
+    """Do one run, or several with --repeat, and return the exit status."""
+    options.wsp = wsp.with_command(options, default="reference")
+    repetition.check(options)
+    if options.repeat > 1:
+        folder = options.out or free_folder(Path(options.scenario).stem)
+        runs = [_record(one) for one in repetition.options_of_runs(options, folder)]
+        repetition.show(options, folder, [run.summary for run in runs])
+        return max(_status(options, run.summary) for run in runs)
+
+    run = _record(options)
+    output.show(options, run.result, *run.items)
+    return _status(options, run.summary)
+
+
+def _status(options: argparse.Namespace, summary: dict[str, Any]) -> int:
+    if summary["invalid_because"]:
+        return output.INVALID
+    if options.strict and summary["loop"]["missed"]:
+        return LATE
+    return output.PASS
+
+
+def _record(options: argparse.Namespace) -> Recorded:
+    """Do one run. Raises RollerrigError."""
     from rollerrig.configs.processes import children
     from rollerrig.realtime.bench.options import waiting_processes
 
-    options.wsp = wsp.with_command(options, default="reference")
     # the processes of the run load their libraries while this process prepares the run
     needs_reference_unit = options.wsp == "reference" and options.pacing != "free"
     unit = wsp.run_from_stdin if needs_reference_unit else None
@@ -143,7 +185,7 @@ def call(options: argparse.Namespace) -> int:
         return _run(options, processes)
 
 
-def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
+def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
     from rollerrig.realtime.bench import bench, scenario, tick_data
     from rollerrig.realtime.bench.options import Options
     from rollerrig.realtime.reports import without_wsp
@@ -199,13 +241,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         items.append(without_wsp.sentence(without))
         folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
         items.append(f"compare both with: rollerrig compare {folders}")
-    output.show(options, result, *items)
-
-    if summary["invalid_because"]:
-        return output.INVALID
-    if options.strict and summary["loop"]["missed"]:
-        return LATE
-    return output.PASS
+    return Recorded(out, summary, result, items)
 
 
 def _announce_replacement(out: Path, options: argparse.Namespace) -> None:

@@ -12,6 +12,7 @@ import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import wrong_units
@@ -283,3 +284,41 @@ def test_an_unknown_unit_on_the_bus_is_recorded_with_its_identity_object(tmp_pat
 def assert_metadata_has_identity(bench):
     found = json.loads(metadata(bench.out)["unit_played"])
     assert found["identity"] == [{"node": 32, **IDENTITY}]
+
+
+def repeat(out, capsys, *words):
+    """Repeat a short stop three times; return the exit status and the JSON result."""
+    options = ("--pacing", "free", "--repeat", "3", "--seed", "4", "--json", "--out", str(out))
+    status = cli.main(["run", "velim_a1", *SHORT, *options, *words])
+    return status, json.loads(capsys.readouterr().out)
+
+
+def test_repeated_runs_have_successive_seeds_and_one_table_of_their_figures(tmp_path, capsys):
+    noise = "speed_noise_burst axle=1 std_rad_s=2"
+    status, result = repeat(tmp_path / "runs", capsys, "--fault", noise)
+    assert status == 0
+    summaries = [records.summary(tmp_path / "runs" / name) for name in ("1", "2", "3")]
+    assert [summary["seed"] for summary in summaries] == [4, 5, 6]
+    figures = {one["name"]: one for one in result["figures"]}
+    vents = [summary["wsp"]["vents"] for summary in summaries]
+    assert figures["vents"]["runs"] == 3
+    assert figures["vents"]["mean"] == pytest.approx(sum(vents) / 3)
+    assert (figures["vents"]["least"], figures["vents"]["largest"]) == (min(vents), max(vents))
+
+
+def test_repeated_runs_without_anything_random_are_equal(tmp_path, capsys):
+    status, result = repeat(tmp_path / "runs", capsys)
+    assert status == 0
+    assert all(one["standard_deviation"] == 0.0 for one in result["figures"])
+    first, *others = (records.load(tmp_path / "runs" / name) for name in ("1", "2", "3"))
+    names = [name for name in first.table.column_names if not name.startswith("tick")]
+    for other in others:
+        for name in names:
+            np.testing.assert_array_equal(other.column(name), first.column(name), err_msg=name)
+
+
+def test_repeated_runs_that_are_not_valid_have_no_figures(tmp_path, capsys):
+    status, result = repeat(tmp_path / "runs", capsys, "--set", "duration_max_s=0.3")
+    assert status == 4
+    assert result["figures"] == []
+    assert [one["run"] for one in result["not_valid"]] == [1, 2, 3]
