@@ -206,7 +206,7 @@ def contradictions(units: Iterable[Unit | None], about: Mapping[str, str]) -> li
     shown = " and ".join(f"'{key}={text}'" for key, text in stated.items())
     was_played = "the reference unit of rollerrig was" if REFERENCE in kinds else "no unit was"
     return [
-        f"--about {shown} contradicts the record: {was_played} played; play your unit with --unit "
+        f"the record contradicts --about {shown}: {was_played} played; play your unit with --unit "
         "COMMAND, --wsp external or --wsp fmu:FILE"
     ]
 

@@ -172,9 +172,9 @@ def test_a_report_that_names_another_unit_than_the_reference_unit_warns(tmp_path
     for content in (page, properties["unit played"]):
         assert "reference WSP of rollerrig (simulated)" in content
     (warning,) = data["warnings"]
-    assert "'unit under test=ACME 7' and 'version of the unit=3.2' contradicts" in warning
+    assert "contradicts --about 'unit under test=ACME 7' and 'version of the unit=3.2':" in warning
     assert "the reference unit of rollerrig was played" in page
-    assert "contradicts the record" in printed
+    assert "the record contradicts --about" in printed
 
 
 def test_the_unit_that_was_played_cannot_be_stated(tmp_path, capfd):
