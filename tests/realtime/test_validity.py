@@ -399,6 +399,18 @@ def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, 
     assert f"warning: {bad} is not valid" in capsys.readouterr().out
 
 
+def test_compare_shows_why_a_run_that_failed_before_its_first_sample_has_no_figures(
+    stops, tmp_path, capsys
+):
+    words = ("--pacing", "lockstep", "--wsp", "external", "--wait", "0.5")
+    failed = bench_process.run(tmp_path / "failed", *words)
+    assert not len(failed.record.table)
+    for pair in ((stops.out, failed.out), (failed.out, stops.out)):
+        assert cli.main(["compare", *map(str, pair), "--json"]) == 4
+        (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+        assert f"{failed.out} is not valid: the run ended with an error: no WSP unit" in warning
+
+
 def test_view_warns_of_a_run_that_is_not_valid(folders, capsys, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
