@@ -97,9 +97,9 @@ def _difference(
 def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
     """Return how adhesion changes over a stop: means of all wheelsets in thirds of its distance.
 
-    None where no wheel slides, and always None for a run that is not valid or has no sample. `adhesion while
-    sliding` is over samples at which a wheel slides by more than 0.5 m/s, `friction mu_cd` over all
-    samples. On a track the contaminant is always fresh; on rollers it is not. The difference of two
+    None where no wheel slides, and always None for a run that is not valid or has no sample.
+    `adhesion while sliding` is over samples at which a wheel slides by more than 0.5 m/s,
+    `friction mu_cd` over all samples. On a track the contaminant is always fresh; on rollers it is not. The difference of two
     runs is the effect of the rig.
     """
     if not len(run.table):
