@@ -1,20 +1,28 @@
-"""`rollerrig run`: one bench run, its progress line, its table and its exit status."""
+"""`rollerrig run`: one bench run, its progress line, its table and its exit status.
+
+With --repeat it does the same run with several seeds, and prints one table of their figures.
+"""
 
 import argparse
 import asyncio
+import copy
 import itertools
 import shlex
 import sys
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.commands import output, repetition, wsp
+from rollerrig.realtime.commands import output, wsp
 from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
     from rollerrig.realtime.bench.options import Progress
+
+_SPREAD = ("mean", "standard_deviation", "least", "largest")
+_SPREAD_HEAD = ("figure", "unit", "runs", "mean", "standard deviation", "least", "largest")
 
 # exit status of a run that has missed deadlines, under --strict
 LATE = 3
@@ -153,16 +161,68 @@ class Recorded(NamedTuple):
 def call(options: argparse.Namespace) -> int:
     """Do one run, or several with --repeat, and return the exit status."""
     options.wsp = wsp.with_command(options, default="reference")
-    repetition.check(options)
+    _check_repeat(options)
     if options.repeat > 1:
         folder = options.out or free_folder(Path(options.scenario).stem)
-        runs = [_record(one) for one in repetition.options_of_runs(options, folder)]
-        repetition.show(options, folder, [run.summary for run in runs])
+        runs = [_record(one) for one in _options_of_runs(options, folder)]
+        _show_runs(options, folder, [run.summary for run in runs])
         return max(_status(options, run.summary) for run in runs)
 
     run = _record(options)
     output.show(options, run.result, *run.items)
     return _status(options, run.summary)
+
+
+def _check_repeat(options: argparse.Namespace) -> None:
+    """Raise ConfigError for a number of runs that cannot be, or with what is for one run only."""
+    if options.repeat < 1:
+        raise ConfigError(f"--repeat {options.repeat}: allowed are numbers from 1")
+    if options.repeat > 1 and options.also_without_wsp:
+        raise ConfigError(
+            "--repeat and --also-without-wsp: a stop without WSP is computed for one run; leave one of "
+            "the options out"
+        )
+
+
+def _options_of_runs(options: argparse.Namespace, folder: Path) -> Iterator[argparse.Namespace]:
+    """Yield the options of each run: folder and seed count up."""
+    for number in range(options.repeat):
+        of_run = copy.copy(options)
+        of_run.out = folder / str(number + 1)
+        of_run.seed = options.seed + number
+        yield of_run
+
+
+def _show_runs(
+    options: argparse.Namespace, folder: Path, summaries: Sequence[Mapping[str, Any]]
+) -> None:
+    """Print the figures of all runs that are valid, and why the others are not."""
+    from rollerrig.realtime.record import figures, validity
+
+    found = figures.spread(summaries)
+    rows = [
+        (one["title"], one["unit"], str(one["runs"]), *(f"{one[key]:.6g}" for key in _SPREAD))
+        for one in found
+    ]
+    lines = [f"recorded in {folder}/1 to {folder}/{len(summaries)}"]
+    not_valid = []
+    for number, summary in enumerate(summaries, start=1):
+        for reason in validity.because(summary):
+            not_valid.append({"run": number, "because": reason})
+            lines.append(f"run {number} is not valid: {reason}")
+    if not any(summary["random"] for summary in summaries):
+        lines.append("nothing in these runs of the rig is random: their seeds have no effect")
+    output.show(
+        options,
+        {
+            "folder": str(folder),
+            "runs": list(summaries),
+            "not_valid": not_valid,
+            "figures": found,
+        },
+        (f"{len(summaries)} runs", _SPREAD_HEAD, rows),
+        *lines,
+    )
 
 
 def _status(options: argparse.Namespace, summary: dict[str, Any]) -> int:

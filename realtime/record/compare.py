@@ -99,8 +99,8 @@ def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
 
     None where no wheel slides, and always None for a run that is not valid or has no sample.
     `adhesion while sliding` is over samples at which a wheel slides by more than 0.5 m/s,
-    `friction mu_cd` over all samples. On a track the contaminant is always fresh; on rollers it is not. The difference of two
-    runs is the effect of the rig.
+    `friction mu_cd` over all samples. On a track the contaminant is always fresh; on rollers it is
+    not. The difference of two runs is the effect of the rig.
     """
     if not len(run.table):
         return dict.fromkeys(_DRIFTS, (None,) * _THIRDS)
