@@ -71,8 +71,14 @@ def check_archive(path: Path) -> None:
             "what is not needed"
         )
     for member in members:
+        # APPNOTE 4.4.17.1: all slashes are forward slashes
+        if "\\" in member.filename:
+            raise ConfigError(
+                f"{path}: contains '{member.filename}', whose folders are separated by \\; a ZIP "
+                "archive separates them by /: pack it again with a program that does so, such as zip"
+            )
         name = PurePosixPath(member.filename)
-        if name.is_absolute() or ".." in name.parts or "\\" in member.filename:
+        if name.is_absolute() or ".." in name.parts:
             raise ConfigError(
                 f"{path}: contains '{member.filename}', which leads out of the folder; names "
                 "without .. are allowed: pack it again"

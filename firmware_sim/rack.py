@@ -120,6 +120,10 @@ class Rack:
         for _, handler in self._listeners(frame):
             handler(frame)
 
+    def hears(self, frame: Frame) -> bool:
+        """Return whether a member listens to frames with this identifier in this form."""
+        return bool(self._listeners(frame))
+
     def in_real_time(self) -> None:
         """Count real time from now on: it continues while this process is stopped."""
         self._in_real_time = True

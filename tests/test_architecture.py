@@ -51,7 +51,7 @@ FLOORS = {
         "places",
         "braking bus magnets signals",
         "descriptions diagnosis rig_objects",
-        "harness_client",
+        "frame_forms harness_client",
         "own_bench unit_map",
         "sequences",
         "fixture robot",

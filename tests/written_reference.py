@@ -92,7 +92,7 @@ FILES = {
     run_folder.CHANNELS: "all [signals](signals.md), in SI units, at `loop.record_hz`",
     run_folder.TAIL: "samples of a run that was killed, which the file above does not hold yet",
     run_folder.EVENTS: "one [event](events.md) a line, as JSON",
-    run_folder.SUMMARY: "the figures of the stop, the loop and the bus, and whether it is valid",
+    run_folder.SUMMARY: "what was played, the figures of the stop, the loop and the bus, and whether it is valid",
     run_folder.CAN_LOG: "every frame, in the format of `candump -l`: `canplayer -I can.log` replays it, "
     "python-can's `LogReader` reads it, and `python -m can.logconvert can.log can.blf` "
     "converts it (`.asc` also)",

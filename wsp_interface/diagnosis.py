@@ -22,6 +22,9 @@ The drift is found from the reference speed that the unit sends (TPDO 1A0h, or a
 is not observable from the magnets alone: a valve that vents too late may have a wrong threshold as
 well as a wrong reference.
 
+`start_anew` and `end` are for what is not the doing of the unit: a pause of the bench, an emergency
+stop, another program that sets the valves, stops a node or moves the drives.
+
 Source of the thresholds: assumption. The reference unit stays below each of them by a factor of 1.5
 or more in all stops of the paper (`tests/realtime/test_diagnosis.py`). Limits: below `SLOWEST_M_S`
 nothing is judged, because units cut off there. While motors may drive nothing is judged either:
@@ -101,14 +104,32 @@ class Diagnosis:
         self._reported_swaps: set[frozenset[int]] = set()
         self._drifts_since_s: float | None = None
         self._reported_drifts: set[Code] = set()
+        self._ended = False
 
     @property
     def wrong_axle_s(self) -> float:
         """The longest time for which one valve vented in place of that of another axle."""
         return float(self.beside_s.max())
 
+    def start_anew(self) -> None:
+        """Forget what lasts at present: the samples have a gap, in which the unit went on."""
+        if self._before is not None:
+            self._slid_at_s = [self._before.time_s] * self._kind.axles
+        self._before = None
+        self._forget_durations()
+
+    def end(self) -> None:
+        """Look at no further sample: from here on the run does not show what the unit does."""
+        self._ended = True
+
+    def _forget_durations(self) -> None:
+        self._open_since_s = [math.inf] * self._kind.axles
+        self._drifts_since_s = None
+
     def look(self, sample: Sample) -> None:
         """Take the next sample; report what is new."""
+        if self._ended:
+            return
         before = self._before
         if before is None:
             self._before = sample
@@ -124,8 +145,7 @@ class Diagnosis:
             if fault or has_not_slid:
                 self._explained_by[axle] = fault
         if sample.speed_m_s < SLOWEST_M_S or self._may_drive(sample):
-            self._drifts_since_s = None
-            self._open_since_s = [math.inf] * self._kind.axles
+            self._forget_durations()
             return
         for axle in range(self._kind.axles):
             self._look_at_open_valve(axle, sample)

@@ -64,6 +64,7 @@ class Code(StrEnum):
     UNIT_APPEARED = "unit.appeared"
     UNIT_STATE = "unit.state"
     UNIT_READY = "unit.ready"
+    UNIT_IDENTITY = "unit.identity"
     UNIT_LOST = "unit.lost"
     UNIT_BACK = "unit.back"
     UNIT_SILENT = "unit.silent"
@@ -71,11 +72,14 @@ class Code(StrEnum):
     UNIT_EMERGENCY = "unit.emergency"
     UNIT_FAILED = "unit.failed"
     UNIT_UNANSWERED = "unit.unanswered"
+    UNIT_NO_COMMAND = "unit.no_command"
+    UNIT_TWO_SENDERS = "unit.two_senders"
     UNIT_ENDED = "unit.ended"
     NODE_LOST = "node.lost"
     NODE_BACK = "node.back"
     NODE_EMERGENCY = "node.emergency"
     NMT_STATE = "nmt.state"
+    NMT_FOREIGN = "nmt.foreign"
     HEARTBEAT_LOST = "heartbeat.lost"
     HEARTBEAT_BACK = "heartbeat.back"
     GUARDING_LOST = "guarding.lost"
@@ -85,6 +89,9 @@ class Code(StrEnum):
     PDO_TOO_SHORT = "pdo.too_short"
     PDO_REFUSED = "pdo.refused"
     PDO_LATE = "pdo.late"
+    FRAME_EXTENDED = "frame.extended"
+    FRAME_REMOTE = "frame.remote"
+    FRAME_LENGTH = "frame.length"
     CAN_ERROR_ACTIVE = "can.error_active"
     CAN_ERROR_PASSIVE = "can.error_passive"
     CAN_BUS_OFF = "can.bus_off"
@@ -93,6 +100,7 @@ class Code(StrEnum):
     DRIVES_WITHOUT_MASTER = "drives.without_master"
     MAGNETS_FAIL_SAFE = "magnets.fail_safe"
     MAGNETS_VENT_ALONE = "magnets.vent_alone"
+    MAGNETS_FOREIGN = "magnets.foreign"
     SANDERS_STOPPED = "sanders.stopped"
     DYNAMIC_BRAKE_RELEASED = "dynamic_brake.released"
     BUS_PLACE = "bus.place"
@@ -161,6 +169,7 @@ class OnEvent(Protocol):
 
 
 _NODE = {"node": int}
+_CAN_ID = {"can_id": int}
 _REASON = {"reason": str}
 _FAULT = {"fault": str, "kind": str, "reaches_unit": bool, "units": list}
 _EMERGENCY = {"node": int, "error_code": int, "error_register": int}
@@ -187,7 +196,8 @@ TABLE: dict[Code, Row] = {
         WARNING,
         {"stalled_s": float, "ahead_s": float},
         "the loop stood still for {stalled_s:.3f} s",
-        "from here on the times in can.log are {ahead_s:.3f} s ahead of simulated time",
+        "from here on the times in can.log are {ahead_s:.3f} s ahead of simulated time; a pause of 1 s "
+        "or longer before standstill makes the run of a unit not valid, a shorter one does not",
     ),
     Code.LOOP_REFUSED: Row(
         INFO, {"refused": str}, "the system refused the real-time thread {refused}"
@@ -322,6 +332,12 @@ TABLE: dict[Code, Row] = {
     ),
     Code.UNIT_STATE: Row(INFO, _NODE | {"state": str}, "the WSP unit (node {node}) is {state}"),
     Code.UNIT_READY: Row(INFO, {}, "the WSP unit is on the bus"),
+    Code.UNIT_IDENTITY: Row(
+        INFO,
+        _NODE | {"vendor_id": int, "product_code": int, "revision": int, "serial": int},
+        "the WSP unit (node {node}) identifies itself (1018h): vendor {vendor_id:X}h[, product "
+        "{product_code:X}h][, revision {revision:X}h][, serial number {serial:X}h]",
+    ),
     Code.UNIT_LOST: Row(
         ERROR,
         _NODE | {"silent_s": float},
@@ -351,11 +367,23 @@ TABLE: dict[Code, Row] = {
     Code.UNIT_UNANSWERED: Row(
         WARNING, {"syncs": int}, "the WSP unit left {syncs} SYNCs unanswered"
     ),
+    Code.UNIT_NO_COMMAND: Row(
+        ERROR,
+        _NODE | _CAN_ID,
+        "the WSP unit (node {node}) has given no valid command of the valves in the whole run",
+        "it ran without protection; send {can_id:03X}h with 11 bits and one data byte",
+    ),
+    Code.UNIT_TWO_SENDERS: Row(
+        ERROR,
+        _NODE | _CAN_ID,
+        "two programs command the valves of the WSP unit (node {node}): both send {can_id:03X}h",
+        "let one unit run, or give the other one a bus of another bench",
+    ),
     Code.UNIT_ENDED: Row(
         ERROR,
         {"unit": str, "status": int, "last_words": str, "log": str},
-        "the {unit} {status:exit}",
-        "[its last words: {last_words}; ]its log is {log}",
+        "the {unit} {status:exit}[; its last words: {last_words}]",
+        "its log is {log}",
     ),
     # nodes of the rig
     Code.NODE_LOST: Row(
@@ -368,6 +396,13 @@ TABLE: dict[Code, Row] = {
         "node {node}: EMCY {error_code:04X}h, error register {error_register:02X}h",
     ),
     Code.NMT_STATE: Row(INFO, _NODE | {"state": str}, "node {node}: NMT {state}"),
+    Code.NMT_FOREIGN: Row(
+        WARNING,
+        _NODE | {"command": int},
+        "another program sends the NMT command {command} (2 stop, 128 pre-operational, 129 and 130 "
+        "reset) to node {node} (0: all nodes) during the stop",
+        "from here on the run does not show what the unit does",
+    ),
     Code.HEARTBEAT_LOST: Row(
         ERROR,
         _NODE | {"partner": int, "silent_s": float},
@@ -403,6 +438,24 @@ TABLE: dict[Code, Row] = {
         "node {node}: RPDO {pdo}: object {index:04X}h:{sub} refuses {value} ({abort})",
     ),
     Code.PDO_LATE: Row(WARNING, _NODE | {"pdo": int}, "node {node}: RPDO {pdo} is late"),
+    Code.FRAME_EXTENDED: Row(
+        WARNING,
+        _CAN_ID,
+        "another program sends {can_id:08X}h as an extended frame (29 bits), which the rig refuses",
+        "send {can_id:03X}h with 11 bits (in python-can: is_extended_id=False)",
+    ),
+    Code.FRAME_REMOTE: Row(
+        WARNING,
+        _CAN_ID,
+        "another program sends {can_id:03X}h as a remote frame, which the rig refuses",
+        "send {can_id:03X}h as a data frame",
+    ),
+    Code.FRAME_LENGTH: Row(
+        WARNING,
+        _CAN_ID | {"length": int, "least": int, "most": int},
+        "another program sends {can_id:03X}h with {length} data bytes, which the rig refuses",
+        "send {least} to {most} data bytes",
+    ),
     Code.CAN_ERROR_ACTIVE: Row(INFO, _NODE, "node {node}: error active again"),
     Code.CAN_ERROR_PASSIVE: Row(
         WARNING,
@@ -438,6 +491,12 @@ TABLE: dict[Code, Row] = {
         WARNING,
         _NODE | {"axle": int},
         "node {node}: vent magnet of axle {axle} without its hold magnet: treated as vent",
+    ),
+    Code.MAGNETS_FOREIGN: Row(
+        WARNING,
+        _NODE,
+        "another program than the WSP unit sets the magnets of node {node} by SDO",
+        "from here on the run does not show what the unit does",
     ),
     Code.SANDERS_STOPPED: Row(
         WARNING, _NODE | {"reason": str}, "node {node}: sanders stop: {reason}"

@@ -297,8 +297,8 @@ def _check_unit_came(bench_log: Path, programs: Sequence[Program]) -> None:
         texts = [program.silent_text() for program in programs]
         raise UnitError(
             f"the program of --unit has sent no heartbeat on {absent['no_heartbeat']} within "
-            f"{absent['waited_s']:g} s; {'; '.join(texts)}; correct the program: a unit connects to "
-            "the bus at {address}, or at {host} and {port}, and sends heartbeats"
+            f"{absent['waited_s']:g} s; {'; '.join(texts)}; {absent['instead']}; correct the program: a "
+            "unit connects to the bus at {address}, or at {host} and {port}, and sends heartbeats"
         )
 
 

@@ -209,12 +209,26 @@ def last_lines(log: Path, most: int) -> str:
 
     They are separated by " | ". The text is empty if there are none.
     """
-    with open(log, "rb") as file:
-        # a log may be long, and only its end is needed
-        file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_LINE))
-        lines = file.read(_LONGEST_LINE).decode("utf-8", errors="replace").splitlines()
+    lines = _end_of(log)
     written = [line if most == 1 else line.strip() for line in lines if line.strip()]
     return " | ".join(written[-most:])
+
+
+def last_message(log: Path, program: str) -> str:
+    """Return the last line of a log that begins with the name of a program of this project.
+
+    Libraries that the program has loaded may print more lines after it. Without such a line it is
+    the last line.
+    """
+    messages = [line for line in _end_of(log) if line.startswith(f"{program}: ")]
+    return messages[-1] if messages else last_line(log)
+
+
+def _end_of(log: Path) -> list[str]:
+    """Return the lines at the end of a log: it may be long."""
+    with open(log, "rb") as file:
+        file.seek(max(0, os.fstat(file.fileno()).st_size - _LONGEST_LINE))
+        return file.read(_LONGEST_LINE).decode("utf-8", errors="replace").splitlines()
 
 
 def last_words(log: Path) -> str:

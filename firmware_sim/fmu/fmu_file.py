@@ -303,10 +303,21 @@ def _fmi_version(path: Path) -> str:
         with zipfile.ZipFile(path) as archive:
             model = ElementTree.fromstring(unpacking.read_xml(archive, _DESCRIPTION, str(path)))
     except KeyError:
-        raise ConfigError(
-            f"{path}: is not an FMU: it contains no {_DESCRIPTION}; export it again"
-        ) from None
+        raise ConfigError(f"{path}: {_without_description(path)}") from None
     return model.get("fmiVersion", "")
+
+
+def _without_description(path: Path) -> str:
+    """Return what is wrong with an archive whose top folder has no description, and the remedy."""
+    with zipfile.ZipFile(path) as archive:
+        elsewhere = [name for name in archive.namelist() if name.endswith(f"/{_DESCRIPTION}")]
+    if not elsewhere:
+        return f"is not an FMU: it contains no {_DESCRIPTION}; export it again"
+    folder = elsewhere[0].removesuffix(_DESCRIPTION)
+    return (
+        f"contains {elsewhere[0]}, and an FMU has {_DESCRIPTION} at its top; pack the content of "
+        f"{folder} without this folder in the names: zip -r FILE.fmu *, inside the unpacked {folder}"
+    )
 
 
 def _check_archive(path: Path) -> None:

@@ -37,7 +37,7 @@ from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, loop, ring
 from rollerrig.realtime.loop.tick import MISSED, STALLED_NS, STOP, TICK, WORST_NS
-from rollerrig.realtime.record import channels, records, run_folder, summary
+from rollerrig.realtime.record import channels, records, run_folder, summary, validity
 from rollerrig.rig.compiled import compile_progress
 from rollerrig.wsp_interface import places
 from rollerrig.wsp_interface.events import Code, Event
@@ -115,7 +115,7 @@ class Bench:
             await self._run_pacing()
         except RollerrigError as error:
             failure = error
-            parts.ended_by = "error"
+            parts.ended_by = validity.ENDED_BY[Code.RUN_FAILED]
             parts.event(Code.RUN_FAILED, reason=str(error))
         finally:
             parts.data.control[STOP] = 1
@@ -183,6 +183,7 @@ class Bench:
         if has_begun:
             parts.faults.report_waiting()
             parts.set_points.report_all()
+            parts.report_uncommanded()
         bus_counts = self._bus_counts()
         if parts.options.start == "modbus":
             self._rewrite_scenario()
@@ -213,6 +214,7 @@ class Bench:
         control = parts.data.control
         return parts.identity() | {
             "ended": parts.ended_by or "finished",
+            "random": parts.is_random,
             "loop": {
                 "ticks": int(control[TICK]),
                 "core": parts.core.number,

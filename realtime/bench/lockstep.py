@@ -6,6 +6,7 @@ The wall clock has one effect only: it ends a run whose unit or harness no longe
 import asyncio
 import contextlib
 from enum import Enum
+from typing import NamedTuple
 
 from rollerrig.configs.errors import UnitError, UnitLostError
 from rollerrig.realtime.bench.parts import Parts
@@ -25,9 +26,19 @@ _LOOKS_TO_LEAVE = 50
 # a partner that is there but may be slow gets so many times --answer-wait: a unit whose process
 # runs, a harness at a breakpoint
 _PATIENCE = 6
-_HARNESS_RULE = (
+
+
+class _Rule(NamedTuple):
+    """What a partner has to do in lockstep, and the identifier of its answer."""
+
+    text: str
+    can_id: int
+
+
+_HARNESS_RULE = _Rule(
     f"a harness that has joined sends RPDO1 of node {signals.BENCH_NODE} ({HARNESS_ANSWER_ID:X}h) "
-    f"in every cycle, or leaves ({HARNESS:X}h:1 = 0)"
+    f"in every cycle, or leaves ({HARNESS:X}h:1 = 0)",
+    HARNESS_ANSWER_ID,
 )
 
 
@@ -116,14 +127,15 @@ async def _await_answers(parts: Parts, bus: RigBus) -> None:
         patience = _PATIENCE if bus.own_unit else 1
         for seat in awaited:
             name = "WSP unit" if len(bus.seats) == 1 else f"WSP unit (node {seat.frames.node})"
-            await _await_answer(parts, bus, seat.partner, name, patience, _unit_rule(seat))
+            rule = _Rule(_unit_rule(seat), seat.frames.magnets_id)
+            await _await_answer(parts, bus, seat.partner, name, patience, rule)
     else:
         await asyncio.sleep(0)
     await _await_answer(parts, bus, bus.harness_partner, "harness", _PATIENCE, _HARNESS_RULE)
 
 
 async def _await_answer(
-    parts: Parts, bus: RigBus, partner: Partner, name: str, patience: int, rule: str
+    parts: Parts, bus: RigBus, partner: Partner, name: str, patience: int, rule: _Rule
 ) -> None:
     """Wait for the answer of one partner.
 
@@ -142,8 +154,9 @@ async def _await_answer(
             f"perhaps failed, look at its output, correct it and run again{output}"
         )
     raise UnitError(
-        f"the {name} has not answered SYNC within {wait_s:g} s {at}: in lockstep {rule}; give a "
-        f"slower partner more time with --answer-wait{output}"
+        f"the {name} has not answered SYNC within {wait_s:g} s {at}: "
+        f"{bus.what_came_instead((rule.can_id,))}; in lockstep {rule.text}; give a slower partner "
+        f"more time with --answer-wait{output}"
     )
 
 

@@ -27,6 +27,7 @@ class Options(NamedTuple):
 
     `unit` is reference, external, none, or fmu:FILE with its mapping, several as fmu:FILE,fmu:FILE,
     or command:LINE for a program of the user.
+    `started_unit` is the command with which another program starts an external unit.
     `recorder` and `waiting_unit` are processes that wait for their arguments. `prepare_free`: where
     the run compiles kernels, it also compiles those of a free stop without a unit, which follows.
     """
@@ -45,6 +46,7 @@ class Options(NamedTuple):
     unit_map: Path | None = None
     waiting_unit: subprocess.Popen[bytes] | None = None
     prepare_free: bool = False
+    started_unit: str = ""
 
     @property
     def fmus(self) -> tuple[Path, ...]:

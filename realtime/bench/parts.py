@@ -17,9 +17,11 @@ import numpy as np
 
 from rollerrig.configs.errors import RollerrigError, UnitError
 from rollerrig.configs.vehicle import COACH, MOST_AXLES
+from rollerrig.firmware_sim import pole_wheel
 from rollerrig.firmware_sim.cia301.nmt import State
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.firmware_sim.modbus.access import Counters
+from rollerrig.firmware_sim.unit_answers import SILENT_AFTER_S
 from rollerrig.realtime.bench import brake_demand, derailment, rig_bus, scenario, tick_data
 from rollerrig.realtime.bench.options import Options, Progress
 from rollerrig.realtime.bench.processes import Processes
@@ -27,8 +29,10 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.loop import clock, cores, loop, mailbox, ring, tick
 from rollerrig.realtime.loop.ring import Ring
 from rollerrig.realtime.loop.tick import DONE, MISSED, STALLED_NS, STOP, TICK
+from rollerrig.realtime.record import played, validity
 from rollerrig.realtime.record.events import Events
 from rollerrig.realtime.record.set_points import SetPoints
+from rollerrig.realtime.record.validity import ENDED_BY
 from rollerrig.wsp_interface import events, signals
 from rollerrig.wsp_interface.bus.hub import Hub
 from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
@@ -53,16 +57,10 @@ _POLL_S = 0.005
 _UNIT_SETTLES_S = 0.5
 # the unit of the bench may start slowly on a busy machine: it gets so many times --wait
 _OWN_UNIT_PATIENCE = 10
+# how long to wait for the identity of units; most have none
+_IDENTITY_S = 0.2
 # when drives that wait for a master on the bus must be enabled
 _MASTER_AFTER_NS = clock.SECOND_NS
-# how a run ended early, as its summary has it
-ENDED_BY = {
-    Code.RUN_INTERRUPTED: "interrupted",
-    Code.RUN_STOPPED: "stopped over Modbus",
-    Code.RUN_DERAILED: "derailed",
-    Code.RUN_BUS_LOST: "ended: its bus is lost",
-}
-
 
 # columns of the row of all signals
 _TIME = signals.column("time")
@@ -137,6 +135,7 @@ class Parts:
         )
         self.diagnosis = Diagnosis(self.table.kind, self.event)
         self.processes = Processes(options, self.event)
+        self.unit_played = played.unit_of(options.unit, options.unit_map, options.started_unit)
 
         self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(self.table.columns))
         self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
@@ -156,9 +155,16 @@ class Parts:
             "pacing": self.options.pacing,
             "seed": self.options.seed,
             "unit": self.options.unit,
+            "unit_played": self.unit_played._asdict(),
             "config_hash": scenario.digest(self.plan),
             "scenario": self.plan.name,
         }
+
+    @property
+    def is_random(self) -> bool:
+        """Whether the rig has drawn a random number in this run, so that its seed matters."""
+        first = pole_wheel.memory(self.options.seed, self.table.kind.axles)
+        return not np.array_equal(self.data.pulses[pole_wheel.RANDOM], first[pole_wheel.RANDOM])
 
     def _configuration(self) -> str:
         """Return what the bench plays as JSON in ASCII, for a harness on the bus."""
@@ -208,6 +214,9 @@ class Parts:
             new_s = stalled_s - self._stalled_s
             self.event(Code.LOOP_STALLED, stalled_s=new_s, ahead_s=stalled_s)
             self._stalled_s = stalled_s
+            self.diagnosis.start_anew()
+            if new_s >= validity.LONG_STALL_S:
+                self.diagnosis.end()
 
     @property
     def stopping(self) -> bool:
@@ -245,8 +254,33 @@ class Parts:
         """
         if self.options.unit == "none" or self.plan["sealed"]:
             return
+        if self._others_act:
+            self.diagnosis.end()
         mailbox.fetch(self.data.published, self.row)
         self.diagnosis.look(_sample(self.row, self.table, self.faults.explanations))
+
+    @property
+    def _others_act(self) -> bool:
+        """Whether an emergency stop or another program decides what the run shows of the unit.
+
+        A master on the bus that moves the drives always does.
+        """
+        if self.plan["rig"]["drives"] == "bus":
+            return True
+        if self.bus is not None and self.bus.others_act:
+            return True
+        has_begun = bool(self.data.control[TICK])
+        return has_begun and self.modbus_demand.emergency_stop
+
+    def report_uncommanded(self) -> None:
+        """Record which units have given no valid command in a run in real time.
+
+        In lockstep a run without a command ends with an error.
+        """
+        awaits_commands = self.options.unit != "none" and self.options.pacing == "wall"
+        was_long_enough = self.simulated_ns() >= SILENT_AFTER_S * clock.SECOND_NS
+        if self.bus is not None and awaits_commands and was_long_enough:
+            self.bus.report_uncommanded()
 
     def _check_master(self, bus: rig_bus.RigBus) -> None:
         """Record an event if no master on the bus has enabled the drives."""
@@ -305,6 +339,7 @@ class Parts:
             left=bus.dismiss_harness,
         )
         bus.harness.configuration = self._configuration
+        bus.has_unit = self.options.unit != "none"
         bus.own_unit = self.options.own_unit
         # an FMU answers when it has the pressures, the reference unit when it has the speeds
         if self.options.fmus:
@@ -472,17 +507,43 @@ class Parts:
                     f"no WSP unit on {self.place}: no heartbeat on "
                     f"{self._heartbeat_ids(_groups_without_unit(bus), described=True)}"
                 ),
-                lambda: self._remedy_without_unit(_groups_without_unit(bus)),
+                lambda: (
+                    f"{_instead_of_heartbeats(bus)}; "
+                    f"{self._remedy_without_unit(_groups_without_unit(bus))}"
+                ),
             )
         except _AbsentError as error:
             if self.options.harness:  # for the program that has started this bench
                 silent = self._heartbeat_ids(_groups_without_unit(bus), described=True)
                 waited_s = self.options.unit_wait_s
-                absent = {"no_heartbeat": silent, "waited_s": waited_s, "error": str(error)}
+                absent = {
+                    "no_heartbeat": silent,
+                    "instead": _instead_of_heartbeats(bus),
+                    "waited_s": waited_s,
+                    "error": str(error),
+                }
                 self.report(json.dumps(absent))
             raise
         if not self.stopping:
             self.event(Code.UNIT_READY)
+            await self._ask_for_identity(bus)
+
+    async def _ask_for_identity(self, bus: rig_bus.RigBus) -> None:
+        """Ask units that are not of this project for their identity, and wait a moment for it.
+
+        Only the master of a bus uses the SDO channel of a node.
+        """
+        if self.options.own_unit or not self.plan["bus"]["master"]:
+            return
+        bus.identities.ask(self.table.wsp_nodes)
+        deadline_s = time.monotonic() + _IDENTITY_S
+        while bus.identities.open and time.monotonic() < deadline_s and not self.stopping:
+            bus.poll()
+            await asyncio.sleep(_POLL_S)
+        found = bus.identities.of_units()
+        for identity in found:
+            self.event(Code.UNIT_IDENTITY, **identity)
+        self.unit_played = self.unit_played._replace(identity=found or None)
 
     async def _await_harness(self, bus: rig_bus.RigBus) -> None:
         self._report_waiting(f"a harness (node {signals.BENCH_NODE}, {HARNESS:X}h:{JOINED})")
@@ -564,3 +625,9 @@ def _groups_without_unit(bus: rig_bus.RigBus) -> list[int]:
     """Return the groups (from 0) whose unit has sent no heartbeat; all groups if each has."""
     silent = [group for group, unit in enumerate(bus.master.units) if unit.state is None]
     return silent or list(range(len(bus.master.units)))
+
+
+def _instead_of_heartbeats(bus: rig_bus.RigBus) -> str:
+    """Return what has come in place of the awaited heartbeats, as a part of a message."""
+    frames = (bus.seats[group].frames for group in _groups_without_unit(bus))
+    return bus.what_came_instead([one.heartbeat_id for one in frames])

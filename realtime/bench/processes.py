@@ -33,6 +33,8 @@ from rollerrig.wsp_interface.events import Code, OnEvent
 Process = subprocess.Popen[bytes]
 # how long a recorder may take to complete its files: long, on a busy machine
 _RECORDER_S = 300.0
+# what messages of a unit of this project begin with, in its log
+_UNIT_PROGRAM = "rollerrig wsp"
 # lines of a unit's output in a message
 _LINES_OF_COMMAND = 5
 # how long a unit may take to exit after its bus is gone
@@ -156,12 +158,12 @@ class Processes:
     def unit_words(self) -> str:
         """Return the last lines of a unit that is a program of the user, as the end of a message.
 
-        Empty for another unit.
+        Of an FMU it is the last message. Empty for another unit.
         """
-        if not self.options.command:
+        if not self.options.command and not self.options.fmus:
             return ""
         log = self.options.out / run_folder.UNIT_LOG
-        lines = children.last_lines(log, _LINES_OF_COMMAND)
+        lines = self._last_words()
         output = f"its last lines: {lines}" if lines else "it has printed nothing"
         return f"; {output} ({log})"
 
@@ -213,18 +215,23 @@ class Processes:
         process = self._newly_exited(unit)
         if process is None:
             return
-        log = self.options.out / run_folder.UNIT_LOG
-        # a program of the user may explain its failure in several lines
-        lines = _LINES_OF_COMMAND if self.options.command else 1
         exited = {
             "unit": self._unit_name,
             "status": process.returncode,
-            "last_words": children.last_lines(log, lines) or None,
-            "log": str(log),
+            "last_words": self._last_words() or None,
+            "log": str(self.options.out / run_folder.UNIT_LOG),
         }
         if starting:
             raise UnitError(events.text(Code.UNIT_ENDED, exited))
         self.on_event(Code.UNIT_ENDED, **exited)
+
+    def _last_words(self) -> str:
+        """Return why a unit has failed, as far as its log shows it."""
+        log = self.options.out / run_folder.UNIT_LOG
+        if self.options.command:
+            # a program of the user may explain its failure in several lines
+            return children.last_lines(log, _LINES_OF_COMMAND)
+        return children.last_message(log, _UNIT_PROGRAM)
 
     @property
     def _unit_name(self) -> str:

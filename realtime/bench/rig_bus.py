@@ -6,7 +6,7 @@ also keeps count of the answers that the WSP unit owes.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from rollerrig.firmware_sim import (
     traction401,
 )
 from rollerrig.firmware_sim.cia301.host import NEVER
+from rollerrig.firmware_sim.cia301.nmt import Command
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.drive402 import drive
 from rollerrig.firmware_sim.faults.bus import Gate
@@ -32,17 +33,20 @@ from rollerrig.firmware_sim.nmt_master import NmtMaster
 from rollerrig.firmware_sim.rack import Rack
 from rollerrig.firmware_sim.unit_answers import silent_after_syncs
 from rollerrig.realtime.bench.scenario import AUTOMATIC_PORT, Scenario
+from rollerrig.realtime.bench.unit_identity import Identities
 from rollerrig.realtime.loop import ring as rings
 from rollerrig.realtime.loop import tick
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import events, frame_forms, signals
 from rollerrig.wsp_interface.bus import buses, kernel, plugin
 from rollerrig.wsp_interface.bus.client import Client
 from rollerrig.wsp_interface.bus.codecs import CODECS
 from rollerrig.wsp_interface.bus.connection_set import (
     EMERGENCY,
     HEARTBEAT,
+    NMT,
     NODE_MASK,
     SDO_REPLY,
+    SDO_REQUEST,
     SYNC,
     TPDO,
 )
@@ -62,6 +66,17 @@ HUB = "hub"  # the interface in [bus] that is the bench's own hub
 KERNEL_CHANNEL = "vcan0"
 # how long to listen for foreign nodes: longer than the heartbeat time of any bench, 100 ms
 _LISTEN_S = 0.25
+_VEHICLE_SPEED = signals.column("vehicle_speed")
+# what a harness sends to node 127: its answers, and requests by SDO
+_OF_HARNESS = (HARNESS_ANSWER_ID, SDO_REQUEST + signals.BENCH_NODE)
+# of an SDO: object 6200h:1 as its bytes 1 to 3, and the command in its byte 0 (CiA 301)
+_MAGNETS_OBJECT = b"\x00\x62\x01"
+_INITIATE_DOWNLOAD = 1
+# bytes of an NMT command, and the commands after which a node does not do its work
+_NMT_BYTES = 2
+_STOPPING = frozenset(Command) - {Command.START}
+# identifiers in a message
+_MOST_HEARD = 8
 _SENT_BY_NODES = (EMERGENCY, *TPDO, SDO_REPLY, HEARTBEAT)
 
 
@@ -182,7 +197,8 @@ class UnitSeat:
     """The WSP unit of a group of axles, and the SYNCs that it still has to answer.
 
     A frozen unit answers all of them when it continues. `awaited` is the frame that starts its
-    cycle.
+    cycle. `has_commanded`: before the end of the stop it has sent a command of the valves that the
+    rig does not refuse.
     """
 
     def __init__(self, frames: UnitFrames) -> None:
@@ -191,6 +207,9 @@ class UnitSeat:
         self.awaited = frames.speeds
         self.owed = 0
         self.may_wait = 0
+        self.has_commanded = False
+        # the connection that has sent the last command of the valves
+        self._commander: Client | None = None
         # a fault has stopped its process
         self.frozen = False
 
@@ -213,6 +232,16 @@ class UnitSeat:
         sends_magnets = frame.can_id == self.frames.magnets_id
         if sends_magnets or unit.speaker is None or unit.gone:
             unit.speaker = sender
+        if sends_magnets:
+            self._commander = sender
+
+    def is_commanded_by_another(self, frame: Frame, sender: Client) -> bool:
+        """Return whether a frame commands the valves, and another program that runs does so too."""
+        commander = self._commander
+        sends_magnets = frame.can_id == self.frames.magnets_id
+        if not sends_magnets or commander is None or commander is sender:
+            return False
+        return not commander.lost.done()
 
 
 class RigBus:
@@ -236,6 +265,7 @@ class RigBus:
     ) -> None:
         bus = scenario["bus"]
         table = scenario.table
+        self.table = table
         self.hub = hub
         self.row = row
         self.clock_ns = clock_ns
@@ -251,14 +281,37 @@ class RigBus:
         groups = range(table.kind.groups)
         self.seats = tuple(UnitSeat(unit_frames(table, group)) for group in groups)
         self._seats_by_id: dict[int, UnitSeat] = {}
+        # by the identifier of an SDO request to the node with the magnets of the group
+        self._seats_by_sdo: dict[int, UnitSeat] = {}
         for seat in self.seats:
             self._seats_by_id[seat.frames.magnets_id] = seat
             self._seats_by_id[seat.frames.heartbeat_id] = seat
+            brake_node = signals.in_group(signals.BRAKE_NODE, seat.frames.group)
+            self._seats_by_sdo[SDO_REQUEST + brake_node] = seat
+        # units, and the nodes with their speeds and magnets; 0 addresses all nodes
+        self._nodes_of_units = {
+            0,
+            *table.wsp_nodes,
+            *table.nodes(signals.SPEED_NODE),
+            *table.nodes(signals.BRAKE_NODE),
+        }
+        # whether another program has set magnets, or stopped a node of them, during the stop
+        self.others_act = False
         self.harness_partner = Partner(arbitrates=False)
+        # the last refusal of each identifier of a frame from outside, and what has been reported
+        self._refusals: dict[int, frame_forms.Refusal] = {}
+        self._reported: set[tuple[Code, int]] = set()
+        # identifiers of process data and heartbeats from outside, as text
+        self._heard: dict[str, None] = {}
         self._turns_taken_by: tuple[Partner, ...] = ()
+        # whether the run has a WSP unit at all
+        self.has_unit = True
         # the units of the bench answer every SYNC, also foreign ones; if the frame that starts the
         # cycle of a unit is missing, it answers at the next SYNC
         self.own_unit = False
+        # whether the vehicle stands after it has rolled
+        self._has_rolled = False
+        self._has_stopped = False
         # SYNCs of another node, although the bench is the producer
         self.stray_syncs = 0
         self._stray = False
@@ -282,6 +335,7 @@ class RigBus:
             member.clock_ns = clock_ns
             self.rack.add(member)
         self._port = hub.attach(self._from_bus, "rig")
+        self.identities = Identities(self._port.send)
         self.gate = Gate(Controllers(hub.destroy))
         hub.order = self._order
         self.rack.start(self._port.send, clock_ns())
@@ -312,6 +366,7 @@ class RigBus:
                 self._on_event(Code.SYNC_FOREIGN)
         self.rack.advance_clock(frame.time_ns)
         self.rack.on_frame(frame)
+        self.identities.hear(frame)
         self._set_alarm()
 
     # -- answers of the unit and the harness
@@ -370,11 +425,19 @@ class RigBus:
         """Count answers, and let the frames of unit and harness wait for their turns."""
         if sender is self._port:
             return True
-        answers = self._count_answer(frame)
+        self._note_heard(frame)
+        refused = self._refuse(frame)
+        if self.has_unit and not refused and not self._has_stopped:
+            self._look_at_magnets(frame, sender)
+            self._look_at_nmt(frame)
+        answers = not refused and self._count_answer(frame)
         if not isinstance(sender, Client):
             return True
         seat = self._seats_by_id.get(frame.can_id)
-        if seat is not None:
+        if seat is not None and not refused:
+            if self.has_unit and seat.is_commanded_by_another(frame, sender):
+                fields = {"node": seat.frames.node, "can_id": frame.can_id}
+                self._report_once(Code.UNIT_TWO_SENDERS, **fields)
             seat.note(frame, sender)
         partners = [one for one in self._turns_taken_by if sender in one.members]
         if len(partners) != 1:
@@ -389,15 +452,91 @@ class RigBus:
         Return whether the frame is an answer that was owed.
         """
         seat = self._seats_by_id.get(frame.can_id)
-        if seat is not None and frame.can_id == seat.frames.magnets_id and seat.owed:
-            seat.owed -= 1
-            seat.look()
-            return True
+        if seat is not None and frame.can_id == seat.frames.magnets_id:
+            if not self._has_stopped:
+                seat.has_commanded = True
+            if seat.owed:
+                seat.owed -= 1
+                seat.look()
+                return True
         harness = self.harness_partner
         if frame.can_id == HARNESS_ANSWER_ID and not harness.answered.is_set():
             harness.answered.set()
             return True
         return False
+
+    # -- what the rig refuses
+
+    def _refuse(self, frame: Frame) -> bool:
+        """Return whether the rig refuses a frame because of its form; report the first such one."""
+        refusal = frame_forms.refusal(frame, self.table, self.rack.hears)
+        if refusal is None:
+            return False
+        self._refusals[frame.can_id] = refusal
+        self._report_once(refusal.code, **refusal.fields)
+        return True
+
+    def _report_once(self, code: Code, /, can_id: int, **fields: Any) -> None:
+        """Record an event about an identifier once in a run."""
+        if (code, can_id) not in self._reported:
+            self._reported.add((code, can_id))
+            self._on_event(code, can_id=can_id, **fields)
+
+    def _look_at_magnets(self, frame: Frame, sender: Port | Client) -> None:
+        """Note who sets magnets by SDO during the stop: the unit, or another program."""
+        seat = self._seats_by_sdo.get(frame.can_id)
+        is_command = seat is not None and frame.data[1:4] == _MAGNETS_OBJECT
+        is_download = is_command and frame.data[0] >> 5 == _INITIATE_DOWNLOAD
+        if seat is None or not is_download:
+            return
+        # on a CAN interface of the kernel nobody knows which program has sent a frame
+        is_unit = sender in seat.partner.members or not isinstance(sender, Client)
+        if is_unit:
+            seat.has_commanded = True
+            return
+        self.others_act = True
+        node = frame.can_id - SDO_REQUEST
+        if (Code.MAGNETS_FOREIGN, node) not in self._reported:
+            self._reported.add((Code.MAGNETS_FOREIGN, node))
+            self._on_event(Code.MAGNETS_FOREIGN, node=node)
+
+    def _look_at_nmt(self, frame: Frame) -> None:
+        """Note a command of another program that stops a unit, or a node that a unit needs."""
+        if frame.can_id != NMT or len(frame.data) != _NMT_BYTES or not self._has_rolled:
+            return
+        command, node = frame.data
+        if command in _STOPPING and node in self._nodes_of_units:
+            self.others_act = True
+            if (Code.NMT_FOREIGN, node) not in self._reported:
+                self._reported.add((Code.NMT_FOREIGN, node))
+                self._on_event(Code.NMT_FOREIGN, node=node, command=command)
+
+    def _note_heard(self, frame: Frame) -> None:
+        """Note which process data and heartbeats come from outside, for messages."""
+        if frame.can_id in _OF_HARNESS or len(self._heard) >= _MOST_HEARD:
+            return
+        digits = 8 if frame.extended else 3
+        self._heard[f"{frame.can_id:0{digits}X}h"] = None
+
+    def what_came_instead(self, can_ids: Iterable[int]) -> str:
+        """Return what has come in place of awaited frames, as the middle of a message.
+
+        It is the refusal of one of these frames, or else the identifiers that programs have sent.
+        """
+        for can_id in can_ids:
+            refusal = self._refusals.get(can_id)
+            if refusal is not None:
+                return events.text(refusal.code, refusal.fields)
+        if not self._heard:
+            return "no program has sent anything"
+        return f"programs have sent {', '.join(self._heard)}"
+
+    def report_uncommanded(self) -> None:
+        """Record an event for each unit that has given no valid command of the valves."""
+        for seat in self.seats:
+            if not seat.has_commanded:
+                frames = seat.frames
+                self._report_once(Code.UNIT_NO_COMMAND, can_id=frames.magnets_id, node=frames.node)
 
     def _look_at_answers(self) -> None:
         for seat in self.seats:
@@ -473,6 +612,7 @@ class RigBus:
         else:
             self.harness_partner.answered.set()
         self.set_time()
+        self._look_at_vehicle()
         if not self.own_unit:
             self.forgive()
         if self._produces_sync:
@@ -483,6 +623,11 @@ class RigBus:
             for seat in self.seats:
                 seat.partner.answered.clear()
         self.hub.flush()
+
+    def _look_at_vehicle(self) -> None:
+        rolls = self.row[_VEHICLE_SPEED] != 0.0
+        self._has_stopped = self._has_rolled and not rolls
+        self._has_rolled = self._has_rolled or rolls
 
     def set_time(self) -> None:
         """Let the nodes know the present time."""

@@ -134,7 +134,10 @@ def call(options: argparse.Namespace) -> int:
             "stopping_distance": stopping.bounds(found.distance_m),
             "tail": stopping.extrapolated(plan, found.distance_m),
             "not_valid_runs": not_valid,
-            "warnings": campaign_report.warnings(found),
+            "warnings": [
+                *campaign_report.contradictions(plan, about),
+                *campaign_report.warnings(found),
+            ],
         },
         (plan.head["title"] or None, campaign_report.HEAD, campaign_report.cells(found)),
         *lines,

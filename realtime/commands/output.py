@@ -22,6 +22,9 @@ FAILED = 1
 USAGE = 2
 INVALID = 4
 
+# the entry of a title block that no user states
+_RECORDED = "unit played"
+
 # a little less than 5 s, so that a busy machine, too, prints a line every five seconds
 PERIOD_S = 4.9
 
@@ -49,6 +52,11 @@ def about(options: argparse.Namespace) -> dict[str, str]:
         key, equals_sign, value = text.partition("=")
         if not equals_sign or not key.strip():
             raise ConfigError(f"--about '{text}': write WHAT=TEXT, as in 'tested by=A. Meier'")
+        if key.strip().lower() == _RECORDED:
+            raise ConfigError(
+                f"--about '{text}': which unit was played is recorded and cannot be stated; write "
+                "'unit under test=...' for its name"
+            )
         entries[key.strip()] = value.strip()
     return entries
 

@@ -1,13 +1,18 @@
-"""`rollerrig run`: one bench run, its progress line, its table and its exit status."""
+"""`rollerrig run`: one bench run, its progress line, its table and its exit status.
+
+With --repeat it does the same run with several seeds, and prints one table of their figures.
+"""
 
 import argparse
 import asyncio
+import copy
 import itertools
 import shlex
 import sys
 import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output, wsp
@@ -15,6 +20,9 @@ from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
     from rollerrig.realtime.bench.options import Progress
+
+_SPREAD = ("mean", "standard_deviation", "least", "largest")
+_SPREAD_HEAD = ("figure", "unit", "runs", "mean", "standard deviation", "least", "largest")
 
 # exit status of a run that has missed deadlines, under --strict
 LATE = 3
@@ -45,6 +53,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "(FMI-LS-BUS); none: no unit (default: reference)",
     )
     wsp.unit_argument(parser)
+    # for the record: the command with which another program starts an external unit
+    parser.add_argument("--started-unit", default="", help=argparse.SUPPRESS)
     wsp.map_argument(parser)
     parser.add_argument("--model", default="", metavar="FILE", help="load an extended model")
     parser.add_argument(
@@ -81,6 +91,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
+    )
+    parser.add_argument(
+        "--repeat",
+        type=int,
+        default=1,
+        metavar="N",
+        help="do the run N times, with the seeds from --seed on, in the folders 1 to N of --out, and "
+        "print one table of their figures (default: 1)",
     )
     parser.add_argument(
         "--set",
@@ -128,12 +146,98 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
+class Recorded(NamedTuple):
+    """A run that is recorded: its folder, its summary, and what the terminal shows of it.
+
+    result: the summary, with what --json prints besides.
+    """
+
+    folder: Path
+    summary: dict[str, Any]
+    result: dict[str, Any]
+    items: list[Any]
+
+
 def call(options: argparse.Namespace) -> int:
-    """Do one run and return the exit status."""
+    """Do one run, or several with --repeat, and return the exit status."""
+    options.wsp = wsp.with_command(options, default="reference")
+    _check_repeat(options)
+    if options.repeat > 1:
+        folder = options.out or free_folder(Path(options.scenario).stem)
+        runs = [_record(one) for one in _options_of_runs(options, folder)]
+        _show_runs(options, folder, [run.summary for run in runs])
+        return max(_status(options, run.summary) for run in runs)
+
+    run = _record(options)
+    output.show(options, run.result, *run.items)
+    return _status(options, run.summary)
+
+
+def _check_repeat(options: argparse.Namespace) -> None:
+    """Raise ConfigError for a number of runs that cannot be, or with what is for one run only."""
+    if options.repeat < 1:
+        raise ConfigError(f"--repeat {options.repeat}: allowed are numbers from 1")
+    if options.repeat > 1 and options.also_without_wsp:
+        raise ConfigError(
+            "--repeat and --also-without-wsp: a stop without WSP is computed for one run; leave one of "
+            "the options out"
+        )
+
+
+def _options_of_runs(options: argparse.Namespace, folder: Path) -> Iterator[argparse.Namespace]:
+    """Yield the options of each run: folder and seed count up."""
+    for number in range(options.repeat):
+        of_run = copy.copy(options)
+        of_run.out = folder / str(number + 1)
+        of_run.seed = options.seed + number
+        yield of_run
+
+
+def _show_runs(
+    options: argparse.Namespace, folder: Path, summaries: Sequence[Mapping[str, Any]]
+) -> None:
+    """Print the figures of all runs that are valid, and why the others are not."""
+    from rollerrig.realtime.record import figures, validity
+
+    found = figures.spread(summaries)
+    rows = [
+        (one["title"], one["unit"], str(one["runs"]), *(f"{one[key]:.6g}" for key in _SPREAD))
+        for one in found
+    ]
+    lines = [f"recorded in {folder}/1 to {folder}/{len(summaries)}"]
+    not_valid = []
+    for number, summary in enumerate(summaries, start=1):
+        for reason in validity.because(summary):
+            not_valid.append({"run": number, "because": reason})
+            lines.append(f"run {number} is not valid: {reason}")
+    if not any(summary["random"] for summary in summaries):
+        lines.append("nothing in these runs of the rig is random: their seeds have no effect")
+    output.show(
+        options,
+        {
+            "folder": str(folder),
+            "runs": list(summaries),
+            "not_valid": not_valid,
+            "figures": found,
+        },
+        (f"{len(summaries)} runs", _SPREAD_HEAD, rows),
+        *lines,
+    )
+
+
+def _status(options: argparse.Namespace, summary: dict[str, Any]) -> int:
+    if summary["invalid_because"]:
+        return output.INVALID
+    if options.strict and summary["loop"]["missed"]:
+        return LATE
+    return output.PASS
+
+
+def _record(options: argparse.Namespace) -> Recorded:
+    """Do one run. Raises RollerrigError."""
     from rollerrig.configs.processes import children
     from rollerrig.realtime.bench.options import waiting_processes
 
-    options.wsp = wsp.with_command(options, default="reference")
     # the processes of the run load their libraries while this process prepares the run
     needs_reference_unit = options.wsp == "reference" and options.pacing != "free"
     unit = wsp.run_from_stdin if needs_reference_unit else None
@@ -141,7 +245,7 @@ def call(options: argparse.Namespace) -> int:
         return _run(options, processes)
 
 
-def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
+def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
     from rollerrig.realtime.bench import bench, scenario, tick_data
     from rollerrig.realtime.bench.options import Options
     from rollerrig.realtime.reports import without_wsp
@@ -170,6 +274,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         harness=options.harness,
         unit_map=options.unit_map,
         prepare_free=options.also_without_wsp,
+        started_unit=options.started_unit,
         **processes,
     )
 
@@ -183,6 +288,11 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
     progress_line.close()
 
     items = [] if options.json else _items(summary, out)
+    if options.seed and not summary["random"]:
+        items.append(
+            f"--seed {options.seed} has no effect: nothing in this run of the rig is random (noise of a "
+            "speed sensor is: fault speed_noise_burst, wheel flats with noise)"
+        )
     result = summary | {"folder": str(out)}
     if options.also_without_wsp:
         without = without_wsp.record(plan, options_without, progress_line)
@@ -191,13 +301,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> int:
         items.append(without_wsp.sentence(without))
         folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
         items.append(f"compare both with: rollerrig compare {folders}")
-    output.show(options, result, *items)
-
-    if summary["invalid_because"]:
-        return output.INVALID
-    if options.strict and summary["loop"]["missed"]:
-        return LATE
-    return output.PASS
+    return Recorded(out, summary, result, items)
 
 
 def _announce_replacement(out: Path, options: argparse.Namespace) -> None:

@@ -150,7 +150,7 @@ def call(options: argparse.Namespace) -> int:
             **counts,
             "report": str(paths[0]),
             "sequences": {outcome.sequence.name: outcome.result for outcome in outcomes},
-            "warnings": _warnings(outcomes),
+            "warnings": [*report.contradictions(outcomes, about), *_warnings(outcomes)],
             "interrupted": interrupted.by or None,
             "not_played": [outcome.sequence.name for outcome in not_played],
         },
@@ -476,13 +476,15 @@ def _play_on_new_bench(
 
     companions: list[Any] = []
     run_arguments: tuple[str, ...] = ()
+    if options.unit:
+        run_arguments += ("--started-unit", options.unit)
     if options.unit_map:
         if options.wsp == "external":
             # the gateway starts before the unit, which may send immediately
             vehicle = signals.table(sequence.kind)
             companions.append(gateway.companion(options.unit_map, vehicle))
         else:
-            run_arguments = ("--unit-map", str(options.unit_map))
+            run_arguments += ("--unit-map", str(options.unit_map))
     if options.unit:
         companions.append(own_bench.program(options.unit, folder / run_folder.UNIT_LOG))
 

@@ -100,23 +100,28 @@ class Channels:
         pause_s = max(_PERIOD_S, self._spent_s / _DUTY, self._written / _BYTES_S)
         self._due_s = time.monotonic() + pause_s
 
-    def finish(self) -> None:
-        """Write the final, compressed file, and remove the tail."""
+    def finish(self, about: Mapping[str, str] | None = None) -> None:
+        """Write the final, compressed file, and remove the tail.
+
+        `about`: metadata of the file, what was played.
+        """
         self._saving = None
         self._written = self._tail.tell()
-        for _ in self._save(compression="zstd"):
+        for _ in self._save(compression="zstd", about=about):
             pass
         self._tail.close()
         (self._folder / TAIL).unlink(missing_ok=True)
 
-    def _save(self, compression: str = "none") -> Iterator[None]:
+    def _save(
+        self, compression: str = "none", about: Mapping[str, str] | None = None
+    ) -> Iterator[None]:
         """Write all rows so far, block by block; replace channels.parquet with them in one step."""
         is_final = compression != "none"
         with (
             replaced(self._folder / CHANNELS) as new,
             pq.ParquetWriter(
                 new,
-                schema(self._columns),
+                schema(self._columns).with_metadata(dict(about or {})),
                 compression=compression,
                 use_dictionary=False,
                 use_byte_stream_split=is_final,

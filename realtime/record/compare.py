@@ -17,6 +17,8 @@ from rollerrig.wsp_interface import signals
 
 _NO_RESULT = frozenset(("time", "tick_lateness", "tick_duration", "ticks_missed"))
 _THIRDS = 3
+# what is compared in thirds of the stop
+_DRIFTS = ("adhesion while sliding", "friction mu_cd")
 # a stop is taken to be at least this long
 _SHORTEST_M = 1e-9
 # sliding above this counts as sliding
@@ -73,6 +75,9 @@ def _difference(
 ) -> Difference | None:
     """Return how one channel differs; None where the runs have no time in common."""
     time_s = first.column("time_s")
+    if not len(run.table):
+        # the run has failed before its first sample
+        return None
     other = np.interp(time_s, run.column("time_s"), run.column(name), right=np.nan)
     gap = np.abs(first.column(name) - other)
     known = np.flatnonzero(np.isfinite(gap))
@@ -92,11 +97,13 @@ def _difference(
 def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
     """Return how adhesion changes over a stop: means of all wheelsets in thirds of its distance.
 
-    None where no wheel slides, and always None for a run that is not valid. `adhesion while
-    sliding` is over samples at which a wheel slides by more than 0.5 m/s, `friction mu_cd` over all
-    samples. On a track the contaminant is always fresh; on rollers it is not. The difference of two
-    runs is the effect of the rig.
+    None where no wheel slides, and always None for a run that is not valid or has no sample.
+    `adhesion while sliding` is over samples at which a wheel slides by more than 0.5 m/s,
+    `friction mu_cd` over all samples. On a track the contaminant is always fresh; on rollers it is
+    not. The difference of two runs is the effect of the rig.
     """
+    if not len(run.table):
+        return dict.fromkeys(_DRIFTS, (None,) * _THIRDS)
     position_m = run.column("position_m")
     way_m = position_m - position_m[0]
     length_m = max(float(position_m[-1] - position_m[0]), _SHORTEST_M)
@@ -111,10 +118,8 @@ def drifts(run: records.Run) -> dict[str, tuple[float | None, ...]]:
     valid = bool(run.summary.get("valid", True))
     slides = valid & (sliding_m_s > _SLIDES_M_S)
     known = valid & np.isfinite(friction)
-    return {
-        "adhesion while sliding": _means(adhesion, slides, third),
-        "friction mu_cd": _means(friction, known, third),
-    }
+    found = (_means(adhesion, slides, third), _means(friction, known, third))
+    return dict(zip(_DRIFTS, found, strict=True))
 
 
 def _means(values: np.ndarray, counts: np.ndarray, third: np.ndarray) -> tuple[float | None, ...]:

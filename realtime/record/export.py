@@ -3,7 +3,9 @@
 Every channel of the record is exported in SI with its unit and description, and so are the events.
 An MDF4 file has one group of channels over time and one of events. A MAT file has one variable a
 channel and the tables `units`, `descriptions` and `events`. A CSV file has names in its first line
-and units in its second, and a second file has the events. Files appear complete or not at all.
+and units in its second, and a second file has the events. What was played, and whether the run is
+valid, is in the comment of the MDF4 file, in the table `run` of the MAT file, and in a third file
+beside the CSV file. Files appear complete or not at all.
 Source: ASAM MDF 4.1 as asammdf writes it; MAT-file level 5 as scipy writes it.
 """
 
@@ -18,12 +20,14 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, replaced, writing
 from rollerrig.configs.table import nearest
+from rollerrig.realtime.record import played
 from rollerrig.realtime.record.records import Run
 from rollerrig.wsp_interface import signals
 
 # unit suffixes as other programs write them
 UNITS = {"m_s": "m/s", "m_s2": "m/s^2", "rad_s": "rad/s", "Nm": "N*m", "J_m": "J/m", "N_m": "N/m"}
 EVENTS = "events"
+RUN = "run"
 
 
 class Column(NamedTuple):
@@ -85,6 +89,8 @@ def _mdf4(run: Run, out: Path) -> list[Path]:
             at_s = np.array([event.time_s for event in run.events])
             texts = np.array([f"{event.level}: {event.text}".encode() for event in run.events])
             made.append([Signal(texts, at_s, name=EVENTS, encoding="utf-8")], comment=EVENTS)
+        what = played.of_summary(run.summary).texts()
+        made.header.comment = "\n".join(f"{key}: {text}" for key, text in what.items())
         with replaced(out, ".mf4") as new:
             made.save(new, overwrite=True, compression=2)
     return [out]
@@ -105,6 +111,7 @@ def _mat(run: Run, out: Path) -> list[Path]:
     units["time_s"] = "s"
     content["units"] = units
     content["descriptions"] = descriptions
+    content[RUN] = played.of_summary(run.summary).texts()
     content[EVENTS] = {
         "time_s": np.array([event.time_s for event in run.events], dtype=float),
         "level": np.array([event.level for event in run.events], dtype=object),
@@ -116,7 +123,7 @@ def _mat(run: Run, out: Path) -> list[Path]:
 
 
 def _csv(run: Run, out: Path) -> list[Path]:
-    """Write a run as CSV, and its events as a second file."""
+    """Write a run as CSV, its events as a second file, and what was played as a third one."""
     exported = columns(run)
     names = ["time_s", *(column.name for column in exported)]
     units = ["s", *(column.unit for column in exported)]
@@ -130,7 +137,11 @@ def _csv(run: Run, out: Path) -> list[Path]:
         writer = csv.writer(file)
         writer.writerow(("time_s", "level", "text"))
         writer.writerows((event.time_s, event.level, event.text) for event in run.events)
-    return [out, events_out]
+
+    run_out = out.with_name(f"{out.stem}.{RUN}.csv")
+    with replaced(run_out) as new, new.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file).writerows(played.of_summary(run.summary).texts().items())
+    return [out, events_out, run_out]
 
 
 Writer = Callable[[Run, Path], list[Path]]

@@ -1,6 +1,8 @@
 """The figures of a stop, read from its summary: by these, runs are judged, compared and ranked."""
 
-from collections.abc import Callable, Mapping
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from rollerrig.realtime.record import validity
@@ -88,3 +90,32 @@ FIGURES = (
     Figure("tracking_rms_m_s", "tracking error, rms", "m/s", lambda s: s["tracking"]["rms_m_s"]),
 )
 BY_NAME = {figure.name: figure for figure in FIGURES}
+
+
+def spread(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
+    """Return the spread of each figure over the valid runs that have it, in the unit of people.
+
+    The standard deviation is that of a sample; it is 0 for one run.
+    """
+    found = []
+    for figure in FIGURES:
+        known = [figure.of(summary) for summary in summaries]
+        values = [figure.scale * value for value in known if _is_number(value)]
+        if values:
+            found.append(
+                {
+                    "name": figure.name,
+                    "title": figure.title,
+                    "unit": figure.unit,
+                    "runs": len(values),
+                    "mean": statistics.fmean(values),
+                    "standard_deviation": statistics.stdev(values) if len(values) > 1 else 0.0,
+                    "least": min(values),
+                    "largest": max(values),
+                }
+            )
+    return found
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and math.isfinite(value)

@@ -11,14 +11,13 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping
-from importlib import metadata
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from rollerrig.configs.vehicle import Kind, kind_of
-from rollerrig.realtime.record import brake_work, channels, validity
+from rollerrig.realtime.record import brake_work, channels, played, validity
 from rollerrig.wsp_interface import braking, signals
 from rollerrig.wsp_interface.events import Event
 
@@ -43,12 +42,6 @@ def channels_of(kind: Kind) -> tuple[str, ...]:
     return tuple(column for name in _READ for column in signals.columns(table.by_name[name]))
 
 
-@functools.cache
-def _version() -> str:
-    """Return the version of this installation, read once: a campaign makes many summaries."""
-    return metadata.version("rollerrig")
-
-
 def of(
     columns: pa.Table | Mapping[str, Any],
     counters: Mapping[str, Any],
@@ -59,9 +52,10 @@ def of(
     """Return the summary of recorded channels, as in summary.json.
 
     `columns` has arrays of shape (n,) by the names of the table of signals. `counters` may have
-    version, config_hash, scenario, pacing, seed, unit, ended, and the tables loop, bus, modbus and
-    recorder. `scenario` is the resolved one, `events` are all events of the run. `kind` is that
-    of the vehicle; default: that of the scenario. The same input gives the same output.
+    version, config_hash, scenario, pacing, seed, random, unit, unit_played, ended, and the tables
+    loop, bus, modbus and recorder. `scenario` is the resolved one, `events` are all events of the
+    run. `kind` is that of the vehicle; default: that of the scenario. The same input gives the same
+    output.
     """
     if kind is None:
         kind = kind_of(scenario, "the scenario of the run")
@@ -98,12 +92,15 @@ def of(
 
     loop = scenario.get("loop", {})
     found = {
-        "version": counters.get("version") or _version(),
+        "version": counters.get("version") or played.version(),
         "config_hash": counters.get("config_hash") or _digest(scenario),
         "scenario": counters.get("scenario"),
         "title": scenario.get("title") or None,
+        "vehicle": scenario.get("vehicle_set"),
+        "unit_played": counters.get("unit_played") or _unit_played(counters.get("unit")),
         "pacing": counters.get("pacing"),
         "seed": counters.get("seed"),
+        "random": counters.get("random"),
         "ended": counters.get("ended", "finished"),
         "tick_hz": loop.get("tick_hz"),
         "step_s": loop.get("step_s"),
@@ -132,6 +129,11 @@ def of(
         found["brakes"] = _brakes(kind, channel, scenario["vehicle"]["wheel_radius_m"])
     judgement = validity.judge(found, scenario, events)
     return found | {"valid": not judgement.invalid_because, **judgement._asdict()}
+
+
+def _unit_played(unit: str | None) -> dict[str, Any] | None:
+    """Return the unit of a stop in memory."""
+    return None if unit is None else played.unit_of(unit)._asdict()
 
 
 def _counted(counters: Mapping[str, Any], name: str, recorded: Mapping[str, Any]) -> dict[str, Any]:

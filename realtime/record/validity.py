@@ -15,26 +15,50 @@ from rollerrig.wsp_interface.events import Code, Event
 
 # a fault may still cause the loss of the unit for this time after it has been lifted
 RECOVERY_S = 1.0
+# a fault that begins within this time of the start begins with the run
+_WITH_THE_RUN_S = 0.5
 # events that make a run not valid; the first of each code counts
 _SPOILS = (
     Code.COACH_DERAILED,
     Code.UNIT_ENDED,
     Code.UNIT_FAILED,
+    Code.UNIT_TWO_SENDERS,
+    Code.MAGNETS_FOREIGN,
+    Code.NMT_FOREIGN,
     Code.RECORDER_ENDED,
     Code.RUN_INTERRUPTED,
     Code.BENCH_KILLED,
 )
+# events that say nothing about a run without a unit
+_OF_A_UNIT = (Code.MAGNETS_FOREIGN, Code.NMT_FOREIGN, Code.LOOP_STALLED)
+# assumption: a unit in real time has to bridge shorter pauses of the bench
+LONG_STALL_S = 1.0
 _FAULTS = (Code.FAULT_BEGINS, Code.FAULT_LIFTED)
-_UNIT = (Code.UNIT_LOST, Code.UNIT_BACK, Code.UNIT_SILENT, Code.UNIT_ANSWERS)
+_UNIT = (
+    Code.UNIT_LOST,
+    Code.UNIT_BACK,
+    Code.UNIT_SILENT,
+    Code.UNIT_ANSWERS,
+    Code.UNIT_NO_COMMAND,
+)
 _EMERGENCY_STOP = (Code.EMERGENCY_STOP_SET, Code.EMERGENCY_STOP_RESET)
 _RELEVANT = (
     *_SPOILS,
     *_FAULTS,
     *_UNIT,
     *_EMERGENCY_STOP,
+    Code.LOOP_STALLED,
     Code.RUN_ENDED_BY_HARNESS,
     Code.FAULT_NEVER_BEGAN,
 )
+# how a run ended early, as its summary has it, by the event
+ENDED_BY = {
+    Code.RUN_FAILED: "error",
+    Code.RUN_INTERRUPTED: "interrupted",
+    Code.RUN_STOPPED: "stopped over Modbus",
+    Code.RUN_DERAILED: "derailed",
+    Code.RUN_BUS_LOST: "ended: its bus is lost",
+}
 # a run that lasted to within this time of duration_max_s has reached the limit
 _LIMIT_TOLERANCE_S = 1.0
 
@@ -74,7 +98,11 @@ def judge(
             f"the WSP unit was silent {len(silent_s)} {times} (heartbeat, but no command of the "
             f"valves), first at {silent_s[0]:.2f} s, and no fault was aimed at it or its bus"
         )
+    found += _without_command(relevant)
+    if summary["wsp"]["unit"] == "none":
+        relevant = [event for event in relevant if event.code not in _OF_A_UNIT]
     found += _spoiled_by(relevant)
+    found += _stalls(relevant, summary["stop_time_s"])
     emergency_stop = _emergency_stop(summary, relevant)
     if emergency_stop:
         found.append(emergency_stop)
@@ -173,7 +201,36 @@ def silences(events: Iterable[Event], stop_time_s: float | None) -> list[float]:
     return [event.time_s for event in found if event.time_s - event.fields["silent_s"] < end_s]
 
 
-def _undisturbed(events: Iterable[Event], begins: Code, ends: Code) -> list[Event]:
+def _stalls(events: Iterable[Event], stop_time_s: float | None) -> list[str]:
+    """Return a sentence if the bench stood still for long before standstill; empty if not."""
+    end_s = math.inf if stop_time_s is None else stop_time_s
+    for event in events:
+        is_long = event.code == Code.LOOP_STALLED and event.fields["stalled_s"] >= LONG_STALL_S
+        if is_long and event.time_s < end_s:
+            return [
+                f"the bench stood still for {event.fields['stalled_s']:.2f} s, at {event.time_s:.2f} s, "
+                "while the WSP unit went on: what the unit did then is not its behaviour in a stop"
+            ]
+    return []
+
+
+def _without_command(events: Iterable[Event]) -> list[str]:
+    """Return a sentence for each unit that has given no valid command, without a fault.
+
+    Only a fault that began with the run explains this.
+    """
+    early: set[str] = set()
+    considered: list[Event] = []
+    for event in events:
+        if event.code == Code.FAULT_BEGINS and event.time_s <= _WITH_THE_RUN_S:
+            early.add(event.fields["fault"])
+        if event.code not in _FAULTS or event.fields["fault"] in early:
+            considered.append(event)
+    found = _undisturbed(considered, Code.UNIT_NO_COMMAND)
+    return [run_events.text(Code.UNIT_NO_COMMAND, event.fields, advice=False) for event in found]
+
+
+def _undisturbed(events: Iterable[Event], begins: Code, ends: Code | None = None) -> list[Event]:
     """Return the events of a unit with the code `begins` that no fault explains.
 
     An event of the same unit with the code `ends` before the start cancels those before it.
@@ -182,7 +239,9 @@ def _undisturbed(events: Iterable[Event], begins: Code, ends: Code) -> list[Even
     disturbed: dict[str, tuple[list[int] | None, float]] = {}
     found: list[Event] = []
     for event in events:
-        if event.code in _FAULTS:
+        if event.code == Code.NMT_FOREIGN:
+            disturbed[event.code] = (None, math.inf)
+        elif event.code in _FAULTS:
             fault_begins = event.code == Code.FAULT_BEGINS
             until_s = math.inf if fault_begins else event.time_s + RECOVERY_S
             # a record of an older version does not have the units: all of them
@@ -194,7 +253,7 @@ def _undisturbed(events: Iterable[Event], begins: Code, ends: Code) -> list[Even
             )
             if event.time_s > max(reached, default=-math.inf):
                 found.append(event)
-        elif event.code == ends and event.time_s == 0.0:
+        elif ends is not None and event.code == ends and event.time_s == 0.0:
             found = [one for one in found if one.fields["node"] != event.fields["node"]]
     return found
 

@@ -24,7 +24,7 @@ from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.campaign.outcome import QUANTILES, Outcome
 from rollerrig.realtime.campaign.statistics import draws
-from rollerrig.realtime.record import figures
+from rollerrig.realtime.record import figures, played
 from rollerrig.realtime.reports import page, pdf
 from rollerrig.realtime.reports.statistics import tail
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER
@@ -161,25 +161,21 @@ def _title_block(
     plan: campaign.Plan, outcome: Outcome, when: datetime, about: Mapping[str, str]
 ) -> dict[str, str]:
     """Return what was tested, with which plan, and when."""
-    unit = plan.head["unit"]
-    if unit == "reference":
-        unit = "reference WSP of rollerrig (simulated)"
-    block = page.title_block(
-        {
-            "unit under test": unit,
-            "version of the unit": page.NOT_STATED,
-            "tested by": page.NOT_STATED,
-        },
-        about,
-    )
     seed = "" if plan.head["design"] == "matrix" else f", seed {plan.head['seed']}"
-    return block | {
+    recorded = {
+        "unit played": played.words(played.unit_of(plan.head["unit"])),
         "scenario": Path(plan.head["scenario"]).stem,
         "design": f"{plan.head['design']}{seed}",
         "runs": f"{outcome.runs}, of which {outcome.not_valid} are not valid and left out",
         "date": f"{when:%Y-%m-%d %H:%M} UTC",
         "tested with": f"rollerrig {metadata.version('rollerrig')}",
     }
+    return page.title_block(about, recorded)
+
+
+def contradictions(plan: campaign.Plan, about: Mapping[str, str]) -> list[str]:
+    """Return a warning where --about names another unit than that of the plan."""
+    return played.contradictions([played.unit_of(plan.head["unit"])], about)
 
 
 def input_title(key: str) -> str:
@@ -237,7 +233,10 @@ def _page(
             " Simulated rig and vehicle.",
             kind="note",
         ),
-        *(page.paragraph(f"Warning: {text}", kind="note") for text in warnings(outcome)),
+        *(
+            page.paragraph(f"Warning: {text}", kind="note")
+            for text in (*contradictions(plan, about), *warnings(outcome))
+        ),
         *_kept(outcome),
         *_stopping(plan, outcome),
         page.element("h2", "What was varied"),

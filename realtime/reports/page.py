@@ -39,6 +39,8 @@ NOT_STATED = "not stated"
 
 # rows of every title block that identify the document
 DOCUMENT = ("document number", "revision")
+# rows that only the user can state
+STATED = ("unit under test", "version of the unit", "tested by")
 
 # roles of the people who sign
 SIGNED = ("tested", "checked", "approved")
@@ -218,14 +220,15 @@ def facts(rows: Mapping[str, str]) -> Markup:
     return element("table", *lines, kind="facts")
 
 
-def title_block(rows: Mapping[str, str], about: Mapping[str, str]) -> dict[str, str]:
-    """Return the rows of the title block of a report: document, `rows`, and entries of a user.
+def title_block(about: Mapping[str, str], recorded: Mapping[str, str]) -> dict[str, str]:
+    """Return the rows of the title block of a report: what a user states, then what is recorded.
 
-    The entries `about` replace rows of the same name, and the others follow.
+    The entries `about` are those of --about. They are added to the rows `recorded`, and replace
+    none of them.
     """
-    block = dict.fromkeys(DOCUMENT, NOT_STATED)
-    block.update(rows)
+    block = dict.fromkeys((*DOCUMENT, *STATED), NOT_STATED)
     block.update(about)
+    block.update(recorded)
     return block
 
 

@@ -23,7 +23,7 @@ from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.output_files import make_folder, write_text
 from rollerrig.configs.printable import printable
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.realtime.record import records, run_folder
+from rollerrig.realtime.record import played, records, run_folder
 from rollerrig.realtime.record.summary import finite
 from rollerrig.realtime.reports import friction_changes, page, pdf, stop
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
@@ -85,7 +85,10 @@ def write(
     """
     when = datetime.now(UTC)
     about = dict(about or {})
-    data = as_data(outcomes, when) | {"about": about}
+    data = as_data(outcomes, when) | {
+        "about": about,
+        "warnings": contradictions(outcomes, about),
+    }
     texts = {
         out / HTML: html(outcomes, out, when, about),
         out / JSON: json.dumps(data, indent=2) + "\n",
@@ -146,7 +149,7 @@ def _sequence_data(outcome: Outcome) -> dict[str, Any]:
     }
     for key in (
         *("config_hash", "seed", "pacing", "valid", "invalid_because", "warnings"),
-        *("loop", "bus"),
+        *("loop", "bus", "unit_played", "scenario", "vehicle", "version"),
     ):
         data[key] = outcome.summary.get(key)
     return data
@@ -212,11 +215,13 @@ def _add_suite(suites: ET.Element, outcome: Outcome) -> None:
     name = outcome.sequence.name
     suite = ET.SubElement(suites, "testsuite", name=name, time=f"{outcome.wall_s:.3f}")
     properties = ET.SubElement(suite, "properties")
-    for key, value in (
-        ("title", outcome.sequence.title),
-        ("disclaimer", DISCLAIMER),
-        ("folder", str(outcome.folder)),
-    ):
+    stated = {
+        "title": outcome.sequence.title,
+        "disclaimer": DISCLAIMER,
+        "folder": str(outcome.folder),
+        **played.of_summary(outcome.summary).facts(),
+    }
+    for key, value in stated.items():
         ET.SubElement(properties, "property", name=key, value=value)
 
     for verdict in outcome.verdicts:
@@ -263,6 +268,10 @@ def html(
         "WSP test sequences on the roller rig",
         paragraph("Result: ", _result(overall(outcomes)), f" ({', '.join(counts)})"),
         page.facts(_title_block(outcomes, when, about or {})),
+        *(
+            paragraph(element("b", "Warning: "), text, kind="note")
+            for text in contradictions(outcomes, about or {})
+        ),
         paragraph(
             element("b", f"{DISCLAIMER.capitalize()}."),
             " Simulated rig and vehicle. The limits are those of the named criteria profiles; the "
@@ -282,29 +291,24 @@ def html(
 def _title_block(
     outcomes: Sequence[Outcome], when: datetime, about: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return what was tested, by whom, with what and when; entries of `about` win."""
-    versions = _versions()
-    units = set()
-    for outcome in outcomes:
-        wsp = outcome.summary.get("wsp") or {}
-        units.add(str(wsp.get("unit") or page.NOT_STATED))
+    """Return what the user states, and which unit was played, with what and when."""
+    units = dict.fromkeys(played.words(unit) for unit in _units(outcomes))
+    recorded = {
+        "unit played": " / ".join(units),
+        "date": f"{when:%Y-%m-%d %H:%M} UTC",
+        "tested with": " · ".join(f"{name} {number}" for name, number in _versions().items()),
+    }
+    return page.title_block(about, recorded)
 
-    unit = ", ".join(sorted(units))
-    version = page.NOT_STATED
-    if units == {"reference"} and "unit under test" not in about:
-        unit = "reference WSP of rollerrig (simulated)"
-        version = versions["rollerrig"]
-    block = page.title_block(
-        {
-            "unit under test": unit,
-            "version of the unit": version,
-            "tested by": page.NOT_STATED,
-        },
-        about,
-    )
-    block["date"] = f"{when:%Y-%m-%d %H:%M} UTC"
-    block["tested with"] = " · ".join(f"{name} {number}" for name, number in versions.items())
-    return block
+
+def _units(outcomes: Sequence[Outcome]) -> list[played.Unit | None]:
+    """Return the unit of each outcome, as far as its bench has made a summary."""
+    return [played.of_summary(outcome.summary).unit for outcome in outcomes]
+
+
+def contradictions(outcomes: Sequence[Outcome], about: Mapping[str, str]) -> list[str]:
+    """Return a warning where --about names another unit than that of the records."""
+    return played.contradictions([unit for unit in _units(outcomes) if unit], about)
 
 
 def _conditions(outcome: Outcome) -> dict[str, str]:
@@ -411,7 +415,7 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
         parts.append(paragraph(element("b", "Error: "), outcome.error, kind="note"))
     for warning in outcome.summary.get("warnings", ()):
         parts.append(paragraph(element("b", "Warning: "), warning, kind="note"))
-    parts.append(page.facts(_conditions(outcome)))
+    parts.append(page.facts(played.of_summary(outcome.summary).facts() | _conditions(outcome)))
     parts.append(
         table(
             _VERDICTS_HEAD,

@@ -13,7 +13,7 @@ import numpy as np
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.pictures import colours
-from rollerrig.realtime.record import validity
+from rollerrig.realtime.record import played, validity
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import INFO, Code, Event
 from rollerrig.wsp_interface.sequences import measures
@@ -174,6 +174,7 @@ def result_text(summary: Mapping[str, Any]) -> str:
         f"#### {name}",
         f"{_stop_text(summary)} · {_validity_text(summary)}",
         _wsp_text(summary),
+        _played_text(summary),
     )
     return "\n\n".join(paragraphs)
 
@@ -206,9 +207,15 @@ def _wsp_text(summary: Mapping[str, Any]) -> str:
     return (
         f"longest lock {_number(max(locks_s, default=None), 2)} s · "
         f"{_number(wsp.get('vents'), 0)} vents · "
-        f"air {_number(summary.get('air_consumption_NL'), 0)} NL · "
-        f"unit {wsp.get('unit') or _UNKNOWN}"
+        f"air {_number(summary.get('air_consumption_NL'), 0)} NL"
     )
+
+
+def _played_text(summary: Mapping[str, Any]) -> str:
+    facts = played.of_summary(summary).facts()
+    # the line on the stop states whether the run is valid
+    del facts["valid"]
+    return " · ".join(f"{name} {text}" for name, text in facts.items())
 
 
 def _number(value: float | None, places: int, factor: float = 1.0) -> str:

@@ -43,7 +43,7 @@ from rollerrig.configs.output_files import create, place_of, replaced
 from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.ring import Ring
-from rollerrig.realtime.record import channels, records, run_folder, summary
+from rollerrig.realtime.record import channels, played, records, run_folder, summary, validity
 from rollerrig.realtime.record.events import Events
 from rollerrig.realtime.telemetry import derived, kind_option, scene, views
 from rollerrig.realtime.telemetry.drawing import Drawing
@@ -141,6 +141,8 @@ class Recorder:
         self._time_s = 0.0
         self._frame_count = 0
         self._recorded_events = Events()
+        # how the bench has ended the run early; "" if it has not
+        self._ended_by = ""
 
         self.channels = channels.Channels(self._folder, self._table.columns)
         # unbuffered: written lines survive the death of this process
@@ -223,8 +225,20 @@ class Recorder:
             return
         for event in events:
             self._recorded_events.add(event)
+            self._note(event)
         self._event_log.write(_as_bytes([json.dumps(event._asdict()) for event in events]))
         self._drawing.events(events)
+
+    def _note(self, event: Event) -> None:
+        """Note what the summary needs of an event: the identity of a unit, and the end of a run."""
+        unit = self._counters.get("unit_played")
+        if unit and event.code == Code.UNIT_IDENTITY:
+            unit["identity"] = [*(unit["identity"] or ()), event.fields]
+        elif event.code in validity.ENDED_BY:
+            # a failure counts more than what has ended the run before it
+            is_failure = event.code == Code.RUN_FAILED
+            if is_failure or not self._ended_by:
+                self._ended_by = validity.ENDED_BY[event.code]
 
     def _send_rows(self) -> None:
         """Send the waiting rows to run.rrd."""
@@ -245,22 +259,26 @@ class Recorder:
         self.drain()
         if ended == "killed":
             self._write_events([run_events.make(self._time_s, Code.BENCH_KILLED)])
-        self.channels.finish()
         self._stream.disconnect()
 
         # rows of all rings that the writer overwrote before the recorder read them
         sources = (self._rows, self._frames, self._events)
         lost = sum(int(source.ring.header[ring.LOST]) for source in sources)
         counters = self._counters | {
-            "ended": ended,
+            "ended": self._ended_by or ended,
             "bus": {"frames": self._frame_count},
             "recorder": {"lost": lost},
         }
-        stored = channels.Columns(self._folder)
         run_summary = summary.of(
-            stored, counters, self._scenario, self._recorded_events, self._table.kind
+            channels.Columns(self._folder),
+            counters,
+            self._scenario,
+            self._recorded_events,
+            self._table.kind,
         )
+        self.channels.finish(played.of_summary(run_summary).texts())
 
+        stored = channels.Columns(self._folder)
         self._compact(stored, derived.result_text(run_summary))
         records.write_summary(self._folder, run_summary)
         self._can_log.close()

@@ -306,11 +306,18 @@ def test_compressed_text_is_unpacked_up_to_a_limit():
     assert unpacking.inflated_bytes(zlib.compress(bytes(30_000_000)), 1_000_000) < 3_000_000
 
 
-@pytest.mark.parametrize("name", ["../a", "/etc/a", "a/../../b", "a\\b"])
+@pytest.mark.parametrize("name", ["../a", "/etc/a", "a/../../b"])
 def test_an_archive_that_leads_out_of_its_folder_is_refused(name, tmp_path):
     with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
         archive.writestr(name, "x")
     with pytest.raises(ConfigError, match="leads out of the folder"):
+        unpacking.check_archive(tmp_path / "a.zip")
+
+
+def test_an_archive_with_backslashes_is_refused_with_how_to_pack_it(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.zip", "w") as archive:
+        archive.writestr("binaries\\linux64\\unit.so", "x")
+    with pytest.raises(ConfigError, match=r"whose folders are separated by .*; a ZIP archive"):
         unpacking.check_archive(tmp_path / "a.zip")
 
 

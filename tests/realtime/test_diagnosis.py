@@ -94,12 +94,17 @@ def test_a_unit_that_keeps_a_vent_open_after_the_slide_is_found_and_the_time_is_
     assert 1.0 < one.open_without_sliding_s < 2.0
 
 
-def findings_of_axle_1(sliding_m_s, valves):
-    """Return the findings when the valve of axle 1 does this and the axle slides so much."""
+def findings_of_axle_1(sliding_m_s, valves, at_cycle_120=lambda one: None):
+    """Return the findings when the valve of axle 1 does this and the axle slides so much.
+
+    `at_cycle_120` is called with the diagnosis there.
+    """
     found = []
     one = Diagnosis(COACH, lambda code, /, **fields: found.append(code))
     still = [0.0] * (COACH.axles - 1)
     for cycle, (sliding, valve) in enumerate(zip(sliding_m_s, valves, strict=True)):
+        if cycle == 120:
+            at_cycle_120(one)
         one.look(
             Sample(
                 time_s=0.01 * cycle,
@@ -310,3 +315,17 @@ def test_the_events_of_a_sealed_rig_do_not_show_its_swapped_axles(tmp_path):
     # the axles are swapped all the same
     one, _ = diagnosed(records.rows(run.table, run.signal_table))
     assert one.wrong_axle_s > 10.0
+
+
+def test_what_an_emergency_stop_or_a_long_pause_of_the_bench_causes_is_not_blamed_on_the_unit():
+    sliding, valves = SLIDES_FIRST, [2.0] * 200
+    assert findings_of_axle_1(sliding, valves) == [Code.WSP_VENTS_ON]
+    assert findings_of_axle_1(sliding, valves, at_cycle_120=Diagnosis.end) == []
+
+
+def test_a_short_pause_of_the_bench_starts_each_duration_anew():
+    # the valve vents over the rolling axle for 0.4 s before and after the pause
+    valves = [0.0] * 80 + [2.0] * 80 + [0.0] * 40
+    assert findings_of_axle_1([1.0] * 81 + [0.0] * 119, valves) == [Code.WSP_VENTS_ON]
+    found = findings_of_axle_1([1.0] * 81 + [0.0] * 119, valves, at_cycle_120=Diagnosis.start_anew)
+    assert found == []

@@ -87,7 +87,7 @@ def test_mat_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path
 
 
 def test_csv_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path):
-    file, events_file = export.write(run, "csv", tmp_path / "run.csv")
+    file, events_file, _ = export.write(run, "csv", tmp_path / "run.csv")
 
     with file.open(encoding="utf-8") as lines:
         names = next(csv.reader(lines))

@@ -135,6 +135,28 @@ def test_an_fmu_whose_output_is_no_number_has_failed_and_its_run_is_not_valid(pa
     assert "its output for reference_speed is nan" in event.text
 
 
+FAILURES = {
+    "terminate": (("TERMINATE_AT_S=0.5",), "requests the end of the simulation at 0.500 s"),
+    "discard": (("DISCARD_AT_S=0.5",), "fmi3DoStep failed with status 2 (discard)"),
+    "nan": (("NAN_AT_S=0.5",), "its output for reference_speed is nan"),
+    "prints_more": (("NAN_AT_S=0.5", "LAST_WORDS"), "its output for reference_speed is nan"),
+}
+
+
+@pytest.mark.parametrize("failure", FAILURES)
+@pytest.mark.parametrize("pacing", ["lockstep", pytest.param("wall", marks=pytest.mark.nightly)])
+def test_the_record_states_why_an_fmu_has_failed(failure, pacing, tmp_path):
+    fmus = pytest.importorskip("fmus")
+    defines, reason = FAILURES[failure]
+    unit = fmus.build(tmp_path, defines=defines)
+    words = ("--pacing", pacing, "--wsp", f"fmu:{unit}", "--set", "initial_speed_m_s=4")
+    bench = BenchProcess(tmp_path / "run", *words).finish()
+    assert bench.status == 4, bench.stderr
+    (event,) = bench.reported(Code.RUN_FAILED if pacing == "lockstep" else Code.UNIT_ENDED)
+    assert reason in event.text
+    assert any(reason in why for why in bench.record.summary["invalid_because"])
+
+
 def test_a_unit_of_a_campaign_that_returns_no_number_makes_its_run_not_valid():
     plan = scenario.load("dry_stop", settings=("initial_speed_m_s=3",))
     calls = []

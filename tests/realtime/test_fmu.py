@@ -7,6 +7,7 @@ import os
 import shlex
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import bench_process
@@ -308,6 +309,15 @@ def test_a_file_that_is_no_fmu_is_refused(content, said, tmp_path):
     if content is not None:
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=said):
+        fmu_file.check(path, None, 0.01)
+
+
+@pytest.mark.parametrize("folder", ["unit/", "./"])
+def test_an_fmu_that_is_packed_with_its_folder_is_refused_with_how_to_pack_it(folder, tmp_path):
+    path = tmp_path / "unit.fmu"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr(f"{folder}modelDescription.xml", "<fmiModelDescription/>")
+    with pytest.raises(ConfigError, match=f"contains {folder}modelDescription.xml, and an FMU has"):
         fmu_file.check(path, None, 0.01)
 
 

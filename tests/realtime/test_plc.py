@@ -365,6 +365,21 @@ def test_an_emergency_stop_stops_the_rollers_and_the_vehicle_that_they_carry(rig
         assert run.column(f"cylinder_pressure_{axle}_Pa")[-1] > 1e5
 
 
+def test_after_an_emergency_stop_no_event_blames_the_unit(rig):
+    words = ("--set", "initial_speed_m_s=40", "--set", "stand_s=0.5")
+    one = rig(*HELD, *words, unit="reference")
+    one.connect()
+    one.until("at_set_speed", bool)
+    assert one.set("run") == 0
+    one.until("time", lambda _: one.read("time", 2)[1] > 1000)
+    assert one.set("emergency_stop") == 0
+    one.until("state", lambda state: state == State.ENDED)
+    _, summary = one.result()
+    codes = {event["code"] for event in summary["events"]}
+    assert Code.EMERGENCY_STOP_SET in codes
+    assert [code for code in codes if code.startswith(("wsp.", "unit.silent", "unit.lost"))] == []
+
+
 def drive_states(one):
     """The state bits of the statusword of every drive."""
     states = []

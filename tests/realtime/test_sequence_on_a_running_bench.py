@@ -118,6 +118,10 @@ def test_friction_that_an_earlier_harness_has_set_is_not_reported_as_that_of_the
     (warning,) = sequence["warnings"]
     assert "before the sequence began. Not known: the faults that were injected" in warning
     assert escape(warning) in page
+    # what the bench plays; it judges the run in its record
+    assert sequence["unit_played"]["kind"] == "reference"
+    assert sequence["vehicle"] == "uic_z1"
+    assert "reference WSP of rollerrig (simulated)" in page
 
 
 def test_the_command_that_starts_a_bench_runs_nothing_of_a_sequence_in_a_shell(tmp_path):

@@ -399,6 +399,18 @@ def test_compare_gives_no_figures_of_a_run_that_is_not_valid_and_warns(folders, 
     assert f"warning: {bad} is not valid" in capsys.readouterr().out
 
 
+def test_compare_shows_why_a_run_that_failed_before_its_first_sample_has_no_figures(
+    stops, tmp_path, capsys
+):
+    words = ("--pacing", "lockstep", "--wsp", "external", "--wait", "0.5")
+    failed = bench_process.run(tmp_path / "failed", *words)
+    assert not len(failed.record.table)
+    for pair in ((stops.out, failed.out), (failed.out, stops.out)):
+        assert cli.main(["compare", *map(str, pair), "--json"]) == 4
+        (warning,) = json.loads(capsys.readouterr().out)["warnings"]
+        assert f"{failed.out} is not valid: the run ended with an error: no WSP unit" in warning
+
+
 def test_view_warns_of_a_run_that_is_not_valid(folders, capsys, monkeypatch):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
@@ -547,7 +559,18 @@ def test_the_fixture_finishes_a_test_with_an_error_if_the_run_was_not_valid(tmp_
     (tmp_path / "test_user.py").write_text(USER_TEST.format(here=here.stem))
     path = os.pathsep.join([str(here.parent), str(here.parents[1])])
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "test_user.py"],
+        # the user's session does not know the marks of this file, which his test imports
+        [
+            sys.executable,
+            "-m",
+            "pytest",
+            "-p",
+            "no:cacheprovider",
+            "-W",
+            "ignore",
+            "-q",
+            "test_user.py",
+        ],
         cwd=tmp_path,
         capture_output=True,
         text=True,
@@ -670,6 +693,11 @@ WORDS = {
     Code.BENCH_KILLED: "its bench was killed",
     Code.UNIT_LOST: "the unit was lost",
     Code.UNIT_SILENT: "the unit was [silent]",
+    Code.UNIT_NO_COMMAND: "a unit gave [no valid command]",
+    Code.MAGNETS_FOREIGN: "another program than the unit set its magnets",
+    Code.NMT_FOREIGN: "another program stopped or reset the unit",
+    Code.LOOP_STALLED: "the bench stood still for 1 s or longer",
+    Code.UNIT_TWO_SENDERS: "two programs sent the commands of one unit",
     Code.EMERGENCY_STOP_SET: "the emergency stop was set over Modbus",
 }
 

@@ -186,6 +186,9 @@ def on_running_bench(
             "config_hash": configuration.get("config_hash"),
             "seed": configuration.get("seed"),
             "wsp": {"unit": configuration.get("unit")},
+            "unit_played": configuration.get("unit_played"),
+            "scenario": configuration.get("scenario"),
+            "vehicle": configuration.get("resolved", {}).get("vehicle_set"),
         }
     return outcome
 

@@ -10,8 +10,6 @@ import contextlib
 import copy
 import hashlib
 import json
-import os
-import shutil
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
@@ -22,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from rollerrig.configs.output_files import make_folder, write_text, writing
 from rollerrig.configs.processes import interruption
 from rollerrig.realtime.commands import output, sequence, wsp
+from rollerrig.realtime.record import played
 
 if TYPE_CHECKING:
     from rollerrig.wsp_interface.sequences.programme import Programme
@@ -125,7 +124,8 @@ def call(options: argparse.Namespace) -> int:
             for name, part in _play(sequences, playing, out, marks, parts):
                 parts[name] = part
         interrupted.ignore()
-        evidence = report.evidence(programme, parts, tested, datetime.now(UTC), about)
+        warnings = played.contradictions([played.unit_in(tested["unit_played"])], about)
+        evidence = report.evidence(programme, parts, tested, datetime.now(UTC), about, warnings)
         files = report.write(evidence, out, options.pdf)
 
     left = len(sequences) - len(parts)
@@ -139,6 +139,7 @@ def call(options: argparse.Namespace) -> int:
             "done_before": done_before,
             "left": left,
             "not_judged": evidence["not_judged"],
+            "warnings": warnings,
             "interrupted": interrupted.by or None,
             "files": [str(file) for file in files],
         },
@@ -193,34 +194,15 @@ def _tested(options: argparse.Namespace) -> dict[str, Any]:
     These are FMUs, the mapping, and the program and the files that the command names. Files that
     the program itself loads are not known.
     """
-    from rollerrig.wsp_interface import unit_choice
-
-    unit = options.wsp or "reference"
-    files = [Path(file) for file in unit_choice.fmus_of(unit)]
-    if options.unit_map:
-        files.append(options.unit_map)
-    if options.unit:
-        files += _files_of_command(unit_choice.command_words(options.unit, ""))
+    text = options.wsp or "reference"
+    unit = played.unit_of(text, options.unit_map, options.unit)
     return {
-        "unit": unit,
+        "unit": text,
+        "unit_played": unit._asdict(),
         "command": options.unit or None,
         "seed": options.seed,
-        "files": {str(file): _sha256(file) for file in files},
+        "files": dict(unit.sha256),
     }
-
-
-def _files_of_command(words: list[str]) -> list[Path]:
-    """Return the program of a command and the files among its words, as in --config=unit.toml."""
-    files = []
-    program = shutil.which(words[0])
-    if program:
-        files.append(Path(program))
-    for word in words[1:]:
-        for text in (word, word.partition("=")[2]):
-            # os.path, because Path raises an error for a name that is too long or contains NUL
-            if text and os.path.isfile(text):
-                files.append(Path(text))
-    return files
 
 
 def _fingerprint(one: "Sequence", tested: dict[str, Any]) -> str:
@@ -233,23 +215,12 @@ def _fingerprint(one: "Sequence", tested: dict[str, Any]) -> str:
     of_scenario = scenario.digest(sequence.scenario_of(one))
     content = [
         tested,
-        _sha256(one.path),
+        played.sha256(one.path),
         repr(one.criteria),
         of_scenario,
         metadata.version("rollerrig"),
     ]
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def _sha256(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    from rollerrig.configs import user_files
-
-    found = hashlib.sha256()
-    with user_files.open_binary(path, user_files.RRD) as file:
-        while block := file.read(1 << 20):
-            found.update(block)
-    return found.hexdigest()
 
 
 def _parts_done(out: Path, marks: dict[str, str]) -> dict[str, dict[str, Any]]:
@@ -300,10 +271,10 @@ def _play_one(one: "Sequence", options: argparse.Namespace, mark: str) -> dict[s
     report.write([outcome], options.out, None, output.about(options))
     (data,) = report.as_data([outcome], datetime.now(UTC))["sequences"]
     part: dict[str, Any] = {"fingerprint": mark} | data
-    part["sequence_sha256"] = _sha256(one.path)
+    part["sequence_sha256"] = played.sha256(one.path)
     part["signals"] = evidence.recorded(outcome.folder)
     part["files"] = {
-        str(path.relative_to(options.out)): _sha256(path)
+        str(path.relative_to(options.out)): played.sha256(path)
         for path in sorted(options.out.rglob("*"))
         if path.is_file() and path.name != PART
     }

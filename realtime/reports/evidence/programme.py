@@ -7,7 +7,7 @@ with the source of its limit, the versions of software, and the SHA-256 of every
 import hashlib
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import datetime
 from importlib import metadata
 from pathlib import Path
@@ -19,7 +19,7 @@ import pyarrow.parquet as pq
 from rollerrig.configs import store, unpacking, user_files
 from rollerrig.configs.output_files import make_folder, write_text, writing
 from rollerrig.configs.vehicle import kind_of
-from rollerrig.realtime.record import run_folder
+from rollerrig.realtime.record import played, run_folder
 from rollerrig.realtime.reports import page, pdf
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import programme as programme_file
@@ -72,10 +72,12 @@ def evidence(
     tested: Mapping[str, Any],
     when: datetime,
     about: Mapping[str, str],
+    warnings: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Return the evidence as plain data.
 
-    `parts` has the sequences that were run, by name. `tested` is the unit and its files. The result
+    `parts` has the sequences that were run, by name. `tested` is the unit and its files. `warnings`
+    are of what `about` states. The result
     is the worst of the groups that count: a failure if anything has failed, else an error if a
     sequence could not be judged or was not run.
     """
@@ -109,6 +111,7 @@ def evidence(
         "groups_left_out": list(programme.left_out),
         "written": when.isoformat(),
         "about": dict(about),
+        "warnings": list(warnings),
         "tested": dict(tested),
         "required_signals": list(programme.log),
         "versions": _versions(),
@@ -192,25 +195,19 @@ def write(found: Mapping[str, Any], out: Path, on_paper: bool = False) -> list[P
 
 def _page(found: Mapping[str, Any], out: Path) -> str:
     tested = found["tested"]
-    block = page.title_block(
-        {
-            "unit under test": tested["unit"],
-            "version of the unit": page.NOT_STATED,
-            "tested by": page.NOT_STATED,
-        },
-        found["about"],
-    )
-    block |= {
+    recorded = {
+        "unit played": played.words(played.unit_in(tested.get("unit_played"))),
         "programme": found["programme"],
         "extent": "a part of the programme" if found["is_part"] else "the whole programme",
         "result": found["result"],
         "contents of the programme": verdict_of.source_text(found["source"]),
-        "command of the unit": tested["command"] or "-",
         "seed": str(tested["seed"]),
         "date": f"{datetime.fromisoformat(found['written']):%Y-%m-%d %H:%M} UTC",
     }
+    warnings = [page.paragraph(f"Warning: {text}", kind="note") for text in found["warnings"]]
     parts: list[str] = [
-        page.facts(block),
+        page.facts(page.title_block(found["about"], recorded)),
+        *warnings,
         page.paragraph(
             page.element("b", f"{DISCLAIMER.capitalize()}."),
             " Simulated rig and vehicle. Mandatory groups and groups by agreement count for the "
@@ -277,7 +274,7 @@ def _group(group: Mapping[str, Any], out: Path) -> list[page.Markup]:
         if one["result"] == NOT_RUN:
             continue
         parts.append(page.paragraph(one["title"]))
-        parts.append(page.facts(one["conditions"]))
+        parts.append(page.facts(played.of_summary(one).facts() | one["conditions"]))
         if one["error"]:
             parts.append(page.paragraph(f"Error: {one['error']}", kind="note"))
         if one["missing_signals"]:
