@@ -154,7 +154,7 @@ OPENS = {
     "realtime/datasets/imported": "a temporary file of `replaced`",
     "realtime/record/export": "a temporary file of `replaced`",
     "realtime/record/records": "a temporary folder",
-    "realtime/bench/interrupts": "the kernel, a record of root",
+    "realtime/loop/interrupts": "the kernel, a record of root",
     "realtime/bench/rig_fmu/export": "a temporary folder",
     "realtime/bench/rig_fmu/rig": "resources of the FMU",
     "realtime/bench/rig_fmu/server": "standard streams",

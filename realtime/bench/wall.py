@@ -17,11 +17,11 @@ import numpy as np
 
 from rollerrig.configs.errors import RollerrigError
 from rollerrig.configs.processes import memory
-from rollerrig.realtime.bench import interrupts, tick_data
+from rollerrig.realtime.bench import tick_data
 from rollerrig.realtime.bench.parts import Parts
 from rollerrig.realtime.bench.rig_bus import RigBus
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import clock, cores, loop, mailbox
+from rollerrig.realtime.loop import clock, cores, interrupts, loop, mailbox
 from rollerrig.realtime.loop.held_rig import HOLDING
 from rollerrig.realtime.loop.tick import HELD, HOLD, STALLED_NS, STOP, TICK
 from rollerrig.wsp_interface.events import Code

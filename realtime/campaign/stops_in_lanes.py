@@ -175,7 +175,7 @@ class _Together:
         """Give another place to a stop that has begun."""
         state = views(self._buffer, self._kind.axles, rig)
         for old, new in zip(stop.data.state, state, strict=True):
-            if old is not None:
+            if new is not None:
                 new[:] = old
         gather = tick.gather(self._kind, rig=rig)
         stop.data = stop.data._replace(state=state, roller_state=state, gather=gather)

@@ -382,9 +382,8 @@ def cores() -> Finding:
 
 def core_of_loop() -> Finding:
     """Check whether the loop can have a core for itself, and what else runs on that core."""
-    from rollerrig.realtime.bench import interrupts
     from rollerrig.realtime.loop import cores as loop_cores
-    from rollerrig.realtime.loop import loop
+    from rollerrig.realtime.loop import interrupts, loop
 
     name = "core of the loop"
     claim = loop_cores.claim(loop_cores.CLAIM)

@@ -12,9 +12,8 @@ from pathlib import Path
 import pytest
 from bench_process import BenchProcess
 
-from rollerrig.realtime.bench import interrupts
 from rollerrig.realtime.commands import check
-from rollerrig.realtime.loop import cores
+from rollerrig.realtime.loop import cores, interrupts
 
 CORES = os.sched_getaffinity(0)
 needs_two_cores = pytest.mark.skipif(len(CORES) < 2, reason="this machine has one core only")
