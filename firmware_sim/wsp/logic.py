@@ -166,13 +166,6 @@ def views(buffer: np.ndarray, axles: int = AXLES_OF_GROUP) -> State:
     return State(*(buffer[place.of(axles)] for place in PLACES.values()))
 
 
-def buffer_of(unit: Unit) -> np.ndarray:
-    """The buffer behind the state of a new unit."""
-    buffer = unit.state[0].base
-    assert buffer is not None
-    return buffer
-
-
 def load(name: str = "reference") -> Params:
     """The parameters of a packaged configuration (under configs/wsp) or of a TOML file.
 

@@ -140,11 +140,6 @@ class Comparison(NamedTuple):
         return not self.unpaired_because
 
 
-def is_campaign(folder: Path) -> bool:
-    """Return whether a folder has the results of a campaign."""
-    return (folder / _MARK).is_file()
-
-
 # --- reading ---
 
 

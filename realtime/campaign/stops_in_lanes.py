@@ -1,6 +1,6 @@
 """Runs many stops, several at a time in the vector lanes of a core, and each other one alone.
 
-A stop that is done waits until its place is given to the next stop.
+A stop that is done gives its place to the next stop.
 """
 
 import functools
@@ -163,7 +163,6 @@ class _Together:
         no_ring = Memory(1, plan.table)
         data = tick_data.build(plan, no_ring, seat=(self._buffer, rig))
         self._clocks[rig] = 0
-        self._clocks[rig, ticks_in_lanes.RUNS] = 1
         data = data._replace(
             command=data.commands.values,  # commands act when they are written
             kept=self._kept,

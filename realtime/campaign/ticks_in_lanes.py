@@ -25,10 +25,9 @@ from rollerrig.rig.mechanisms.table import IN_PLANT
 from rollerrig.rig.params import Params
 
 # columns of the clocks of the stops, int64 with a row for each stop
-RUNS = 0  # 0: the stop is done
-STEPS = 1  # steps that are left in this tick
-BEGUN = 2  # 1: a tick has begun and not ended
-COLUMNS_OF_CLOCK = 3
+STEPS = 0  # steps that are left in this tick
+BEGUN = 1  # 1: a tick has begun and not ended
+COLUMNS_OF_CLOCK = 2
 
 # places in `Effects.values` of the sizes of all mechanisms of friction except rail cleaning
 _OTHERS = [
@@ -70,19 +69,19 @@ def cleans(params: Params) -> bool:
 
 @kernel
 def run_ticks(stops, state, clocks, most):
-    """Run ticks until one of the stops is done, or `most` steps.
+    """Run ticks until at least one of the stops is done, or `most` steps.
 
     `stops` is a table of `Stop`, `state` that of all rigs; `clocks` has the columns above.
     """
     plants = stops.m.params
     for _ in range(most):
         for rig in range(len(stops)):
-            if clocks[rig, RUNS] != 0 and clocks[rig, STEPS] == 0 and stops[rig].cleans:
+            if clocks[rig, STEPS] == 0 and stops[rig].cleans:
                 wheelset.observe_work(state, plants)
                 break
         done = 0
         for rig in range(len(stops)):
-            if clocks[rig, RUNS] != 0 and clocks[rig, STEPS] == 0:
+            if clocks[rig, STEPS] == 0:
                 done += between_ticks(stops[rig], clocks[rig])
         if done != 0:
             return
@@ -102,8 +101,6 @@ def between_ticks(stop, clock):
         clock[BEGUN] = 0
         end(stop, m, m.control[TICK])
         if m.control[DONE] != 0:
-            clock[RUNS] = 0
-            m.state.standing[0] = 1.0  # its place needs no steps
             return 1
     begin(stop, m, m.control[TICK])
     clock[BEGUN] = 1

@@ -86,9 +86,3 @@ def tuple_writer(arguments: str, places: Sequence[str]) -> Any:
     space: dict[str, Any] = {}
     exec(f"def write({arguments}, values):\n    {', '.join(places)} = values", space)
     return inlined_without_cache(space["write"])
-
-
-def buffer_viewer(structure: Any, places: Iterable[slice | None]) -> Any:
-    """Return an inlined kernel that views a flat buffer as a named tuple; None remains None."""
-    views = ["None" if place is None else f"buffer[{place.start}:{place.stop}]" for place in places]
-    return tuple_builder(structure, "buffer", views)

@@ -78,11 +78,6 @@ class _Model(models.PrimitiveModel):
         address = cgutils.gep_inbounds(builder, value, 0, place)
         return self.members[place].load_from_data_pointer(builder, address)
 
-    def set_member(self, builder: Any, value: Any, place: int, field: Any) -> None:
-        """Write the field at a place of the record at the address `value`."""
-        address = cgutils.gep_inbounds(builder, value, 0, place)
-        builder.store(self.members[place].as_data(builder, field), address)
-
 
 def register(named_tuple: type) -> None:
     """Make numba pass this named tuple to kernels as an address.

@@ -21,7 +21,7 @@ import math
 from rollerrig.rig.compiled import vector_math
 from rollerrig.rig.compiled.kernel import kernel_inlined
 from rollerrig.rig.contact import johnson_vermeulen, polach_spin
-from rollerrig.rig.contact.adhesion import SPEED_FLOOR_M_S, between
+from rollerrig.rig.contact.adhesion import between
 
 # the domain of loads on a wheel: from LIGHTER to HEAVIER times LOAD_N
 LOAD_N = 5.0e4
@@ -35,15 +35,6 @@ _LARGEST_STEP = 1e-3
 
 
 @kernel_inlined
-def curve(sliding_m_s, eps_mu, mu_c, A, gamma_s_m, k_a, k_s):
-    """Return Polach's adhesion coefficient; `eps_mu` is the gradient of the stress times the
-    friction.
-    """
-    mu = friction(sliding_m_s, mu_c, A, gamma_s_m)
-    return mu * shape(eps_mu / mu, k_a, k_s)
-
-
-@kernel_inlined
 def friction(sliding_m_s, mu_c, A, gamma_s_m):
     """Return `polach.friction` for a magnitude of sliding."""
     return mu_c * (1.0 + (1.0 / A - 1.0) * vector_math.exp(-gamma_s_m * sliding_m_s))
@@ -54,16 +45,6 @@ def shape(eps, k_a, k_s):
     """Return `polach.shape` without its derivative, for eps >= 0."""
     stick = k_a * eps
     return (2.0 / math.pi) * (stick / (1.0 + stick * stick) + vector_math.atan(k_s * eps))
-
-
-@kernel_inlined
-def eps_mu(sliding_m_s, speed_m_s, load_N, eps1):
-    """Return the argument `eps_mu` of `curve`; load_N on one wheel.
-
-    Meaningless outside the domain.
-    """
-    creepage = sliding_m_s / max(abs(speed_m_s), SPEED_FLOOR_M_S)
-    return eps1 * _PER_ROOT * vector_math.inverse_cube_root(load_N / LOAD_N) * creepage
 
 
 @kernel_inlined

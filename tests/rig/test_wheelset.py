@@ -8,6 +8,7 @@ from rolling import FULL_BRAKE_PA, LEAVES, SOAP, TRACK, Rig
 
 from rollerrig.configs.vehicle import ALLOWED_AXLES
 from rollerrig.rig import wheelset
+from rollerrig.rig.compiled import record_type
 from rollerrig.rig.contact import adhesion
 
 RIG = Rig(30.0, adhesion=SOAP).params
@@ -212,6 +213,7 @@ def test_throughout_a_stop_the_contacts_have_the_force_of_the_exact_law(axles, m
     rig = Rig(8.0, adhesion=LEAVES, rig={"mode": mode}, vehicle=vehicle)
     rig.charge(FULL_BRAKE_PA)
     state = rig.state
+    plants = record_type.table([rig.params])
     followed = 0
     has_locked = False
     for _ in range(100):
@@ -223,6 +225,11 @@ def test_throughout_a_stop_the_contacts_have_the_force_of_the_exact_law(axles, m
         ]
         np.testing.assert_allclose(state.stage_slope, exact, rtol=1e-9)
         followed += int(state.is_solved.sum())
+
+        # the work that a campaign computes of all rigs together is the observed one
+        observed_J_m = state.dissipated_energy.copy()
+        wheelset.observe_work(state, plants)
+        np.testing.assert_allclose(state.dissipated_energy, observed_J_m, rtol=1e-8, atol=1e-9)
         has_locked |= state.wheel_speed.min() == 0.0
     assert has_locked
     # nearly all contacts are in the domain of the fast form

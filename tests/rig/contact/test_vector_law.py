@@ -6,7 +6,7 @@ from paper_law import TABLE_4
 
 from rollerrig.rig.compiled import vector_math
 from rollerrig.rig.compiled.kernel import kernel
-from rollerrig.rig.contact import adhesion, vector_law
+from rollerrig.rig.contact import adhesion, vector_law, vector_secant
 from rollerrig.rig.contact.patch import patch_for
 
 PATCH = patch_for(0.445, 1.0, 0.3, 2.1e11, 8.0e10, 0.3)
@@ -52,12 +52,14 @@ def inverse_cube_root(u):
 
 @kernel
 def recovered_adhesion(sliding, speed, load, patch, law):
-    """Return (f, lambda, inside) of one wheel by `vector_law`."""
-    eps_mu = vector_law.eps_mu(sliding, speed, load, patch.eps1)
-    f_d = vector_law.curve(sliding, eps_mu, law.mu_cd, law.A_d, law.gamma_d_s_m, law.k_ad, law.k_sd)
-    f_r = vector_law.curve(sliding, eps_mu, law.mu_cr, law.A_r, law.gamma_r_s_m, law.k_ar, law.k_sr)
-    creepage = sliding / max(abs(speed), adhesion.SPEED_FLOOR_M_S)
-    return vector_law.recovered(f_d, f_r, law.tau_m_J * load * creepage)
+    """Return (f, lambda, inside) of one wheel by `vector_secant` and `vector_law`."""
+    decay_d = 1.0 / law.A_d - 1.0
+    decay_r = 1.0 / law.A_r - 1.0
+    mu_d, mu_r, eps_mu, k, _ = vector_secant.frictions(
+        sliding, speed, load, patch.eps1, decay_d, decay_r, law
+    )
+    f_d, f_r = vector_secant.curves(mu_d, mu_r, eps_mu, law)
+    return vector_law.recovered(f_d, f_r, k)
 
 
 def laws():
