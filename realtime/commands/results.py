@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from rollerrig.configs.errors import ConfigError, InvalidRunError
+from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output
 
 if TYPE_CHECKING:
@@ -66,12 +66,6 @@ def compare(options: argparse.Namespace) -> int:
         )
 
     runs = [records.load(folder) for folder in options.run]
-    for run in runs:
-        if not run.table.num_rows:
-            raise InvalidRunError(
-                f"{run.folder}: has no sample, because its run failed before the first; its "
-                "events.jsonl reports why: leave it out, or repeat the run"
-            )
     tolerances = comparison.tolerances(options.tolerance, runs[0].signal_table)
     differences = comparison.differences(runs, tolerances)
     warnings = records.not_valid(options.run)

@@ -73,14 +73,3 @@ def test_a_difference_has_its_largest_value_with_its_time_and_its_root_mean_squa
 def test_a_tolerance_for_a_channel_that_the_first_run_has_not_is_refused(folders, capsys):
     assert cli.main(["compare", *folders, "--tolerance", "sliding_5_m_s=0.1"]) == 2
     assert "no unit or channel is called 'sliding_5_m_s'" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("place", [0, 1])
-def test_a_run_that_failed_before_its_first_sample_is_a_message(folders, tmp_path, capsys, place):
-    Channels(tmp_path, COLUMNS).finish()
-    (tmp_path / "scenario.toml").write_text('title = "a run"\n')
-    (tmp_path / "summary.json").write_text("{}")
-    given = [folders[0], folders[1]]
-    given[place] = str(tmp_path)
-    assert cli.main(["compare", *given]) == cli.INVALID
-    assert "has no sample, because its run failed" in capsys.readouterr().err
