@@ -6,7 +6,7 @@ changed. Only filling uses air [B3]. The pads press with the pressure beyond the
 discs give a torque in proportion [B4].
 
     [B1] dp_d/dt = (p_target - p_d) / T_fill or T_release
-    [B2] dp/dt = (p_d - p) / T_fill while filling, 0 while holding, -p / T_vent while venting
+    [B2] dp/dt = (p_d - p) / T_valve while filling, 0 while holding, -p / T_vent while venting
     [B3] air in normal litres: V dp / 101325 Pa for dp > 0
     [B4] C = c (p - p_spring), not below 0
     [B5] with a reservoir, and absolute pressures: q = K p_1 up to p_2 / p_1 = b, beyond it
@@ -64,7 +64,7 @@ def fill(state, plants):
     """Advance the demanded pressures and the cylinders by a step of constant valves.
 
     `plants` are the parameters of all rigs. The demand is exact. The cylinders follow its mean over
-    the step, which is of second order.
+    the step, which is of second order; with blending they follow the demand of the step before.
     """
     for rig in range(len(plants)):
         demand(rig_of(state, rig, plants[rig].axles), plants[rig])

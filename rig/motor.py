@@ -1,5 +1,7 @@
 """The motor of a roller: torque follows its demand with a lag, within torque, power and speed.
 
+The equation of the roller is [W2] of `wheelset`.
+
 [M1] du/dt = (limit(u_demand) - u) / T. The limit is the largest torque, the power over the speed,
 and no driving torque above the largest speed. Gear and converter are inside the lag: assumption.
 """

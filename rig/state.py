@@ -29,7 +29,7 @@ HOLD = 1
 VENT = 2
 CELLS = 256  # of the rail below and ahead of the vehicle (`surface`)
 SECTORS = 16  # of a roller's surface
-# axles in the same buffer at most, and rigs
+# most axles in one buffer, and most rigs
 MOST_LANES = 2 * MOST_AXLES
 MOST_RIGS = MOST_LANES // min(ALLOWED_AXLES)
 # With fewer axles in a loop the latency of divisions is not hidden, with more the slots leave the
@@ -49,7 +49,7 @@ class State(NamedTuple):
     """
 
     # vehicle
-    time: np.ndarray  # s, advance
+    time: np.ndarray  # s, finish
     standing: np.ndarray  # 1: vehicle, wheels and rollers rest; vehicle
     vehicle_speed: np.ndarray  # m/s, integrate
     position: np.ndarray  # m, integrate
@@ -85,13 +85,13 @@ class State(NamedTuple):
     braked_angle: np.ndarray  # rad, turned while the brake was applied; friction
     rail_work: np.ndarray  # J/m, work of the wheels before on this metre; friction
     lagged_transition: np.ndarray  # -, lambda as a wheel remembers it; integrate
-    instantaneous_transition: (
-        np.ndarray
-    )  # -, lambda without memory, first stage of a step; integrate
+    instantaneous_transition: np.ndarray  # -, lambda without memory, at the last stage; integrate
     # load and brake
     wheel_load: np.ndarray  # N, observe
-    brake_torque: np.ndarray  # N m, acting (a locked wheel needs less than the brake could give)
-    brake_capacity: np.ndarray  # N m, the most that the discs can hold at this pressure; integrate
+    # N m, acting (a locked wheel needs less than the brake could give); within a step the most at
+    # its end; brake, observe
+    brake_torque: np.ndarray
+    brake_capacity: np.ndarray  # N m, the most at the beginning of the next step; integrate
     brake_work: np.ndarray  # J, integrate
     brake_work_before: np.ndarray  # J, at the last tick of heat; heat
     disc_temperature: np.ndarray  # K, heat
@@ -148,7 +148,8 @@ class State(NamedTuple):
     roller_rate: np.ndarray  # rad/s2, first stage of a step; integrate
     # values within a step
     stage_step: np.ndarray  # s, the step; 0 for the axles of a vehicle that stands; plant
-    stage_demand: np.ndarray  # Pa, that the cylinder follows, mean of the step; brake
+    # Pa, that the cylinder follows: mean of the step, with blending of the step before; brake
+    stage_demand: np.ndarray
     # values at a stage of a step; integrate
     stage_vehicle_speed: np.ndarray  # m/s
     stage_felt: np.ndarray  # m/s2, felt acceleration
@@ -201,7 +202,7 @@ class State(NamedTuple):
     track_brake_demand: np.ndarray  # 1: the magnets are demanded; track_brake
     track_brake_lowered: np.ndarray  # -, 0 raised to 1 on the rail; track_brake
     track_brake_attraction: np.ndarray  # -, share of the whole attraction; track_brake
-    track_brake_pressure: np.ndarray  # N, force for a friction of 1 on a clean rail; track_brake
+    track_brake_pressure: np.ndarray  # N, a N_m (mu_cd / mu_cr)^n of [T3]; track_brake
     track_brake_force: np.ndarray  # N, on the vehicle; track_brake
     track_brake_cleaning: np.ndarray  # J/m, work of magnets on the metre that the axle meets
     track_brake_work: np.ndarray  # J, of all magnets so far; integrate

@@ -58,7 +58,7 @@ def lower(state, target_Pa, brake):
 
 @kernel
 def press(state, brake):
-    """Set the force of each axle's magnets for a friction of 1 on a clean rail [T3]."""
+    """Set the force of each axle's magnets over mu(v) [T3]."""
     for j in range(state.axles):
         # the rail as the leading axle of the bogie has met it
         first = j - j % AXLES_OF_BOGIE
@@ -86,7 +86,7 @@ def clean(state, params, brake):
 
 @kernel
 def shoe_friction(speed_m_s, brake):
-    """Return the friction of the pole shoes on a clean rail [T3]; 0 for a vehicle that stands."""
+    """Return the friction mu(v) of the pole shoes [T3]; 0 for a vehicle that stands."""
     if speed_m_s <= 0.0:
         return 0.0
     return brake.friction_high + (brake.friction_low - brake.friction_high) * math.exp(

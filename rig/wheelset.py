@@ -12,7 +12,7 @@ hold [W4].
     [W2] J_R dOmega/dt = u - R T on rollers; on a plain track the surface is the vehicle's
     [W3] (I - gamma h p q')^-1 k = k + p gamma h (q'k) / (1 - gamma h q'p),
          p = (r / J, -R / J_R), q = g (-r, R), g = T / s
-    [W4] C = min(C_max, r T - M) at omega = 0
+    [W4] C = min(C_max, max(0, r T - M)) at omega = 0
 
 Second order in the step while no wheel locks or leaves its lock within it. Rotation backwards does
 not exist here: the vehicle brakes, or drives forwards.
@@ -134,7 +134,7 @@ def lagged_transition(lagging, lambda_0, speed_m_s, step_s, effects):
     return lagging - (lambda_0 - lagging) * math.expm1(-step_s * rate_1_s)
 
 
-# kernel: the adhesion law of an axle
+# kernels: the adhesion law of an axle, and its writer, which leaves out the friction (`_`)
 law_of = tuple_builder(
     adhesion.Law,
     "state, lane",
@@ -177,7 +177,7 @@ def wheel_acceleration(wheel_rad_s, T, brake_Nm, motor_Nm, radius_m, per_inertia
     wheel_rad_s : speed of the wheelset
     T : contact force in N
     brake_Nm : torque that the discs can hold
-    motor_Nm : torque of a dynamic brake, negative in traction
+    motor_Nm : torque M of a dynamic brake on the wheelset, negative in traction
     radius_m, per_inertia : radius, and 1 / inertia in 1/(kg m2)
     """
     drive_Nm = radius_m * T - motor_Nm
@@ -286,9 +286,10 @@ def exact_forces(state, params):
 
 @kernel
 def followed_forces(state):
-    """Write the secant slope of each contact by the degraded law, from the one of a moment before.
+    """Write the secant slope of each contact by the degraded law.
 
-    The loop has no branch, so that a core computes several contacts with one instruction.
+    The solution begins with that of the same contact at the last stage. The loop has no branch, so
+    that a core computes several contacts with one instruction.
     """
     follow_curves(state)
     outside = 0
@@ -458,7 +459,7 @@ def stage(state, axle, wheel_rad_s, brake_Nm, motor_Nm, wheel_before, roller_bef
     Parameters
     ----------
     wheel_rad_s : speed of the wheelset at the stage
-    brake_Nm, motor_Nm : torque that the discs can hold, and of the roller's motor
+    brake_Nm, motor_Nm : torque that the discs can hold, and u of the roller's motor
     wheel_before, roller_before : subtracted from the slopes before the implicit part is added
 
     Returns
@@ -520,8 +521,8 @@ def second_stage(state):
     """Compute the slopes at the end that the first stage predicts; move wheels and rollers.
 
     They move by the mean of both stages; no wheel turns backwards. The works of sliding, brake and
-    motor are mean force times way, so the energy balance holds to rounding however stiff the
-    contact is.
+    motor are mean force times way. So the energy balance holds to rounding however stiff the
+    contact is, except in the step in which a wheel stops.
     """
     for j in range(state.axles):
         h = state.stage_step[j]
@@ -575,7 +576,7 @@ def predict(state, params):
     total = resistance_N + magnets_N
     for j in range(state.axles):
         total += state.stage_force[j]
-    a1 = -total / params.vehicle.mass_kg
+    a1 = -total / params.vehicle.mass_kg  # [V1] of `vehicle`
     f1 = (a1 - felt) / params.vehicle.pitch_time_constant_s
     state.rate_before[0] = a1
     state.felt_rate_before[0] = f1

@@ -71,11 +71,11 @@ def together(
         table = signals.table(kind)
         names = table.columns if columns is None else columns
         kept = np.array([table.kept[table.columns.index(name)] for name in names])
-        together = _Together(kind, kept)
-        for tag, stop, samples in together.run(
+        lanes = _Together(kind, kept)
+        for tag, stop, samples in lanes.run(
             (tag, plan, unit_of(plan)) for tag, plan in together_jobs
         ):
-            # these stops have no events: they have no faults, and a planar vehicle cannot derail
+            # no events are expected: no stop has faults, and a planar vehicle cannot derail
             channels = dict(zip(names, samples, strict=True))
             yield Finished(tag, stop.plan, channels, stop.events, stop.ended)
 

@@ -53,7 +53,7 @@ record_type.register(Stop)
 
 
 def is_observed(m: TickData) -> bool:
-    """Return whether the signals of a stop act in the next tick."""
+    """Return whether a tick of a stop reads observed quantities of the tick before."""
     params = m.params
     effects = params.effects
     acts = effects.on_torque or (effects.on_friction and not cleans(params))
@@ -61,7 +61,10 @@ def is_observed(m: TickData) -> bool:
 
 
 def cleans(params: Params) -> bool:
-    """Return whether rail cleaning is the only thing that changes the friction in a stop."""
+    """Return whether rail cleaning is the only mechanism of friction, and no programme changes it.
+
+    A tick then needs only the work of the contacts in the one before.
+    """
     effects = params.effects
     alone = params.friction.start.size == 0 and not effects.values[_OTHERS].any()
     return bool(effects.on_friction and alone and effects.memory_m == 0.0)

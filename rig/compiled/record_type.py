@@ -5,7 +5,8 @@ the plant and the memory of a tick are 180 values. To pass them on costs more to
 physics does. Therefore this module registers another type for such a tuple. A kernel receives only
 the address of a structure. Where it reads a field, numba loads the field from the structure.
 
-The wrapper that Python calls makes the structure, and keeps it until the kernel returns.
+The wrapper that Python calls makes the structure, and keeps it until the kernel returns. A `Table`
+keeps structures one after another, so that a kernel finds each by its number.
 
 Source: numba's documentation, "Extending Numba", low-level interface.
 """

@@ -1,7 +1,8 @@
 """How compiled code sees a state: as the address of one buffer, which holds all its fields.
 
-In Python a state is a named tuple of forty arrays, which are views of this buffer. Numba would pass
-it from kernel to kernel as three hundred values, which costs more to compile than the physics does.
+In Python a state is a named tuple of well over a hundred arrays, which are views of this buffer.
+Numba would pass it from kernel to kernel as many values for each, which costs more to compile than
+the physics does.
 Therefore this module registers another type for it. A kernel receives only addresses and the number
 of axles. Where it reads a field, numba makes the view from these and from the place of the field in
 the buffer. So the same compiled code serves vehicles with any number of axles. The places are

@@ -36,7 +36,7 @@ _LEAST_RANGE = 1e-30
 
 @kernel_inlined
 def frictions(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law):
-    """Return friction, its product with the gradient of the stress, and the work that cleans.
+    """Return both frictions, their product with the gradient of the stress, k and 1 / sliding.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def frictions(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law):
     u = load_N * _PER_LOAD_N
     speed = max(abs(surface_m_s), SPEED_FLOOR_M_S)
 
-    # the fading of [A6], as quotients of (speed + v_h) e_v
+    # numerator and denominator of x in [A6], both times (v + v_h) v
     slow = max(abs(surface_m_s), STILL_M_S)
     fades = law.cleaning_creepage < 1.0
     creepage = law.cleaning_creepage if fades else 0.5
