@@ -140,7 +140,10 @@ def flow(from_Pa, to_Pa, conductance, critical_ratio):
 
 @kernel
 def flow_through_valves(state, brake):
-    """Advance cylinders and reservoir of a rig by a step of choked flow [B5], [B6]."""
+    """Advance cylinders and reservoir of a rig by a step of choked flow [B5], [B6].
+
+    p_d is that of [B2], or with blending p_f of [E4] in `dynamic_brake`.
+    """
     air = brake.air
     p_r = state.reservoir_pressure[0]
     room = air.reservoir_L / NORMAL_PRESSURE_PA  # NL for each Pa
@@ -154,18 +157,18 @@ def flow_through_valves(state, brake):
 
     for j in range(state.axles):
         p = state.cylinder_pressure[j]
-        p_friction = state.stage_demand[j]
+        p_d = state.stage_demand[j]
         if state.valve[j] == VENT:
             gone_NL = flow(p, 0.0, air.vent, air.critical_ratio) * air.step_s
             state.cylinder_pressure[j] = max(0.0, p - gone_NL / cylinder)
-        elif state.valve[j] == FILL and p_friction <= p:
+        elif state.valve[j] == FILL and p_d <= p:
             # the distributor vents the cylinder
-            state.cylinder_pressure[j] = p + (p_friction - p) * brake.valve_fill_share  # [B2]
+            state.cylinder_pressure[j] = p + (p_d - p) * brake.valve_fill_share  # [B2]
         elif state.valve[j] == FILL:
             # neither beyond the demand nor beyond the pressure at which both are equal
             gain_NL = min(
                 flow(p_r, p, air.fill, air.critical_ratio) * air.step_s,
-                (p_friction - p) * cylinder,
+                (p_d - p) * cylinder,
                 max(p_r - p, 0.0) * cylinder * room / (cylinder + room),
             )
             state.cylinder_pressure[j] = p + gain_NL / cylinder
@@ -176,7 +179,7 @@ def flow_through_valves(state, brake):
 
 
 @kernel
-def hold(state):
+def set_capacities(state):
     """Set the torque that the discs of each axle can hold at the pressure of its cylinder [B4]."""
     for j in range(state.axles):
         state.brake_torque[j] = torque_at(

@@ -58,7 +58,7 @@ def prepare(state, brake):
     """Set the share of traction that is demanded in a tick: by the bus, or by the programme."""
     if brake.acts:
         traction = state.traction_command[0]
-        if traction == NO_COMMAND:
+        if traction < 0.0:
             traction = 0.0
             for i in range(brake.traction_start_s.size):
                 if state.time[0] >= brake.traction_start_s[i]:
@@ -186,6 +186,7 @@ def torque(state, axle):
 def settle(state):
     """Leave no torque on the wheelsets of a vehicle that stands, and demand none."""
     if state.standing[0] != 0.0:
+        state.traction_demand[0] = 0.0
         for j in range(state.axles):
             state.dynamic_before[j] = 0.0
             state.dynamic_torque[j] = 0.0

@@ -215,7 +215,7 @@ def prepare(state, delay, magnets, demand_Pa, tick, params):
         target_Pa = brake.target(params.demand, state.time[0])
     state.brake_target[0] = target_Pa * params.brake.weighed_share
     dynamic_brake.prepare(state, params.dynamic)
-    track_brake.advance(state, state.brake_target[0], params, params.track_brake)
+    track_brake.advance(state, target_Pa, params, params.track_brake)
 
 
 @kernel
@@ -247,7 +247,7 @@ def step(state, plants):
         return
 
     motor.respond(state)
-    brake.hold(state)
+    brake.set_capacities(state)
     for rig in range(len(plants)):
         params = plants[rig]
         mine = rig_of(state, rig, params.axles)

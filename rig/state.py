@@ -207,7 +207,6 @@ class State(NamedTuple):
     track_brake_cleaning: np.ndarray  # J/m, work of magnets on the metre that the axle meets
     track_brake_work: np.ndarray  # J, of all magnets so far; integrate
     # Constants of the axle, from `params.Params`, because each rig may have others
-    step: np.ndarray  # s
     on_track: np.ndarray  # 1 on a track, 0 on rollers
     radius: np.ndarray  # m
     per_inertia: np.ndarray  # 1/(kg m2), of the wheelset

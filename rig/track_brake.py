@@ -30,7 +30,7 @@ from rollerrig.rig.compiled.kernel import kernel
 def advance(state, target_Pa, params, brake):
     """Advance the magnets by a tick; nothing without a magnetic track brake.
 
-    `target_Pa` is the demanded brake pressure.
+    `target_Pa` is the demanded brake pressure, before it is weighed.
     """
     if brake.acts:
         lower(state, target_Pa, brake)

@@ -8,8 +8,10 @@ The secant slope T / s is used for the derivative, which that method allows with
 The brake is dry friction: a wheel that stops stays locked while r T is below what the discs can
 hold [W4].
 
-    [W1] J domega/dt = r T - M - C, paper eq. 20 with the torque M of a dynamic brake or of traction
-    [W2] J_R dOmega/dt = u - R T on rollers; on a plain track the surface is the vehicle's
+    [W1] J domega/dt = r T - M - C, paper eq. 20 with the torque M of a dynamic brake or of traction;
+         C is the torque of the discs
+    [W2] J_R dOmega/dt = u - R T on rollers, u the torque of the motor; on a plain track the surface
+         is the vehicle's
     [W3] (I - gamma h p q')^-1 k = k + p gamma h (q'k) / (1 - gamma h q'p),
          p = (r / J, -R / J_R), q = g (-r, R), g = T / s
     [W4] C = min(C_max, max(0, r T - M)) at omega = 0
@@ -154,7 +156,6 @@ def begin(state, params):
     """Write the constants of each axle into the state of a rig."""
     on_track = params.mode == 0
     for j in range(state.axles):
-        state.step[j] = params.step_s
         state.on_track[j] = 1.0 if on_track else 0.0
         state.radius[j] = params.wheels.table[body.RADIUS_M, j]
         state.per_inertia[j] = 1.0 / params.wheels.table[body.INERTIA_KGM2, j]
@@ -169,7 +170,7 @@ def begin(state, params):
 
 
 @kernel_inlined
-def wheel_acceleration(wheel_rad_s, T, brake_Nm, motor_Nm, radius_m, per_inertia):
+def wheel_acceleration(wheel_rad_s, T, brake_Nm, dynamic_Nm, radius_m, per_inertia):
     """Return a wheelset's acceleration in rad/s2 [W1], its brake torque, and whether it is locked.
 
     Parameters
@@ -177,13 +178,22 @@ def wheel_acceleration(wheel_rad_s, T, brake_Nm, motor_Nm, radius_m, per_inertia
     wheel_rad_s : speed of the wheelset
     T : contact force in N
     brake_Nm : torque that the discs can hold
-    motor_Nm : torque M of a dynamic brake on the wheelset, negative in traction
+    dynamic_Nm : torque M of a dynamic brake on the wheelset, negative in traction
     radius_m, per_inertia : radius, and 1 / inertia in 1/(kg m2)
     """
-    drive_Nm = radius_m * T - motor_Nm
+    drive_Nm = radius_m * T - dynamic_Nm
     locked = (wheel_rad_s <= 0.0) & (drive_Nm <= brake_Nm)
     acts_Nm = max(drive_Nm, 0.0) if locked else brake_Nm  # [W4]
     return (0.0 if locked else (drive_Nm - brake_Nm) * per_inertia), acts_Nm, locked
+
+
+@kernel_inlined
+def roller_acceleration(motor_Nm, T, radius_m, per_inertia):
+    """Return a roller's acceleration in rad/s2 under the torque u of its motor [W2].
+
+    Other arguments as for `wheel_acceleration`; per_inertia is 0 on a track, where no roller turns.
+    """
+    return (motor_Nm - radius_m * T) * per_inertia
 
 
 @kernel_inlined
@@ -376,7 +386,7 @@ def exact_slope(state, axle, lagging, params):
 def slope_of(state, axle, lagging, patch, law, of_work):
     """Return the secant slope T / s of a contact, and lambda_0; arguments as `contact_force`."""
     at = max(abs(state.stage_sliding[axle]), SMALL_M_S)
-    T, _, lambda_0 = contact_force(
+    _, secant_N_s_m, lambda_0 = contact_force(
         at,
         state.stage_surface[axle],
         state.stage_load[axle],
@@ -387,7 +397,7 @@ def slope_of(state, axle, lagging, patch, law, of_work):
         lagging,
         of_work,
     )
-    return T / at, lambda_0
+    return secant_N_s_m, lambda_0
 
 
 @kernel
@@ -475,7 +485,7 @@ def stage(state, axle, wheel_rad_s, brake_Nm, motor_Nm, wheel_before, roller_bef
     wheel_k, acts_Nm, locked = wheel_acceleration(
         wheel_rad_s, T, brake_Nm, dynamic_brake.torque(state, axle), r, state.per_inertia[axle]
     )
-    roller_k = (motor_Nm - R * T) * state.per_roller_inertia[axle]  # [W2]
+    roller_k = roller_acceleration(motor_Nm, T, R, state.per_roller_inertia[axle])
     p_wheel = 0.0 if locked else r * state.per_inertia[axle]
     p_roller = -R * state.per_roller_inertia[axle]
     wheel_k, roller_k, added_N = implicit_slopes(

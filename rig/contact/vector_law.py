@@ -8,8 +8,8 @@ function to 3e-4 (the same Pade approximant as in `adhesion`), followed by one H
 third order on the equation. For a wheel outside the domain `inside` is 0; the caller then uses
 `adhesion` or `creep_force`.
 
-    [V1] y = k f_d + k D (1 - exp(-y)),  y = k f = tau W_sp      adhesion [A5]
-    [V2] f = f_d + D (1 - exp(-y))                               adhesion [A1], [A2]
+    [L1] y = k f_d + k D (1 - exp(-y)),  y = k f = tau W_sp      adhesion [A5]
+    [L2] f = f_d + D (1 - exp(-y))                               adhesion [A1], [A2]
 
 Within the domain f agrees with `adhesion.wheel_adhesion` to 2e-12, forces with `creep_force` to
 1e-11 (tests). Domain: loads of 12.5 to 200 kN on a wheel, contaminants that clean (f_r >= f_d),
@@ -49,7 +49,7 @@ def shape(eps, k_a, k_s):
 
 @kernel_inlined
 def recovered(f_d, f_r, k):
-    """Return (f, lambda, inside) of [V1], [V2] between f_d and f_r for k = tau N |e|.
+    """Return (f, lambda, inside) of [L1], [L2] between f_d and f_r for k = tau N |e|.
 
     `inside` is 0 where f is not valid, else 1.
     """

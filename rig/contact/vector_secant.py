@@ -5,7 +5,7 @@ them for each wheel. Here independent quotients share one division [D1], and the
 with that of the step before instead of with Lambert's function. Four divisions are left.
 
     [D1] 1 / a = b (1 / (a b)),  1 / b = a (1 / (a b))
-    [D2] g(y) = y - k f_d - k D (1 - exp(-y)) = 0, where y = k f = tau W_sp     [V1] of `vector_law`
+    [D2] g(y) = y - k f_d - k D (1 - exp(-y)) = 0, where y = k f = tau W_sp     [L1] of `vector_law`
     [D3] one Householder step of third order on g from the last root
 
 For D >= 0 and f_d > 0, g is convex and below 0 at y = 0, so it has one positive root, and a step

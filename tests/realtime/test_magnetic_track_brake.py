@@ -11,6 +11,8 @@ from program import BOTH_BRAKES, rollerrig
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import COACH, MOST_AXLES, Kind
 from rollerrig.firmware_sim import io401
+from rollerrig.realtime.bench import free
+from rollerrig.realtime.bench import scenario as scenarios
 from rollerrig.rig import params, track_brake_params
 from rollerrig.wsp_interface import signals
 
@@ -178,3 +180,12 @@ def test_a_track_brake_that_cannot_work_is_refused(changed, message):
     sections["magnetic_track_brake"].update(changed)
     with pytest.raises(ConfigError, match=message):
         track_brake_params.build(sections, 0.001)
+
+
+def test_a_light_tram_whose_brakes_are_weighed_drops_its_magnets_in_an_emergency_too():
+    settings = ("initial_speed_m_s=5", "duration_max_s=2", "air.weighed_mass_kg=1e5")
+    plan = scenarios.load("tram_emergency_magnetic", settings=settings)
+    channels = free.channels(free.simulate(plan), plan.table)
+    emergency_Pa = plan["magnetic_track_brake"]["emergency_pressure_Pa"]
+    assert channels["brake_demand_Pa"].max() < 0.7 * emergency_Pa
+    assert all(channels[f"track_brake_force_{axle}_N"].max() > 0.0 for axle in AXLES)

@@ -26,7 +26,7 @@ LEAVES = SOAP | {
     "tau_m_J": 6.0e-5,
 }
 # slots that are logged; the constants of the axles follow them
-LOGGED = NAMES[: NAMES.index("step")]
+LOGGED = NAMES[: NAMES.index("on_track")]
 DRY = {"mu_cd": 0.28, "gamma_d_s_m": 0.6, "k_ad": 1.0, "k_sd": 0.4, "tau_m_J": 0.0}
 TRACK = {"mode": "track"}
 NO_RESISTANCE = {"resistance_A_N": 0.0, "resistance_B_N_s_m": 0.0, "resistance_C_N_s2_m2": 0.0}
