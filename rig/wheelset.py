@@ -8,8 +8,8 @@ The secant slope T / s is used for the derivative, which that method allows with
 The brake is dry friction: a wheel that stops stays locked while r T is below what the discs can
 hold [W4].
 
-    [W1] J domega/dt = r T - M - C, paper eq. 20 with the torque M of a dynamic brake or of traction,
-         and the torque C of the discs
+    [W1] J domega/dt = r T - M - C, paper eq. 20 with the torque M of a dynamic brake or traction, C
+         that of the discs
     [W2] J_R dOmega/dt = u - R T on rollers, u the torque of the motor; on a plain track the surface
          is the vehicle's
     [W3] (I - gamma h p q')^-1 k = k + p gamma h (q'k) / (1 - gamma h q'p),
