@@ -77,9 +77,8 @@ def evidence(
     """Return the evidence as plain data.
 
     `parts` has the sequences that were run, by name. `tested` is the unit and its files. `warnings`
-    are of what `about` states. The result
-    is the worst of the groups that count: a failure if anything has failed, else an error if a
-    sequence could not be judged or was not run.
+    concern the entries of `about`. The result is the worst of the groups that count: a failure if
+    anything has failed, else an error if a sequence could not be judged or was not run.
     """
     groups = []
     counted = []
