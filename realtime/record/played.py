@@ -31,9 +31,9 @@ NONE = "none"
 FUNCTION = "function"
 
 NOT_STATED = "not stated"
-# entries of --about on the unit
-_UNIT_UNDER_TEST = "unit under test"
-_ABOUT_UNIT = (_UNIT_UNDER_TEST, "version of the unit")
+# rows of a title block: what is recorded of the unit, and what only the user can state
+UNIT_PLAYED = "unit played"
+ABOUT_UNIT = ("unit under test", "version of the unit")
 _PIECE = 1 << 20
 
 
@@ -76,7 +76,7 @@ class Played(NamedTuple):
     def facts(self) -> dict[str, str]:
         """Return what was played as rows for people."""
         return {
-            "unit played": words(self.unit),
+            UNIT_PLAYED: words(self.unit),
             "scenario": self.scenario,
             "vehicle": self.vehicle,
             "seed": self._seed_text(),
@@ -198,7 +198,7 @@ def contradictions(units: Iterable[Unit | None], about: Mapping[str, str]) -> li
     """Return a warning if --about names a unit, and no unit of the user was played."""
     stated = {}
     for key, text in about.items():
-        if key.strip().lower() in _ABOUT_UNIT and REFERENCE not in text.lower():
+        if key.strip().lower() in ABOUT_UNIT and REFERENCE not in text.lower():
             stated[key] = text
     kinds = {NOT_STATED if unit is None else unit.kind for unit in units}
     if not stated or not kinds or not kinds <= {REFERENCE, NONE}:

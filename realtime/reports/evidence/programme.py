@@ -195,7 +195,7 @@ def write(found: Mapping[str, Any], out: Path, on_paper: bool = False) -> list[P
 def _page(found: Mapping[str, Any], out: Path) -> str:
     tested = found["tested"]
     recorded = {
-        "unit played": played.words(played.unit_in(tested.get("unit_played"))),
+        played.UNIT_PLAYED: played.words(played.unit_in(tested.get("unit_played"))),
         "programme": found["programme"],
         "extent": "a part of the programme" if found["is_part"] else "the whole programme",
         "result": found["result"],
