@@ -43,7 +43,8 @@ class Unit(NamedTuple):
     kind: one of the constants of this file.
     command: the command line that started it; None without one.
     sha256: the hash of each file that is known to belong to it, by its name: the program and files
-        in the command, FMUs, a mapping. Files that a program itself loads are not known.
+        in the command, FMUs, a mapping. Files that a program itself loads are not known, nor those
+        of a command that its user may run but not read.
     version: of the reference unit, or that of the description of each FMU; None if not known.
     identity: the object 1018h of the unit of each group that has it: node, vendor_id, product_code,
         revision, serial; None if no unit has it or was asked.
@@ -229,7 +230,10 @@ def sha256(path: Path) -> str:
 
 
 def _files_of_command(command: list[str]) -> list[Path]:
-    """Return the program of a command and the files among its words, as in --config=unit.toml."""
+    """Return the program of a command and the files among its words, as in --config=unit.toml.
+
+    Files that this user may not read are left out: a program may be allowed to be run only.
+    """
     files = []
     program = shutil.which(command[0])
     if program:
@@ -239,7 +243,7 @@ def _files_of_command(command: list[str]) -> list[Path]:
             # os.path, because Path raises an error for a name that is too long or contains NUL
             if text and os.path.isfile(text):
                 files.append(Path(text))
-    return files
+    return [file for file in files if os.access(file, os.R_OK, effective_ids=True)]
 
 
 def _version_of_fmu(path: Path) -> str:

@@ -6,9 +6,11 @@ import html
 import json
 import os
 import shlex
+import shutil
 import signal
 import struct
 import sys
+import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -31,6 +33,7 @@ from rollerrig.wsp_interface.events import Code
 
 EXAMPLE = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
 COMMAND = f"{shlex.quote(sys.executable)} {shlex.quote(str(EXAMPLE))} {{host}} {{port}}"
+NOBODY = 65534  # a user without rights
 SHORT = ("--set", "initial_speed_m_s=3", "--set", "adhesion=dry")
 
 
@@ -352,3 +355,22 @@ def test_a_late_answer_leads_to_no_request_during_the_run():
     before = len(sent)
     identities.hear(Frame(0x5A0, struct.pack("<BHBI", 0x43, 0x1018, 2, 0)))
     assert len(sent) == before
+
+
+def test_a_program_that_may_be_run_but_not_read_is_played_without_its_hash():
+    # root may read everything: there the test acts as another user, whom pytest's folder is closed to
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        program = Path(folder, "unit")
+        shutil.copyfile("/bin/true", program)
+        config = Path(folder, "unit.toml")
+        config.write_text("a = 1")
+        program.chmod(0o111)
+        user = os.geteuid()
+        if user == 0:
+            os.seteuid(NOBODY)
+        try:
+            unit = played.unit_of(f"command:{program} --config={config}")
+        finally:
+            os.seteuid(user)
+    assert list(unit.sha256) == [str(config)]
