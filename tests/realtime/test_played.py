@@ -358,7 +358,7 @@ def test_a_late_answer_leads_to_no_request_during_the_run():
 
 
 def test_a_program_that_may_be_run_but_not_read_is_played_without_its_hash():
-    # root may read everything: there the test acts as another user, whom pytest's folder is closed to
+    # root may read everything, so the test acts as another user, who cannot enter pytest's folder
     with tempfile.TemporaryDirectory() as folder:
         os.chmod(folder, 0o755)
         program = Path(folder, "unit")
