@@ -51,7 +51,7 @@ def replaced(path: Path, suffix: str = "") -> Iterator[Path]:
             )
         new.replace(path)
     except OSError as error:
-        # an error of writing names no file, and one of opening the file of this process
+        # an error while writing names no file; an error while opening names the path in /proc
         error.filename = str(path)
         raise
     finally:

@@ -370,7 +370,7 @@ TABLE: dict[Code, Row] = {
     Code.UNIT_NO_COMMAND: Row(
         ERROR,
         _NODE | _CAN_ID,
-        "the WSP unit (node {node}) has given no valid command of the valves in the whole run",
+        "the WSP unit (node {node}) has given no valid command of the valves before standstill",
         "it ran without protection; send {can_id:03X}h with 11 bits and one data byte",
     ),
     Code.UNIT_TWO_SENDERS: Row(

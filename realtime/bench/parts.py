@@ -540,7 +540,7 @@ class Parts:
         while bus.identities.open and time.monotonic() < deadline_s and not self.stopping:
             bus.poll()
             await asyncio.sleep(_POLL_S)
-        found = bus.identities.of_units()
+        found = bus.identities.finish()
         for identity in found:
             self.event(Code.UNIT_IDENTITY, **identity)
         self.unit_played = self.unit_played._replace(identity=found or None)

@@ -6,7 +6,7 @@ also keeps count of the answers that the WSP unit owes.
 """
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -437,7 +437,7 @@ class RigBus:
         if seat is not None and not refused:
             if self.has_unit and seat.is_commanded_by_another(frame, sender):
                 fields = {"node": seat.frames.node, "can_id": frame.can_id}
-                self._report_once(Code.UNIT_TWO_SENDERS, **fields)
+                self._report_once(Code.UNIT_TWO_SENDERS, frame.can_id, fields)
             seat.note(frame, sender)
         partners = [one for one in self._turns_taken_by if sender in one.members]
         if len(partners) != 1:
@@ -473,14 +473,14 @@ class RigBus:
         if refusal is None:
             return False
         self._refusals[frame.can_id] = refusal
-        self._report_once(refusal.code, **refusal.fields)
+        self._report_once(refusal.code, frame.can_id, refusal.fields)
         return True
 
-    def _report_once(self, code: Code, /, can_id: int, **fields: Any) -> None:
-        """Record an event about an identifier once in a run."""
-        if (code, can_id) not in self._reported:
-            self._reported.add((code, can_id))
-            self._on_event(code, can_id=can_id, **fields)
+    def _report_once(self, code: Code, about: int, fields: Mapping[str, int]) -> None:
+        """Record an event about an identifier or a node once in a run."""
+        if (code, about) not in self._reported:
+            self._reported.add((code, about))
+            self._on_event(code, **fields)
 
     def _look_at_magnets(self, frame: Frame, sender: Port | Client) -> None:
         """Note who sets magnets by SDO during the stop: the unit, or another program."""
@@ -496,9 +496,7 @@ class RigBus:
             return
         self.others_act = True
         node = frame.can_id - SDO_REQUEST
-        if (Code.MAGNETS_FOREIGN, node) not in self._reported:
-            self._reported.add((Code.MAGNETS_FOREIGN, node))
-            self._on_event(Code.MAGNETS_FOREIGN, node=node)
+        self._report_once(Code.MAGNETS_FOREIGN, node, {"node": node})
 
     def _look_at_nmt(self, frame: Frame) -> None:
         """Note a command of another program that stops a unit, or a node that a unit needs."""
@@ -507,9 +505,7 @@ class RigBus:
         command, node = frame.data
         if command in _STOPPING and node in self._nodes_of_units:
             self.others_act = True
-            if (Code.NMT_FOREIGN, node) not in self._reported:
-                self._reported.add((Code.NMT_FOREIGN, node))
-                self._on_event(Code.NMT_FOREIGN, node=node, command=command)
+            self._report_once(Code.NMT_FOREIGN, node, {"node": node, "command": command})
 
     def _note_heard(self, frame: Frame) -> None:
         """Note which process data and heartbeats come from outside, for messages."""
@@ -536,7 +532,8 @@ class RigBus:
         for seat in self.seats:
             if not seat.has_commanded:
                 frames = seat.frames
-                self._report_once(Code.UNIT_NO_COMMAND, can_id=frames.magnets_id, node=frames.node)
+                fields = {"node": frames.node, "can_id": frames.magnets_id}
+                self._report_once(Code.UNIT_NO_COMMAND, frames.magnets_id, fields)
 
     def _look_at_answers(self) -> None:
         for seat in self.seats:

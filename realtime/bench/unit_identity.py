@@ -15,7 +15,8 @@ _IDENTITY = 0x1018
 # the values of the object, by their sub-indices from 1
 _NAMES = ("vendor_id", "product_code", "revision", "serial")
 _UPLOAD = 0x40
-_EXPEDITED_WITH_SIZE = 0x43  # an answer with four bytes
+# an answer with a value of four bytes, which need not state its size
+_EXPEDITED = (0x42, 0x43)
 _SDO_BYTES = 8
 
 
@@ -50,16 +51,21 @@ class Identities:
         command, index, sub, value = struct.unpack("<BHBI", frame.data)
         if (index, sub) != (_IDENTITY, len(found) + 1):
             return
-        if command == _EXPEDITED_WITH_SIZE:
+        has_value = command in _EXPEDITED
+        if has_value:
             found[_NAMES[len(found)]] = value
         is_last = len(found) == len(_NAMES)
-        if is_last or command != _EXPEDITED_WITH_SIZE:
+        if is_last or not has_value:
             self.open.discard(node)
         else:
             self._request(node)
 
-    def of_units(self) -> list[dict[str, int | None]]:
-        """Return node and values of each unit that has answered; a missing value is None."""
+    def finish(self) -> list[dict[str, int | None]]:
+        """Return node and values of each unit that has answered; a missing value is None.
+
+        A later answer leads to no further request, so that none comes during the run.
+        """
+        self.open.clear()
         return [
             {"node": node, **dict.fromkeys(_NAMES), **values}
             for node, values in self._found.items()

@@ -22,9 +22,6 @@ FAILED = 1
 USAGE = 2
 INVALID = 4
 
-# the entry of a title block that no user states
-_RECORDED = "unit played"
-
 # a little less than 5 s, so that a busy machine, too, prints a line every five seconds
 PERIOD_S = 4.9
 
@@ -47,12 +44,14 @@ def report_arguments(parser: argparse.ArgumentParser) -> None:
 
 def about(options: argparse.Namespace) -> dict[str, str]:
     """Return the entries of the title block that `--about` gives. Raises ConfigError."""
+    from rollerrig.realtime.record import played
+
     entries = {}
     for text in options.about:
         key, equals_sign, value = text.partition("=")
         if not equals_sign or not key.strip():
             raise ConfigError(f"--about '{text}': write WHAT=TEXT, as in 'tested by=A. Meier'")
-        if key.strip().lower() == _RECORDED:
+        if key.strip().lower() == played.UNIT_PLAYED:
             raise ConfigError(
                 f"--about '{text}': which unit was played is recorded and cannot be stated; write "
                 "'unit under test=...' for its name"

@@ -147,12 +147,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 
 class Recorded(NamedTuple):
-    """A run that is recorded: its folder, its summary, and what the terminal shows of it.
+    """A run that is recorded: its summary, and what the terminal shows of it.
 
     result: the summary, with what --json prints besides.
     """
 
-    folder: Path
     summary: dict[str, Any]
     result: dict[str, Any]
     items: list[Any]
@@ -301,7 +300,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
         items.append(without_wsp.sentence(without))
         folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
         items.append(f"compare both with: rollerrig compare {folders}")
-    return Recorded(out, summary, result, items)
+    return Recorded(summary, result, items)
 
 
 def _announce_replacement(out: Path, options: argparse.Namespace) -> None:

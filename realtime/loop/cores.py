@@ -23,7 +23,8 @@ _ABSTRACT = "\0"  # begins the names of sockets that are no files
 _SOCKETS = Path("/proc/net/unix")
 _PROCESSES = Path("/proc")
 _TASKS = "/proc/{pid}/task"
-_INTERRUPTS = Path("/proc/irq")
+INTERRUPTS = Path("/proc/irq")
+ALLOWED = "smp_affinity_list"  # file of an interrupt with the cores that may serve it
 _COUNTS = Path("/proc/interrupts")
 # looks for threads that have started while others left their core
 _MOST_LOOKS = 10
@@ -158,10 +159,10 @@ def interrupts_on(core: int) -> list[str]:
     An interrupt that was moved is served in its former place once more at most.
     """
     found = []
-    for folder in sorted(_INTERRUPTS.glob("[0-9]*"), key=lambda folder: int(folder.name)):
+    for folder in sorted(INTERRUPTS.glob("[0-9]*"), key=lambda folder: int(folder.name)):
         with contextlib.suppress(OSError, ValueError):
             in_use = any(path.is_dir() for path in folder.iterdir())
-            allowed = cores_of((folder / "smp_affinity_list").read_text())
+            allowed = cores_of((folder / ALLOWED).read_text())
             served = cores_of((folder / "effective_affinity_list").read_text())
             if in_use and core in allowed & served:
                 found.append(folder.name)

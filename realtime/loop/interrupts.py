@@ -17,8 +17,6 @@ from typing import NamedTuple
 
 from rollerrig.realtime.loop import cores
 
-_INTERRUPTS = Path("/proc/irq")
-_LIST = "smp_affinity_list"  # file of an interrupt
 _RECORD = Path("/run/rollerrig-interrupts.json")
 _MOST_BYTES = 1_000_000
 
@@ -64,7 +62,7 @@ def settle(also: set[int]) -> None:
         for number, plan in wanted.items():
             # the kernel keeps some interrupts
             with contextlib.suppress(OSError):
-                (_INTERRUPTS / number / _LIST).write_text(plan.after)
+                (cores.INTERRUPTS / number / cores.ALLOWED).write_text(plan.after)
         _write(descriptor, {n: plan for n, plan in wanted.items() if plan.before != plan.after})
 
 
@@ -73,7 +71,7 @@ def _planned(number: str, moved: Moved | None, taken: set[int]) -> Moved:
 
     Raises OSError or ValueError if the system does not report it.
     """
-    before = (_INTERRUPTS / number / _LIST).read_text().strip()
+    before = (cores.INTERRUPTS / number / cores.ALLOWED).read_text().strip()
     if moved is not None and _same(moved.after, before):
         before = moved.before
     allowed = cores.cores_of(before)
@@ -84,7 +82,7 @@ def _planned(number: str, moved: Moved | None, taken: set[int]) -> Moved:
 
 
 def _same(one: str, other: str) -> bool:
-    """Return whether two lists name the same cores."""
+    """Return whether two lists have the same cores."""
     return cores.cores_of(one) == cores.cores_of(other)
 
 

@@ -31,9 +31,9 @@ NONE = "none"
 FUNCTION = "function"
 
 NOT_STATED = "not stated"
-# entries of --about on the unit
-_UNIT_UNDER_TEST = "unit under test"
-_ABOUT_UNIT = (_UNIT_UNDER_TEST, "version of the unit")
+# rows of a title block: what is recorded of the unit, and what only the user can state
+UNIT_PLAYED = "unit played"
+ABOUT_UNIT = ("unit under test", "version of the unit")
 _PIECE = 1 << 20
 
 
@@ -43,7 +43,8 @@ class Unit(NamedTuple):
     kind: one of the constants of this file.
     command: the command line that started it; None without one.
     sha256: the hash of each file that is known to belong to it, by its name: the program and files
-        in the command, FMUs, a mapping. Files that a program itself loads are not known.
+        in the command, FMUs, a mapping. Files that a program itself loads are not known, nor those
+        of a command that its user may run but not read.
     version: of the reference unit, or that of the description of each FMU; None if not known.
     identity: the object 1018h of the unit of each group that has it: node, vendor_id, product_code,
         revision, serial; None if no unit has it or was asked.
@@ -76,7 +77,7 @@ class Played(NamedTuple):
     def facts(self) -> dict[str, str]:
         """Return what was played as rows for people."""
         return {
-            "unit played": words(self.unit),
+            UNIT_PLAYED: words(self.unit),
             "scenario": self.scenario,
             "vehicle": self.vehicle,
             "seed": self._seed_text(),
@@ -198,7 +199,7 @@ def contradictions(units: Iterable[Unit | None], about: Mapping[str, str]) -> li
     """Return a warning if --about names a unit, and no unit of the user was played."""
     stated = {}
     for key, text in about.items():
-        if key.strip().lower() in _ABOUT_UNIT and REFERENCE not in text.lower():
+        if key.strip().lower() in ABOUT_UNIT and REFERENCE not in text.lower():
             stated[key] = text
     kinds = {NOT_STATED if unit is None else unit.kind for unit in units}
     if not stated or not kinds or not kinds <= {REFERENCE, NONE}:
@@ -229,7 +230,10 @@ def sha256(path: Path) -> str:
 
 
 def _files_of_command(command: list[str]) -> list[Path]:
-    """Return the program of a command and the files among its words, as in --config=unit.toml."""
+    """Return the program of a command and the files among its words, as in --config=unit.toml.
+
+    Files that this user may not read are left out: a program may be allowed to be run only.
+    """
     files = []
     program = shutil.which(command[0])
     if program:
@@ -239,7 +243,7 @@ def _files_of_command(command: list[str]) -> list[Path]:
             # os.path, because Path raises an error for a name that is too long or contains NUL
             if text and os.path.isfile(text):
                 files.append(Path(text))
-    return files
+    return [file for file in files if os.access(file, os.R_OK, effective_ids=True)]
 
 
 def _version_of_fmu(path: Path) -> str:

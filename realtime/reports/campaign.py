@@ -163,7 +163,7 @@ def _title_block(
     """Return what was tested, with which plan, and when."""
     seed = "" if plan.head["design"] == "matrix" else f", seed {plan.head['seed']}"
     recorded = {
-        "unit played": played.words(played.unit_of(plan.head["unit"])),
+        played.UNIT_PLAYED: played.words(played.unit_of(plan.head["unit"])),
         "scenario": Path(plan.head["scenario"]).stem,
         "design": f"{plan.head['design']}{seed}",
         "runs": f"{outcome.runs}, of which {outcome.not_valid} are not valid and left out",

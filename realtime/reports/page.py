@@ -24,6 +24,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from rollerrig.configs.printable import printable
 from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.record import played
 
 # matplotlib has read a file matplotlibrc if there is one in the working folder. It could switch on
 # LaTeX, which is a program. Reports look the same everywhere and use the defaults of matplotlib.
@@ -35,12 +36,10 @@ INK = "#222222"
 # address of a picture that is pixels
 PNG = "data:image/png;base64,"
 
-NOT_STATED = "not stated"
-
 # rows of every title block that identify the document
 DOCUMENT = ("document number", "revision")
 # rows that only the user can state
-STATED = ("unit under test", "version of the unit", "tested by")
+STATED = (*played.ABOUT_UNIT, "tested by")
 
 # roles of the people who sign
 SIGNED = ("tested", "checked", "approved")
@@ -226,7 +225,7 @@ def title_block(about: Mapping[str, str], recorded: Mapping[str, str]) -> dict[s
     The entries `about` are those of --about. They are added to the rows `recorded`, and replace
     none of them.
     """
-    block = dict.fromkeys((*DOCUMENT, *STATED), NOT_STATED)
+    block = dict.fromkeys((*DOCUMENT, *STATED), played.NOT_STATED)
     block.update(about)
     block.update(recorded)
     return block

@@ -294,7 +294,7 @@ def _title_block(
     """Return what the user states, and which unit was played, with what and when."""
     units = dict.fromkeys(played.words(unit) for unit in _units(outcomes))
     recorded = {
-        "unit played": " / ".join(units),
+        played.UNIT_PLAYED: " / ".join(units),
         "date": f"{when:%Y-%m-%d %H:%M} UTC",
         "tested with": " · ".join(f"{name} {number}" for name, number in _versions().items()),
     }
@@ -327,16 +327,16 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
     mode = scenario.get("rig", {}).get("mode", "")
     rig_words = (str(scenario.get("rig_set", "")), f"({mode})" if mode else "")
     adhesion_words = (
-        f"{scenario.get('adhesion_set', page.NOT_STATED)}, mu_cd {adhesion['mu_cd']:.3g}"
+        f"{scenario.get('adhesion_set', played.NOT_STATED)}, mu_cd {adhesion['mu_cd']:.3g}"
     )
     if adhesion.get("initial_adhesion"):
         adhesion_words += f", initial {adhesion['initial_adhesion']:g}"
     wheel_mm = 2e3 * vehicle["wheel_radius_m"]
     conditions = {
         "rig": " ".join(filter(None, rig_words)),
-        "vehicle": f"{scenario.get('vehicle_set', page.NOT_STATED)}, wheels of {wheel_mm:g} mm",
+        "vehicle": f"{scenario.get('vehicle_set', played.NOT_STATED)}, wheels of {wheel_mm:g} mm",
         "load": f"{vehicle['mass_kg'] / 1e3:g} t in all",
-        "initial speed": f"{3.6 * speed_m_s[0]:.0f} km/h" if len(speed_m_s) else page.NOT_STATED,
+        "initial speed": f"{3.6 * speed_m_s[0]:.0f} km/h" if len(speed_m_s) else played.NOT_STATED,
         "adhesion": adhesion_words,
         "gradient": _gradient(scenario["mechanisms"]["track_gradient_gradient"]),
     }

@@ -201,8 +201,7 @@ def lists(monkeypatch, tmp_path, claims):
         (folder / number / "smp_affinity_list").write_text("0-3\n")
         (folder / number / "effective_affinity_list").write_text(served)
     (folder / "27" / "device").rmdir()
-    monkeypatch.setattr(cores, "_INTERRUPTS", folder)
-    monkeypatch.setattr(interrupts, "_INTERRUPTS", folder)
+    monkeypatch.setattr(cores, "INTERRUPTS", folder)
     monkeypatch.setattr(interrupts, "_RECORD", tmp_path / "record.json")
 
     def read():

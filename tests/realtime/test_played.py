@@ -6,9 +6,11 @@ import html
 import json
 import os
 import shlex
+import shutil
 import signal
 import struct
 import sys
+import tempfile
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -22,13 +24,16 @@ from rerun.chunk import RrdReader
 from short_sequences import WALKING_PACE
 
 from rollerrig.realtime import cli
+from rollerrig.realtime.bench import unit_identity
 from rollerrig.realtime.record import export, played, records
 from rollerrig.realtime.record.played import Unit
 from rollerrig.realtime.telemetry import views
+from rollerrig.wsp_interface.bus.frames import Frame
 from rollerrig.wsp_interface.events import Code
 
 EXAMPLE = Path(__file__).parents[2] / "docs/examples/wsp_unit.py"
 COMMAND = f"{shlex.quote(sys.executable)} {shlex.quote(str(EXAMPLE))} {{host}} {{port}}"
+NOBODY = 65534  # a user without rights
 SHORT = ("--set", "initial_speed_m_s=3", "--set", "adhesion=dry")
 
 
@@ -322,3 +327,50 @@ def test_repeated_runs_that_are_not_valid_have_no_figures(tmp_path, capsys):
     assert status == 4
     assert result["figures"] == []
     assert [one["run"] for one in result["not_valid"]] == [1, 2, 3]
+
+
+def answers_of_identity(commands):
+    """Return the identities that a node states which answers with these commands of SDO."""
+    sent = []
+    identities = unit_identity.Identities(sent.append)
+    identities.ask([32])
+    for sub, command in enumerate(commands, start=1):
+        data = struct.pack("<BHBI", command, 0x1018, sub, 0x10 + sub)
+        identities.hear(Frame(0x5A0, data))
+    return identities, sent
+
+
+@pytest.mark.parametrize("command", [0x42, 0x43], ids=["without its size", "with its size"])
+def test_a_value_of_the_identity_need_not_state_its_size(command):
+    identities, sent = answers_of_identity([command] * 4)
+    assert [frame.data[3] for frame in sent] == [1, 2, 3, 4]
+    assert not identities.open
+    values = {"vendor_id": 0x11, "product_code": 0x12, "revision": 0x13, "serial": 0x14}
+    assert identities.finish() == [{"node": 32, **values}]
+
+
+def test_a_late_answer_leads_to_no_request_during_the_run():
+    identities, sent = answers_of_identity([0x43])
+    assert identities.finish()[0]["product_code"] is None
+    before = len(sent)
+    identities.hear(Frame(0x5A0, struct.pack("<BHBI", 0x43, 0x1018, 2, 0)))
+    assert len(sent) == before
+
+
+def test_a_program_that_may_be_run_but_not_read_is_played_without_its_hash():
+    # root may read everything, so the test acts as another user, who cannot enter pytest's folder
+    with tempfile.TemporaryDirectory() as folder:
+        os.chmod(folder, 0o755)
+        program = Path(folder, "unit")
+        shutil.copyfile("/bin/true", program)
+        config = Path(folder, "unit.toml")
+        config.write_text("a = 1")
+        program.chmod(0o111)
+        user = os.geteuid()
+        if user == 0:
+            os.seteuid(NOBODY)
+        try:
+            unit = played.unit_of(f"command:{program} --config={config}")
+        finally:
+            os.seteuid(user)
+    assert list(unit.sha256) == [str(config)]

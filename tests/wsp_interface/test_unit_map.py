@@ -343,8 +343,13 @@ def multiplexed(number, signals_of_message):
 
 @pytest.mark.parametrize(
     "lines",
-    [multiplexed(500, 2_000), "".join(multiplexed(500 + n, 900) for n in range(30))],
-    ids=["in one message", "in all"],
+    [
+        multiplexed(500, 2_000),
+        "".join(multiplexed(500 + n, 900) for n in range(30)),
+        multiplexed(500, 2_000).replace("\n", " "),
+        multiplexed(500, 2_000).replace('""', '"\nBO_ "'),
+    ],
+    ids=["in one message", "in all", "on one line", "with texts that look like messages"],
 )
 def test_a_dbc_that_would_take_minutes_to_read_is_refused(files, tmp_path, lines):
     (tmp_path / "unit.dbc").write_text(DBC + lines)

@@ -23,6 +23,7 @@ Messages of CAN FD are refused, because the bus carries 8 bytes. An FMU has the 
 Source: cantools for the DBC.
 """
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -62,6 +63,9 @@ _BOTH_WAYS = "a mapping has at least one [[to_unit]] and one [from_unit]"
 # signals of a DBC, and of one message in it
 _MOST_SIGNALS = 20_000
 _MOST_OF_MESSAGE = 1_000
+# a text of a DBC, and the beginning of a message or a signal; its lines have no meaning
+_DBC_TEXT = re.compile(r'"(\\"|[^"])*?"')
+_DBC_BEGIN = re.compile(r"\b(?P<message>BO_)\s|\bSG_\s+\w+\s*(M|m\d+M?)?\s*:")
 
 _QUANTITIES = ("measured_speed", "cylinder_pressure")
 
@@ -215,13 +219,12 @@ def _check_sizes(text: str) -> None:
     """
     in_all = 0
     in_message = 0
-    for line in text.splitlines():
-        word = line.lstrip()[:4]
-        if word == "BO_ ":
+    for begin in _DBC_BEGIN.finditer(_DBC_TEXT.sub("", text)):
+        if begin["message"]:
             in_message = 0
-        elif word == "SG_ ":
-            in_all += 1
-            in_message += 1
+            continue
+        in_all += 1
+        in_message += 1
         if in_all > _MOST_SIGNALS or in_message > _MOST_OF_MESSAGE:
             raise ConfigError(
                 f"it has more than {_MOST_SIGNALS} signals, or a message with more than "

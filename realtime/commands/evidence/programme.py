@@ -20,7 +20,6 @@ from typing import TYPE_CHECKING, Any
 from rollerrig.configs.output_files import make_folder, write_text, writing
 from rollerrig.configs.processes import interruption
 from rollerrig.realtime.commands import output, sequence, wsp
-from rollerrig.realtime.record import played
 
 if TYPE_CHECKING:
     from rollerrig.wsp_interface.sequences.programme import Programme
@@ -84,6 +83,7 @@ def call(options: argparse.Namespace) -> int:
     Returns INVALID if a signal has interrupted it, FAILED if it has not passed, otherwise PASS.
     Raises ConfigError.
     """
+    from rollerrig.realtime.record import played
     from rollerrig.realtime.reports import pdf
     from rollerrig.realtime.reports.evidence import programme as report
     from rollerrig.wsp_interface.sequences import programme as programme_file
@@ -194,6 +194,8 @@ def _tested(options: argparse.Namespace) -> dict[str, Any]:
     These are FMUs, the mapping, and the program and the files that the command names. Files that
     the program itself loads are not known.
     """
+    from rollerrig.realtime.record import played
+
     text = options.wsp or "reference"
     unit = played.unit_of(text, options.unit_map, options.unit)
     return {
@@ -211,6 +213,7 @@ def _fingerprint(one: "Sequence", tested: dict[str, Any]) -> str:
     `tested` is from `_tested`.
     """
     from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.record import played
 
     of_scenario = scenario.digest(sequence.scenario_of(one))
     content = [
@@ -261,6 +264,7 @@ def _play(
 
 def _play_one(one: "Sequence", options: argparse.Namespace, mark: str) -> dict[str, Any]:
     """Play a sequence, write its report, and write and return its part of the evidence."""
+    from rollerrig.realtime.record import played
     from rollerrig.realtime.reports import sequences as report
     from rollerrig.realtime.reports.evidence import programme as evidence
 

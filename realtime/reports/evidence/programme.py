@@ -77,9 +77,8 @@ def evidence(
     """Return the evidence as plain data.
 
     `parts` has the sequences that were run, by name. `tested` is the unit and its files. `warnings`
-    are of what `about` states. The result
-    is the worst of the groups that count: a failure if anything has failed, else an error if a
-    sequence could not be judged or was not run.
+    concern the entries of `about`. The result is the worst of the groups that count: a failure if
+    anything has failed, else an error if a sequence could not be judged or was not run.
     """
     groups = []
     counted = []
@@ -196,7 +195,7 @@ def write(found: Mapping[str, Any], out: Path, on_paper: bool = False) -> list[P
 def _page(found: Mapping[str, Any], out: Path) -> str:
     tested = found["tested"]
     recorded = {
-        "unit played": played.words(played.unit_in(tested.get("unit_played"))),
+        played.UNIT_PLAYED: played.words(played.unit_in(tested.get("unit_played"))),
         "programme": found["programme"],
         "extent": "a part of the programme" if found["is_part"] else "the whole programme",
         "result": found["result"],

@@ -213,8 +213,10 @@ def replay_runs(run, other, step_s, memory, exact, cells):
 PATH_LANES = 16  # samples that are computed simultaneously
 # rows of the path: sliding, speed, load, factors of degraded and recovered friction
 PATH_INPUTS = 5
+PATH_SLIDING, PATH_SPEED, PATH_LOAD, PATH_DEGRADED, PATH_RECOVERED = range(PATH_INPUTS)
 # rows of the results: f, its slope, f_d and f_r
 PATH_RESULTS = 4
+OUT_F, OUT_SLOPE, OUT_F_D, OUT_F_R = range(PATH_RESULTS)
 PATH_CELLS = (PATH_INPUTS + PATH_RESULTS) * PATH_LANES
 
 
@@ -236,19 +238,19 @@ def adhesion_along(path, row, exact, cells, out):
                 cells[PATH_LANES * q + j] = path[q, first + min(j, count - 1)]
         for j in range(PATH_LANES):
             arguments = (
-                cells[j],
-                cells[PATH_LANES + j],
-                0.5 * cells[2 * PATH_LANES + j],
-                cells[3 * PATH_LANES + j],
-                cells[4 * PATH_LANES + j],
+                cells[PATH_SLIDING * PATH_LANES + j],
+                cells[PATH_SPEED * PATH_LANES + j],
+                0.5 * cells[PATH_LOAD * PATH_LANES + j],
+                cells[PATH_DEGRADED * PATH_LANES + j],
+                cells[PATH_RECOVERED * PATH_LANES + j],
                 model,
                 None,
             )
             a = wheel_adhesion(*arguments) if exact is None else wheel.wheel_adhesion(*arguments)
-            cells[5 * PATH_LANES + j] = a.f
-            cells[6 * PATH_LANES + j] = a.slope_s_m
-            cells[7 * PATH_LANES + j] = a.degraded
-            cells[8 * PATH_LANES + j] = a.recovered
+            cells[(PATH_INPUTS + OUT_F) * PATH_LANES + j] = a.f
+            cells[(PATH_INPUTS + OUT_SLOPE) * PATH_LANES + j] = a.slope_s_m
+            cells[(PATH_INPUTS + OUT_F_D) * PATH_LANES + j] = a.degraded
+            cells[(PATH_INPUTS + OUT_F_R) * PATH_LANES + j] = a.recovered
         for q in range(PATH_RESULTS):
             for j in range(count):
                 out[q, first + j] = cells[PATH_LANES * (PATH_INPUTS + q) + j]
@@ -263,17 +265,24 @@ def lagging_adhesion_along(path, row, step_s, lagging, follow, out):
     """
     model = wheel_model(row)
     for k in range(path.shape[1]):
-        speed = path[1, k]
+        sliding = path[PATH_SLIDING, k]
+        speed = path[PATH_SPEED, k]
         a = wheel.wheel_adhesion(
-            path[0, k], speed, 0.5 * path[2, k], path[3, k], path[4, k], model, lagging[k]
+            sliding,
+            speed,
+            0.5 * path[PATH_LOAD, k],
+            path[PATH_DEGRADED, k],
+            path[PATH_RECOVERED, k],
+            model,
+            lagging[k],
         )
         share = wheel.lag_share(speed, step_s, model)
         change = share * (a.lambda_0 - lagging[k])
         spread = a.recovered - a.degraded
-        out[0, k] = a.f + change * math.copysign(1.0, path[0, k]) * spread
-        out[1, k] = a.slope_s_m + change * a.slope_by_lambda_s_m
-        out[1, k] += share * spread * a.lambda_0_slope_s_m
-        out[2, k] = a.degraded
-        out[3, k] = a.recovered
+        out[OUT_F, k] = a.f + change * math.copysign(1.0, sliding) * spread
+        out[OUT_SLOPE, k] = a.slope_s_m + change * a.slope_by_lambda_s_m
+        out[OUT_SLOPE, k] += share * spread * a.lambda_0_slope_s_m
+        out[OUT_F_D, k] = a.degraded
+        out[OUT_F_R, k] = a.recovered
         if follow:
             lagging[k + 1] = lagging[k] + change

@@ -225,8 +225,8 @@ def _linearise_wheel(
         return replay_law(path, model, design.step_s, lagging)[0]
 
     larger_N = load_N * (1.0 + STEP)
-    with_friction = np.array([*path[:3], *(path[3:] * math.exp(STEP))])
-    with_load = np.array([sliding, v, larger_N, *path[3:]])
+    with_friction = np.array([sliding, v, load_N, *(inputs.friction[:, at] * math.exp(STEP))])
+    with_load = np.array([sliding, v, larger_N, *inputs.friction[:, at]])
     rates[0] = force * (adhesion_with(with_friction, row) - f) / STEP
     rates[1] = force * (adhesion_with(with_load, row) * larger_N / load_N - f) / STEP
     # a larger radius is a longer lever, and less sliding
