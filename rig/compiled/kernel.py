@@ -7,7 +7,11 @@ an argument, because numba's cache never finds such a kernel again.
 
 from typing import Any
 
-from rollerrig.rig.compiled import compile_progress, kernel_cache  # noqa: F401  they register
+from rollerrig.rig.compiled import (  # noqa: F401  they register
+    compile_progress,
+    kernel_cache,
+    known_answers,
+)
 from rollerrig.rig.compiled.lazy_cache import LazyCache
 from rollerrig.rig.compiled.numba_import import settings
 from rollerrig.rig.compiled.part import Compiler, KernelDispatcher, KernelPipeline
@@ -64,3 +68,12 @@ kernel_with_memory = _cached(**_OPTIONS)
 # one counts references, as numba requires for arrays at addresses.
 inlined_without_cache = _compiled(**_WITHOUT_COUNTING, forceinline=True)
 inlined_without_cache_counted = _compiled(**_OPTIONS, _nrt=True, forceinline=True)
+
+
+def uncompiled(compiled: Any) -> Any:
+    """Return a kernel as a Python function, for a few calls: they take less time than compiling.
+
+    The kernels that it calls are compiled, as they are wherever Python calls them.
+    """
+    # with NUMBA_DISABLE_JIT a kernel is a plain function already
+    return getattr(compiled, "py_func", compiled)

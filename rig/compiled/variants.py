@@ -13,13 +13,12 @@ together with its caller, so it needs no cache.
 from types import FunctionType, ModuleType
 from typing import Any
 
-from rollerrig.rig.compiled.kernel import inlined_without_cache
+from rollerrig.rig.compiled.kernel import inlined_without_cache, uncompiled
 
 
 def variant(formula: Any, **replacements: Any) -> Any:
     """Return an inlined kernel with the code of `formula` and other functions under some names."""
-    # without a compiler (NUMBA_DISABLE_JIT) a kernel is a plain function
-    function = getattr(formula, "py_func", formula)
+    function = uncompiled(formula)
     clone = FunctionType(function.__code__, function.__globals__ | replacements)
     return inlined_without_cache(clone)
 

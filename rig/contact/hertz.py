@@ -20,14 +20,11 @@ non-conformal surfaces and a half-space: not for worn, conforming profiles.
 
 import math
 
-from rollerrig.rig.compiled.kernel import kernel
-
 AGM_STEPS = 14  # 12 are enough down to kappa = 1e-110
 NEWTON_STEPS = 6  # 4 are enough for curvature ratios up to 1e200
 LARGEST_RATIO = 1e200  # larger ratios of curvatures count as this: no ellipse is that thin
 
 
-@kernel
 def curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m):
     """Return the relative half curvatures (A, B) in 1/m, along and across [H1].
 
@@ -36,7 +33,6 @@ def curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m):
     return (0.5 * (1.0 / wheel_radius_m + 1.0 / roller_radius_m), 0.5 / lateral_radius_m)
 
 
-@kernel
 def elliptic_integrals(kappa):
     """Return the complete elliptic integrals (K, D) for the complementary modulus 0 < kappa <= 1.
 
@@ -65,7 +61,6 @@ def elliptic_integrals(kappa):
     return K, K * total
 
 
-@kernel
 def axis_ratio(curvature_ratio):
     """Return (kappa, K, D): minor over major semi-axis [H2], and `elliptic_integrals(kappa)`.
 
@@ -96,7 +91,6 @@ def axis_ratio(curvature_ratio):
     return kappa, K, D
 
 
-@kernel
 def semi_axes(A_1_m, B_1_m, load_N, young_Pa, poisson):
     """Return size, peak pressure and approach of the patch [H3] [H4].
 
@@ -138,7 +132,6 @@ def semi_axes(A_1_m, B_1_m, load_N, young_Pa, poisson):
     return minor, major, pressure, approach
 
 
-@kernel
 def stiffness(A_1_m, B_1_m, young_Pa, poisson):
     """Return k_h in N m^-1.5 of N = k_h approach^1.5 [H4], paper eq. 5; 0 without curvature.
 

@@ -32,14 +32,10 @@ the table within 7 %.
 
 import math
 
-import numpy as np
-
-from rollerrig.rig.compiled.kernel import kernel
-
 # One row for each shape of the patch, from narrow (a/b = 0.1) to long (b/a = 0.1). In it are three
 # quadruples (c11, c22, c23, c33), for the Poisson's ratios 0, 1/4 and 1/2.
 # fmt: off
-TABLE = np.array((
+TABLE = (
     ((2.51, 2.51, 0.334, 6.42), (3.31, 2.52, 0.473, 8.28), (4.85, 2.53, 0.731, 11.7)),  # a/b = 0.1
     ((2.59, 2.59, 0.483, 3.46), (3.37, 2.63, 0.603, 4.27), (4.81, 2.66, 0.809, 5.66)),  # a/b = 0.2
     ((2.68, 2.68, 0.607, 2.49), (3.44, 2.75, 0.715, 2.96), (4.8, 2.81, 0.889, 3.72)),  # a/b = 0.3
@@ -59,7 +55,7 @@ TABLE = np.array((
     ((5.57, 5.57, 3.79, 0.868), (6.34, 6.4, 4.32, 0.674), (7.34, 7.51, 5.01, 0.446)),  # b/a = 0.3
     ((6.96, 6.96, 5.72, 0.828), (7.78, 8.14, 6.63, 0.601), (8.82, 9.79, 7.89, 0.341)),  # b/a = 0.2
     ((10.7, 10.7, 12.2, 0.795), (11.7, 12.8, 14.6, 0.526), (12.9, 16.0, 18.0, 0.228)),  # b/a = 0.1
-))
+)
 # fmt: on
 END = 0.1  # smallest g = min(a/b, b/a) of the table
 SPACING = 0.1  # change of g from row to row
@@ -75,7 +71,6 @@ _C11, _C22, _C23, _C33 = range(4)
 _NU_0, _NU_QUARTER, _NU_HALF = range(3)
 
 
-@kernel
 def coefficients(a_over_b, poisson):
     """Return Kalker's (c11, c22, c23, c33) of an elliptic patch.
 
@@ -116,7 +111,6 @@ def coefficients(a_over_b, poisson):
     )
 
 
-@kernel
 def _chord_excess(slimness):
     """Return q of [K4] for b/a: 0 at the rows of the table, and outside 0.1 .. 0.4."""
     if not END < slimness < CHORD_END:
@@ -127,7 +121,6 @@ def _chord_excess(slimness):
     return (slimness - low) * (high - slimness) / (low * high)
 
 
-@kernel
 def _interpolated(place, nu):
     """Return the four coefficients at a fractional row `place` of TABLE and a Poisson's ratio."""
     row = min(max(int(place), 0), LAST_ROW - 1)
@@ -140,16 +133,15 @@ def _interpolated(place, nu):
     )
 
 
-@kernel
 def _coefficient(row, share, nu, column):
     """Return the coefficient of a column of TABLE, `share` of the way from `row` to the next."""
     # at the three tabulated Poisson's ratios [K1]
-    low = TABLE[row, _NU_0, column] * (1.0 - share) + TABLE[row + 1, _NU_0, column] * share
+    low = TABLE[row][_NU_0][column] * (1.0 - share) + TABLE[row + 1][_NU_0][column] * share
     mid = (
-        TABLE[row, _NU_QUARTER, column] * (1.0 - share)
-        + TABLE[row + 1, _NU_QUARTER, column] * share
+        TABLE[row][_NU_QUARTER][column] * (1.0 - share)
+        + TABLE[row + 1][_NU_QUARTER][column] * share
     )
-    top = TABLE[row, _NU_HALF, column] * (1.0 - share) + TABLE[row + 1, _NU_HALF, column] * share
+    top = TABLE[row][_NU_HALF][column] * (1.0 - share) + TABLE[row + 1][_NU_HALF][column] * share
     # Lagrange's parabola through the three inverses [K2]
     return 1.0 / (
         (1.0 - 4.0 * nu) * (1.0 - 2.0 * nu) / low
@@ -158,7 +150,6 @@ def _coefficient(row, share, nu, column):
     )
 
 
-@kernel
 def _asymptote(g, long_patch, nu):
     """Return (c11, c22, c23, c33) of a slender patch: Kalker's formulas for g -> 0.
 

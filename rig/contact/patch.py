@@ -17,12 +17,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
+from rollerrig.rig.compiled.kernel import kernel_inlined, uncompiled
 from rollerrig.rig.contact import hertz, kalker, polach, polach_spin
 from rollerrig.rig.contact.creep_force import DEGRADED
 
 _NODES = 513
 _REACH = math.log(1e3)  # largest logarithm of the curvature ratio in the table
+# a patch is computed once for a run, in less time than a kernel takes to compile
+_eps_per_creepage = uncompiled(polach.eps_per_creepage)
+_slimness = uncompiled(polach_spin.slimness)
 # columns of the table
 _A1, _B1, _K_H, _C11, _C22, _C23, _C33, _SLIM = range(8)
 _COLUMNS = 8
@@ -109,7 +112,6 @@ def patch_for(
     )
 
 
-@kernel
 def _constants(wheel_radius_m, roller_radius_m, lateral_radius_m, young_Pa, shear_Pa, poisson):
     """Return the numbers of Hertz and Kalker for a patch.
 
@@ -119,8 +121,8 @@ def _constants(wheel_radius_m, roller_radius_m, lateral_radius_m, young_Pa, shea
     a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
     k_h = hertz.stiffness(A, B, young_Pa, poisson)
     c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
-    eps1 = polach.eps_per_creepage(a1, b1, c11, shear_Pa, 1.0)
-    return a1, b1, k_h, c11, c22, c23, c33, polach_spin.slimness(a1 / b1), eps1
+    eps1 = _eps_per_creepage(a1, b1, c11, shear_Pa, 1.0)
+    return a1, b1, k_h, c11, c22, c23, c33, _slimness(a1 / b1), eps1
 
 
 class Patches(NamedTuple):
@@ -144,7 +146,7 @@ def tabulate(
         a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
         k_h = hertz.stiffness(A, B, young_Pa, poisson)
         c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
-        rows[i] = (a1, b1, k_h, c11, c22, c23, c33, polach_spin.slimness(a1 / b1))
+        rows[i] = (a1, b1, k_h, c11, c22, c23, c33, _slimness(a1 / b1))
     return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, model, cells, rows)
 
 

@@ -102,6 +102,13 @@ ALL_STEPS = """
 from rollerrig.rig.compiled import part
 part._FOR_OTHER_CODE.clear()
 """
+# numba's own methods in the place of those that remember
+NO_ANSWERS = """
+from rollerrig.rig.compiled import known_answers
+known_answers._of_types.resolve_function_type = known_answers._resolve_function_type
+known_answers._of_code.get_function = known_answers._get_function
+known_answers.base._has_loc = known_answers.base._has_loc.__wrapped__
+"""
 WITH_COLLECTOR = """
 import gc
 gc.disable = lambda: None
@@ -178,6 +185,7 @@ TRICKS = (
     Trick("parts", WITHOUT_PARTS, (COLD, RUN)),
     Trick("one part for all constants", TYPES_OF_CONSTANTS, (COLD,)),
     Trick("no steps for other code", ALL_STEPS, (COLD,)),
+    Trick("known answers", NO_ANSWERS, (COLD,)),
     Trick("no collector while numba compiles", WITH_COLLECTOR, (COLD,)),
     Trick("no colours in numba's messages", WITH_COLOURS, (COLD,)),
     Trick("no reference counting", WITHOUT_OPTIONS.format(names=("_nrt",)), (COLD, RUN)),

@@ -132,9 +132,3 @@ def test_extreme_patches_give_finite_positive_coefficients(ratio, nu):
     coefficients = np.array(kalker.coefficients(ratio, nu))
     assert np.isfinite(coefficients).all()
     assert (coefficients > 0.0).all()
-
-
-@pytest.mark.parametrize("ratio", [0.01, 0.1, 0.77, 1.0, 1.3, 9.99, 50.0])
-def test_plain_python_agrees_with_the_compiled_kernel(ratio):
-    plain = kalker.coefficients.py_func(ratio, 0.3)
-    assert plain == near(kalker.coefficients(ratio, 0.3), rel=1e-14)
