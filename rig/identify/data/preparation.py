@@ -20,7 +20,7 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from rollerrig.configs.vehicle import RESISTANCE
-from rollerrig.rig.compiled.kernel import kernel_with_memory
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import RADIUS, base_parameters
 from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
@@ -30,6 +30,7 @@ from rollerrig.rig.identify.data.smoothing import smoothed
 WINDOW_S = 0.21  # window of the derivative of wheel speed, s
 LOAD_SMOOTHING_S = 0.2
 BRAKED_SHARE = 0.02  # above this share of a wheelset's largest torque its brake is applied
+_COLUMNS = 5  # of the filter of the vehicle: u, d, puu, pud, pdd
 DISTURBANCE_M_S2 = 0.03  # standard deviation of the change of d in [P1] in a second
 LEAST_SURFACE_SPEED_M_S = 0.05  # creepage divides by the surface speed, which must not be 0
 
@@ -127,8 +128,14 @@ class Design(NamedTuple):
         return np.column_stack([flat[self.span(first + axle)] for axle in range(self.axles)])
 
 
-@kernel_with_memory
-def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
+def smooth_speed(
+    measured: np.ndarray,
+    force_over_mass: np.ndarray,
+    step_s: float,
+    noise: float,
+    torque_noise: float,
+    drift: float,
+) -> np.ndarray:
     """Return the smoothed u of [P1], shape (n,), by a forward filter and a backward smoother.
 
     The state is u and the slow disturbance d.
@@ -142,7 +149,17 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
     torque_noise : standard deviation of `force_over_mass` by noise of the torques, m/s2
     drift : standard deviation of the change of d in a second, m/s2
     """
-    n = measured.size
+    filtered = np.empty((measured.size, _COLUMNS))
+    predicted = np.empty((measured.size, _COLUMNS))
+    out = np.empty(measured.size)
+    _filter(measured, force_over_mass, step_s, noise, torque_noise, drift, filtered, predicted)
+    _smooth(step_s, filtered, predicted, out)
+    return out
+
+
+@kernel
+def _filter(measured, force_over_mass, step_s, noise, torque_noise, drift, filtered, predicted):
+    """Write u, d and their covariances after each sample, and predicted for it; shape (n, 5)."""
     u = measured[0]
     d = 0.0
     # covariance of (u, d); d is 0 with a standard deviation of 0.01 m/s2 at the beginning
@@ -154,11 +171,8 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
     quu = (torque_noise * step_s) ** 2 + 1e-12
     qdd = drift * drift * step_s
 
-    # forward filter; the columns of both arrays are u, d, puu, pud, pdd
-    filtered = np.empty((n, 5))
-    predicted = np.empty((n, 5))
-    for k in range(n):
-        predicted[k] = np.array([u, d, puu, pud, pdd])
+    for k in range(measured.size):
+        _store(predicted[k], u, d, puu, pud, pdd)
 
         # correct by the measurement; pdd comes before pud, because it needs the old pud
         gain_u = puu / (puu + noise * noise)
@@ -169,7 +183,7 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
         pdd -= gain_d * pud
         puu *= 1.0 - gain_u
         pud *= 1.0 - gain_u
-        filtered[k] = np.array([u, d, puu, pud, pdd])
+        _store(filtered[k], u, d, puu, pud, pdd)
 
         # predict the next sample; d stays
         u += step_s * (d - force_over_mass[k])
@@ -177,14 +191,16 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
         pud += step_s * pdd
         pdd += qdd
 
-    # backward smoother (Rauch, Tung and Striebel)
-    out = np.empty(n)
-    smooth_u = filtered[n - 1, 0]
-    smooth_d = filtered[n - 1, 1]
+
+@kernel
+def _smooth(step_s, filtered, predicted, out):
+    """Write the smoothed u by the backward smoother of Rauch, Tung and Striebel."""
+    n = len(out)
+    smooth_u, smooth_d, _, _, _ = _stored(filtered[n - 1])
     out[n - 1] = smooth_u
     for k in range(n - 2, -1, -1):
-        filtered_u, filtered_d, fuu, fud, fdd = filtered[k]
-        predicted_u, predicted_d, puu, pud, pdd = predicted[k + 1]
+        filtered_u, filtered_d, fuu, fud, fdd = _stored(filtered[k])
+        predicted_u, predicted_d, puu, pud, pdd = _stored(predicted[k + 1])
 
         # gain g = m Ppred^-1, m = P F': P is the filtered covariance at k, Ppred the predicted one
         # at k + 1, F = [[1, step_s], [0, 1]]
@@ -203,7 +219,22 @@ def smooth_speed(measured, force_over_mass, step_s, noise, torque_noise, drift):
         smooth_u = filtered_u + g11 * change_u + g12 * change_d
         smooth_d = filtered_d + g21 * change_u + g22 * change_d
         out[k] = smooth_u
-    return out
+
+
+@kernel
+def _store(row, u, d, puu, pud, pdd):
+    """Write u, d and their covariances to a row."""
+    row[0] = u
+    row[1] = d
+    row[2] = puu
+    row[3] = pud
+    row[4] = pdd
+
+
+@kernel
+def _stored(row):
+    """Return what `_store` has written."""
+    return row[0], row[1], row[2], row[3], row[4]
 
 
 def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Design:

@@ -180,6 +180,7 @@ def _responses(
             linear.vehicle_variance[at],
             design.speed_noise_m_s,
             design.step_s,
+            np.zeros(live.size),
             whitened,
         )
         responses.append(
@@ -217,7 +218,8 @@ def _wheel_response(
         changes[inside, place] = matrix.in_bins[at][inside]
 
     Z = np.empty((len(changes), courses.size), changes.dtype)
-    sensitivity.response(changes, linear.variance[at], linear.coefficients[at], Z)
+    state = np.zeros((2, linearised))
+    sensitivity.response(changes, linear.variance[at], linear.coefficients[at], state, Z)
     # courses of finite steps that were not replayed: the explanation has the cause in another shape
     Z[:, linearised:] = 0.0
 

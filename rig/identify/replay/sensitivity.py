@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import exprel
 
-from rollerrig.rig.compiled.kernel import kernel, kernel_with_memory
+from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.parameters import wheel_model
 from rollerrig.rig.identify.data.preparation import Design
@@ -103,15 +103,15 @@ def second_gain(variance, coefficients, row):
         p11 = keep * keep * p11 + q
 
 
-@kernel_with_memory
-def response(changes, variance, coefficients, out):
+@kernel
+def response(changes, variance, coefficients, state, out):
     """Write the response of one wheel's whitened innovations to `out`, shape (n, columns) [S2].
 
-    `changes` (n, columns) are changes of the wheel's acceleration.
+    `changes` (n, columns) are changes of the wheel's acceleration, `state` (2, columns) is 0.
     """
     columns = changes.shape[1]
-    d_omega = np.zeros(columns)
-    d_m = np.zeros(columns)
+    d_omega = state[0]
+    d_m = state[1]
     for k in range(changes.shape[0]):
         scale = 1.0 / math.sqrt(variance[k])
         f00 = coefficients[k, F00]
@@ -129,14 +129,14 @@ def response(changes, variance, coefficients, out):
             d_m[c] = keep * m
 
 
-@kernel_with_memory
-def vehicle_response(changes, variance, noise, step_s, out):
+@kernel
+def vehicle_response(changes, variance, noise, step_s, d_u, out):
     """Write the response of the whitened innovations of one vehicle to `out`, shape (n, columns).
 
-    `changes` (n, columns) are changes of du/dt, `noise` is that of the vehicle's speed.
+    `changes` (n, columns) are changes of du/dt, `noise` is that of the vehicle's speed, `d_u`
+    (columns,) is 0.
     """
     columns = changes.shape[1]
-    d_u = np.zeros(columns)
     for k in range(changes.shape[0]):
         scale = 1.0 / math.sqrt(variance[k])
         remaining = noise * noise / variance[k]
