@@ -29,12 +29,13 @@ import numpy as np
 from rollerrig.configs import store, table
 from rollerrig.configs.vehicle import AXLES_OF_GROUP
 from rollerrig.firmware_sim.wsp import reference_speed as reference
-from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event
+from rollerrig.firmware_sim.wsp import sensors
+from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event, Phase
 from rollerrig.rig.compiled import record_type, state_type
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.compiled.state_type import Width
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, VENT_MAGNET
+from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, PAIR_MASK, VENT_MAGNET, VENTING
 
 REFERENCE_SCALE_M_S = signals.first_place("wsp_reference_speed").scale
 
@@ -59,6 +60,16 @@ ROWS = (
     table.number("run_up_longest_s", 4.0, 0.2, 10.0, _A),
     table.number("run_up_done_m_s2", 0.5, 0.0, 5.0, _A),
     table.number("stuck_s", 0.5, 0.1, 60.0, _A + ": no wheel keeps its speed to a count so long"),
+    table.number("jump_m_s", 0.1, 0.0, 10.0, _A + ": noise of a sound sensor"),
+    table.number("jump_fall_m_s2", 50.0, 5.0, 1e4, _A + ": a full brake slows a wheel by 20"),
+    table.number("jump_rise_m_s2", 120.0, 5.0, 1e4, _A + ": dry rail turns a locked wheel by 80"),
+    table.number("silent_s", 3.0, 0.5, 60.0, _A + ": a released wheel turns after 1 s on ice"),
+    table.number("free_s", 1.2, 0.2, 60.0, _A + ": cylinder empty, and wheel past its lowest speed"),
+    table.number("agree_fraction", 0.06, 0.0, 0.5, _A + ": diameters differ by up to 5 %"),
+    table.number("agree_m_s", 0.3, 0.0, 5.0, _A + ": noise of a sound sensor, and rounding"),
+    table.number("relief_s", 1.0, 0.0, 60.0, _A),
+    table.number("relief_interval_s", 2.0, 0.1, 60.0, _A),
+    table.number("trust_again_s", 2.0, 0.1, 60.0, _A + ": plausible for so long is trusted again"),
     table.number("learning_s", 0.5, 0.01, 60.0, _A),
     table.number("slide_begin_m_s", 0.5, 0.05, 5.0, _A),
     table.number("slide_begin_fraction", 0.02, 0.0, 0.2, _A),
@@ -111,8 +122,15 @@ class State(NamedTuple):
     runner: np.ndarray  # axle that runs up, -1: none; `choose_runner`, `finish_run_up`
     run_ups: np.ndarray  # run-ups begun since axles slide; `choose_runner`
     sliding_m_s: np.ndarray  # against the reference; `event_of`
-    raw: np.ndarray  # counts of the last cycle; `measure`
-    same: np.ndarray  # cycles in which only the counts of other axles have changed; `measure`
+    raw: np.ndarray  # counts of the last cycle; `judge`
+    measured_m_s: np.ndarray  # circumferential speed by the axle's sensor; `measure`
+    rim_m_s: np.ndarray  # the same of the last cycle; `judge`
+    same: np.ndarray  # cycles in which only the counts of other axles have changed; `judge`
+    accused: np.ndarray  # 1: contradicts an axle that runs free; `compare`
+    disputed: np.ndarray  # cycles in which it has done so; `compare`
+    out: np.ndarray  # 1: its sensor is rejected; `judge`
+    relief: np.ndarray  # cycles since an axle without a sensor was last relieved; `follow`
+    plausible: np.ndarray  # cycles since its last impossible reading; `judge`
     phase: np.ndarray  # Phase; `act`
     phase_age: np.ndarray  # cycles since the phase (or its pulse) began; `act`
     vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
@@ -193,10 +211,46 @@ def cycle(unit, inputs):
     state.cycles[0] += 1.0
     magnets = 0
     for j in range(state.axles):
-        event = event_of(state, j, params)
-        magnets |= act(state, j, event, params) << (BITS_PER_AXLE * j)
+        if not sensors.rejected(state, j):
+            event = event_of(state, j, params)
+            magnets |= act(state, j, event, params) << (BITS_PER_AXLE * j)
+    for j in range(state.axles):
+        if sensors.rejected(state, j):
+            magnets |= follow(state, j, magnets, params) << (BITS_PER_AXLE * j)
     counts = round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)
     return magnets, min(32767, max(-32768, counts))
+
+
+@kernel
+def follow(state, j, magnets, params):
+    """Put axle j into the phase of the axle that it follows; return its magnets [S6 of `sensors`].
+
+    Without a trusted axle the brake applies. `magnets` are those of the trusted axles.
+    """
+    leader = sensors.followed(state, j)
+    if leader == sensors.NOBODY:
+        state.phase[j] = np.int64(Phase.FILL)
+        state.phase_age[j] = 0.0
+        state.vent_age[j] = 0.0
+        state.hold_age[j] = 0.0
+        return 0
+    state.sliding_m_s[j] = state.sliding_m_s[leader]
+    state.phase[j] = state.phase[leader]
+    state.phase_age[j] = state.phase_age[leader]
+    state.vent_age[j] = state.vent_age[leader]
+    state.hold_age[j] = state.hold_age[leader]
+    if state.calm[0] > 0.0:
+        # no axle slides
+        state.relief[j] = 0.0
+        return (magnets >> (BITS_PER_AXLE * leader)) & PAIR_MASK
+    if sensors.passed(state.relief[j], params.relief_interval_s, params):
+        state.relief[j] = 0.0
+    relieved = not sensors.passed(state.relief[j], params.relief_s, params)
+    state.relief[j] += 1.0
+    if relieved:
+        state.phase[j] = np.int64(Phase.VENT)
+        return VENTING
+    return (magnets >> (BITS_PER_AXLE * leader)) & PAIR_MASK
 
 
 @kernel
@@ -217,7 +271,7 @@ def stuck(unit):
     """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
     bits = 0
     for j in range(unit.state.axles):
-        bits |= int(reference.implausible(unit.state, j, unit.params)) << j
+        bits |= int(sensors.rejected(unit.state, j)) << j
     return bits
 
 
@@ -246,10 +300,8 @@ def event_of(state, j, params):
     event = WISHES[sliding_class, acceleration_class]
     if state.runner[0] == j:
         event = np.int64(Event.RUN_UP)
-    if reference.implausible(state, j, params):
-        event = np.int64(Event.VENT)  # [W6]
-    vented_too_long = reference.passed(state.vent_age[j], params.vent_timer_s, params)
-    held_too_long = reference.passed(state.hold_age[j], params.hold_timer_s, params)
+    vented_too_long = sensors.passed(state.vent_age[j], params.vent_timer_s, params)
+    held_too_long = sensors.passed(state.hold_age[j], params.hold_timer_s, params)
     if vented_too_long or held_too_long:
         event = np.int64(Event.TIMER)
     if v_ref < params.cut_off_m_s:
@@ -264,7 +316,7 @@ def act(state, j, event, params):
     pulse = (0.0, params.fill_pulse_s, 0.0, params.vent_pulse_s, 0.0, 0.0, params.lock_out_s)
     pause = (0.0, params.fill_pause_s, 0.0, params.vent_pause_s, 0.0, 0.0, 0.0)
     phase = int(state.phase[j])
-    over = reference.passed(state.phase_age[j], pulse[phase] + pause[phase], params)
+    over = sensors.passed(state.phase_age[j], pulse[phase] + pause[phase], params)
     following = NEXT[phase, event]
     may_change = over or INTERRUPTS[phase, event]
     begins_again = following != phase or pulse[phase] > 0.0
@@ -273,7 +325,7 @@ def act(state, j, event, params):
         state.phase_age[j] = 0.0
     state.phase[j] = phase
 
-    resting = reference.passed(state.phase_age[j], pulse[phase], params)
+    resting = sensors.passed(state.phase_age[j], pulse[phase], params)
     magnets = MAGNETS[phase, int(resting)]
     state.phase_age[j] += 1.0
     filling = magnets == 0
