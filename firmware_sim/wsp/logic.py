@@ -77,6 +77,9 @@ ROWS = (
     table.number("band_low_fraction", 0.17, 0.0, 0.9, _A),
     table.number("band_high_m_s", 12.5, 0.2, 20.0, _A),
     table.number("band_high_fraction", 0.21, 0.0, 0.9, _A),
+    table.number("narrow_share", 0.5, 0.05, 1.0, _A),
+    table.number("narrow_below_m_s2", 0.4, 0.0, 5.0, _A),
+    table.number("wide_above_m_s2", 0.7, 0.0, 5.0, _A),
     table.number("deep_factor", 1.25, 1.0, 3.0, _A),
     table.number("fast_fall_m_s2", 4.0, 0.5, 50.0, _A),
     table.number("fall_m_s2", 1.8, 0.2, 50.0, _A),
@@ -86,6 +89,11 @@ ROWS = (
     table.number("fill_pause_s", 0.3, 0.0, 5.0, _A),
     table.number("vent_pulse_s", 0.05, 0.01, 1.0, _A),
     table.number("vent_pause_s", 0.10, 0.0, 5.0, _A),
+    table.number("approach_s", 0.5, 0.05, 60.0, _A),
+    table.number("fill_gain_s3_m", 0.03, 0.0, 10.0, _A),
+    table.number("vent_gain_s3_m", 0.03, 0.0, 10.0, _A),
+    table.number("fill_pulse_shortest_s", 0.02, 0.01, 1.0, _A),
+    table.number("vent_pulse_longest_s", 0.3, 0.01, 2.0, _A),
     table.number("vent_timer_s", 10.0, 0.5, 60.0, _M),
     table.number("hold_timer_s", 5.0, 0.5, 60.0, _M),
     table.number("lock_out_s", 0.5, 0.1, 60.0, _A),
@@ -94,7 +102,7 @@ ROWS = (
         False,
         _A + ": requests sand from node 18 from the first sliding until calm_s after the last",
     ),
-    table.number("cut_off_m_s", 2.0, 0.3, 10.0, _M + ": 1.4 to 3"),
+    table.number("cut_off_m_s", 0.5, 0.3, 10.0, _M + ": 1.4 to 3"),
 )
 
 # the parameters as the kernels take them: SI units, unchangeable
@@ -133,6 +141,7 @@ class State(NamedTuple):
     plausible: np.ndarray  # cycles since its last impossible reading; `judge`
     phase: np.ndarray  # Phase; `act`
     phase_age: np.ndarray  # cycles since the phase (or its pulse) began; `act`
+    pulse_s: np.ndarray  # length of the pulse of the phase; `act`
     vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
     hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
 
@@ -285,13 +294,29 @@ def above(value, edges):
 
 
 @kernel
+def band_m_s(state, params):
+    """Return the edges of the slip band; it is narrower where little deceleration was learned [W4]."""
+    trusted = 0
+    for j in range(state.axles):
+        trusted += not sensors.rejected(state, j)
+    # axles without a sensor hardly brake
+    per_axle_m_s2 = state.deceleration_m_s2[0] * state.axles / max(trusted, 1)
+    span_m_s2 = params.wide_above_m_s2 - params.narrow_below_m_s2
+    rise = min(max((per_axle_m_s2 - params.narrow_below_m_s2) / max(span_m_s2, 1e-3), 0.0), 1.0)
+    share = params.narrow_share + (1.0 - params.narrow_share) * rise
+    v_ref = state.reference_m_s[0]
+    low = min(params.band_low_m_s, share * params.band_low_fraction * v_ref)
+    high = min(params.band_high_m_s, share * params.band_high_fraction * v_ref)
+    return low, high
+
+
+@kernel
 def event_of(state, j, params):
     """The event of axle j; also writes its sliding. A stronger event replaces a weaker one."""
     v_ref = state.reference_m_s[0]
     state.sliding_m_s[j] = v_ref - state.speed_m_s[j]  # [W2]
     begin = params.slide_begin_m_s + params.slide_begin_fraction * v_ref
-    low = min(params.band_low_m_s, params.band_low_fraction * v_ref)  # [W4]
-    high = min(params.band_high_m_s, params.band_high_fraction * v_ref)
+    low, high = band_m_s(state, params)
     sliding_class = above(state.sliding_m_s[j], (begin, low, high, high * params.deep_factor))
     acceleration_class = above(
         state.acceleration_m_s2[j],
@@ -310,22 +335,47 @@ def event_of(state, j, params):
 
 
 @kernel
+def imbalance(state, j, params):
+    """Return by how much axle j slides away from the middle of its band, in m/s2 [W7].
+
+    Positive: the brake is too strong for the rail.
+    """
+    low, high = band_m_s(state, params)
+    wanted = 0.5 * (low + high)
+    drift = -state.deceleration_m_s2[0] - state.acceleration_m_s2[j]
+    return drift + (state.sliding_m_s[j] - wanted) / params.approach_s
+
+
+@kernel
+def pulse_of(state, j, phase, params):
+    """Return the length in s of the pulse with which a phase of axle j begins."""
+    excess = imbalance(state, j, params)
+    if phase == Phase.STEP_FILL:
+        return min(max(-excess * params.fill_gain_s3_m, params.fill_pulse_shortest_s), params.fill_pulse_s)
+    if phase == Phase.STEP_VENT:
+        return min(max(excess * params.vent_gain_s3_m, params.vent_pulse_s), params.vent_pulse_longest_s)
+    if phase == Phase.LOCKED_OUT:
+        return params.lock_out_s
+    return 0.0
+
+
+@kernel
 def act(state, j, event, params):
     """Advance the phase of axle j on an event; return its magnets (bit 0 hold, bit 1 vent)."""
     # by phase: FILL, STEP_FILL, HOLD, STEP_VENT, VENT, RUN_UP, LOCKED_OUT
-    pulse = (0.0, params.fill_pulse_s, 0.0, params.vent_pulse_s, 0.0, 0.0, params.lock_out_s)
     pause = (0.0, params.fill_pause_s, 0.0, params.vent_pause_s, 0.0, 0.0, 0.0)
     phase = int(state.phase[j])
-    over = sensors.passed(state.phase_age[j], pulse[phase] + pause[phase], params)
+    over = sensors.passed(state.phase_age[j], state.pulse_s[j] + pause[phase], params)
     following = NEXT[phase, event]
     may_change = over or INTERRUPTS[phase, event]
-    begins_again = following != phase or pulse[phase] > 0.0
+    begins_again = following != phase or state.pulse_s[j] > 0.0
     if may_change and begins_again:
         phase = following
         state.phase_age[j] = 0.0
+        state.pulse_s[j] = pulse_of(state, j, phase, params)
     state.phase[j] = phase
 
-    resting = sensors.passed(state.phase_age[j], pulse[phase], params)
+    resting = sensors.passed(state.phase_age[j], state.pulse_s[j], params)
     magnets = MAGNETS[phase, int(resting)]
     state.phase_age[j] += 1.0
     filling = magnets == 0
