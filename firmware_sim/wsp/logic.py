@@ -77,7 +77,7 @@ ROWS = (
     table.number("band_low_fraction", 0.17, 0.0, 0.9, _A),
     table.number("band_high_m_s", 12.5, 0.2, 20.0, _A),
     table.number("band_high_fraction", 0.21, 0.0, 0.9, _A),
-    table.number("narrow_share", 0.5, 0.05, 1.0, _A),
+    table.number("narrow_share", 0.35, 0.05, 1.0, _A),
     table.number("narrow_below_m_s2", 0.4, 0.0, 5.0, _A),
     table.number("wide_above_m_s2", 0.7, 0.0, 5.0, _A),
     table.number("deep_factor", 1.25, 1.0, 3.0, _A),
@@ -89,10 +89,10 @@ ROWS = (
     table.number("fill_pause_s", 0.3, 0.0, 5.0, _A),
     table.number("vent_pulse_s", 0.05, 0.01, 1.0, _A),
     table.number("vent_pause_s", 0.10, 0.0, 5.0, _A),
-    table.number("approach_s", 0.5, 0.05, 60.0, _A),
-    table.number("fill_gain_s3_m", 0.03, 0.0, 10.0, _A),
-    table.number("vent_gain_s3_m", 0.03, 0.0, 10.0, _A),
-    table.number("fill_pulse_shortest_s", 0.02, 0.01, 1.0, _A),
+    table.number("approach_s", 1.0, 0.05, 60.0, _A),
+    table.number("fill_gain_s3_m", 0.02, 0.0, 10.0, _A),
+    table.number("vent_gain_s3_m", 0.014, 0.0, 10.0, _A),
+    table.number("fill_pulse_shortest_s", 0.01, 0.01, 1.0, _A),
     table.number("vent_pulse_longest_s", 0.3, 0.01, 2.0, _A),
     table.number("vent_timer_s", 10.0, 0.5, 60.0, _M),
     table.number("hold_timer_s", 5.0, 0.5, 60.0, _M),
@@ -142,6 +142,7 @@ class State(NamedTuple):
     phase: np.ndarray  # Phase; `act`
     phase_age: np.ndarray  # cycles since the phase (or its pulse) began; `act`
     pulse_s: np.ndarray  # length of the pulse of the phase; `act`
+    free_age: np.ndarray  # cycles of venting without a break; `act`
     vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
     hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
 
@@ -240,12 +241,14 @@ def follow(state, j, magnets, params):
     if leader == sensors.NOBODY:
         state.phase[j] = np.int64(Phase.FILL)
         state.phase_age[j] = 0.0
+        state.free_age[j] = 0.0
         state.vent_age[j] = 0.0
         state.hold_age[j] = 0.0
         return 0
     state.sliding_m_s[j] = state.sliding_m_s[leader]
     state.phase[j] = state.phase[leader]
     state.phase_age[j] = state.phase_age[leader]
+    state.free_age[j] = state.free_age[leader]
     state.vent_age[j] = state.vent_age[leader]
     state.hold_age[j] = state.hold_age[leader]
     if state.calm[0] > 0.0:
@@ -380,6 +383,7 @@ def act(state, j, event, params):
     state.phase_age[j] += 1.0
     filling = magnets == 0
     venting = magnets & VENT_MAGNET
+    state.free_age[j] = state.free_age[j] + 1.0 if venting else 0.0
     state.vent_age[j] = 0.0 if filling else state.vent_age[j] + (venting != 0)
     state.hold_age[j] = 0.0 if filling else state.hold_age[j] + (venting == 0)
     return magnets
