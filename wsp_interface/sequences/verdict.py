@@ -29,8 +29,11 @@ from rollerrig.wsp_interface.sequences.record import Record
 NO_PROFILE = "none"  # the name of the profile without limits
 DISCLAIMER = "not a certification"
 UNVERIFIED = "recollection, to be checked against ..."
-# a source that is only remembered, and the standard against which it has to be checked
-_REMEMBERED = re.compile(r"recollection([^,]*), to be checked against ([^:;,]+)[:;,]?\s*(.*)")
+# a source that is only remembered, and the standard, with its edition such as EN 15595:2018+A1:2023,
+# against which it has to be checked
+_REMEMBERED = re.compile(
+    r"recollection([^,]*), to be checked against ((?:[^:;,]|:(?=\d))+)[:;,]?\s*(.*)"
+)
 _VOID = "void: "  # begins the text of a void verdict
 _STANDARD = re.compile(r"(?:prEN|EN|UIC|ISO|IEC) ?\d[\d-]*|[Pp]aper[^:;,]*")
 HIGHEST_SPEED_M_S = 200.0
