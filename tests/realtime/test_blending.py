@@ -47,7 +47,9 @@ class Run:
         axles = range(1, self.plan.kind.axles + 1)
 
         def by_group(values):
-            return np.array([values[blends_with == group].sum(axis=0) for group in set(blends_with)])
+            return np.array(
+                [values[blends_with == group].sum(axis=0) for group in set(blends_with)]
+            )
 
         def of(channel, unit):
             return np.array([channels[f"{channel}_{axle}{unit}"] for axle in axles])

@@ -177,7 +177,6 @@ class MemoryBench:
             self.step()
 
     def read(self, name):
-        signal = self.table.by_name[name]
         place = self.table.place(name, BENCH_NODE)
         values = self._data.row[self.table.span(name)]
         return tuple(signals.value(signals.count(value, place), place) for value in values)

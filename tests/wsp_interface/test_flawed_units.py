@@ -9,7 +9,7 @@ every night.
 import functools
 import json
 
-import flawed_units
+import judge_flawed
 import memory_bench
 import pytest
 from flawed_units import FLAWED, Unit
@@ -60,11 +60,7 @@ def low_sequences():
 @functools.cache
 def outcome_of(name, kind_of_unit):
     """Return the outcome of a sequence with a kind of unit, or without WSP (None)."""
-    one = load(name)
-    if kind_of_unit is None:
-        return memory_bench.played(one)
-    config = memory_bench.command.scenario_of(one)["wsp_config"]
-    return memory_bench.played(one, flawed_units.of(kind_of_unit, config))
+    return judge_flawed.judged(name, kind_of_unit)
 
 
 def lines(outcome):

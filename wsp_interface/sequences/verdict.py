@@ -29,8 +29,8 @@ from rollerrig.wsp_interface.sequences.record import Record
 NO_PROFILE = "none"  # the name of the profile without limits
 DISCLAIMER = "not a certification"
 UNVERIFIED = "recollection, to be checked against ..."
-# a source that is only remembered, and the standard, with its edition such as EN 15595:2018+A1:2023,
-# against which it has to be checked
+# a source that is only remembered, and the standard against which it has to be checked, with its
+# edition such as EN 15595:2018+A1:2023
 _REMEMBERED = re.compile(
     r"recollection([^,]*), to be checked against ((?:[^:;,]|:(?=\d))+)[:;,]?\s*(.*)"
 )
