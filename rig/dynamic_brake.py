@@ -11,7 +11,8 @@ brake gives the rest [E4].
     [E3] dF/dt = (F_demand - F) / T, at most the rate in magnitude
     [E4] p_f = p_spring + max(0, n k_d (p_d - p_spring) - sum F_c) / (n k_f) for n axles that blend
     [E5] ds_c/dt = (s - s_c) / T_c
-    [E6] F_demand = q s F,  q <= 1 and q sum s F <= n k_d (p_d - p_spring) - sum k_f (p_j - p_spring)
+    [E6] F_demand = q s F,  q = min(1, L / sum s F),
+         L = n k_d (p_d - p_spring) - sum k_f (p_j - p_spring)
 
 Slide control permits a share s of the force of an axle. Blending counts the force F_c that the
 motors would give with the share s_c [E5]: the friction brake takes over slowly what slide control
