@@ -239,6 +239,7 @@ class State(NamedTuple):
     tau_m_J: np.ndarray
     cleaning_creepage: np.ndarray
     cleaning_half_speed_m_s: np.ndarray
+    cleaning_sliding_m_s: np.ndarray
     # (coach_state.SIZE,) of the multibody model, None for the planar vehicle
     coach: np.ndarray | None = None
 

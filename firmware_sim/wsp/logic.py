@@ -29,12 +29,13 @@ import numpy as np
 from rollerrig.configs import store, table
 from rollerrig.configs.vehicle import AXLES_OF_GROUP
 from rollerrig.firmware_sim.wsp import reference_speed as reference
-from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event
+from rollerrig.firmware_sim.wsp import sensors
+from rollerrig.firmware_sim.wsp.phases import INTERRUPTS, MAGNETS, NEXT, WISHES, Event, Phase
 from rollerrig.rig.compiled import record_type, state_type
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.compiled.state_type import Width
 from rollerrig.wsp_interface import signals
-from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, VENT_MAGNET
+from rollerrig.wsp_interface.magnets import BITS_PER_AXLE, PAIR_MASK, VENT_MAGNET, VENTING
 
 REFERENCE_SCALE_M_S = signals.first_place("wsp_reference_speed").scale
 
@@ -59,6 +60,16 @@ ROWS = (
     table.number("run_up_longest_s", 4.0, 0.2, 10.0, _A),
     table.number("run_up_done_m_s2", 0.5, 0.0, 5.0, _A),
     table.number("stuck_s", 0.5, 0.1, 60.0, _A + ": no wheel keeps its speed to a count so long"),
+    table.number("jump_m_s", 0.1, 0.0, 10.0, _A + ": noise of a sound sensor"),
+    table.number("jump_fall_m_s2", 50.0, 5.0, 1e4, _A + ": a full brake slows a wheel by 20"),
+    table.number("jump_rise_m_s2", 120.0, 5.0, 1e4, _A + ": dry rail turns a locked wheel by 80"),
+    table.number("silent_s", 3.0, 0.5, 60.0, _A + ": a released wheel turns after 1 s on ice"),
+    table.number("free_s", 1.2, 0.2, 60.0, _A + ": cylinder empty, and wheel past its lowest speed"),
+    table.number("agree_fraction", 0.06, 0.0, 0.5, _A + ": diameters differ by up to 5 %"),
+    table.number("agree_m_s", 0.3, 0.0, 5.0, _A + ": noise of a sound sensor, and rounding"),
+    table.number("relief_s", 1.0, 0.0, 60.0, _A),
+    table.number("relief_interval_s", 2.0, 0.1, 60.0, _A),
+    table.number("trust_again_s", 2.0, 0.1, 60.0, _A + ": plausible for so long is trusted again"),
     table.number("learning_s", 0.5, 0.01, 60.0, _A),
     table.number("slide_begin_m_s", 0.5, 0.05, 5.0, _A),
     table.number("slide_begin_fraction", 0.02, 0.0, 0.2, _A),
@@ -66,6 +77,9 @@ ROWS = (
     table.number("band_low_fraction", 0.17, 0.0, 0.9, _A),
     table.number("band_high_m_s", 12.5, 0.2, 20.0, _A),
     table.number("band_high_fraction", 0.21, 0.0, 0.9, _A),
+    table.number("narrow_share", 0.5, 0.05, 1.0, _A),
+    table.number("narrow_below_m_s2", 0.4, 0.0, 5.0, _A),
+    table.number("wide_above_m_s2", 0.7, 0.0, 5.0, _A),
     table.number("deep_factor", 1.25, 1.0, 3.0, _A),
     table.number("fast_fall_m_s2", 4.0, 0.5, 50.0, _A),
     table.number("fall_m_s2", 1.8, 0.2, 50.0, _A),
@@ -75,6 +89,11 @@ ROWS = (
     table.number("fill_pause_s", 0.3, 0.0, 5.0, _A),
     table.number("vent_pulse_s", 0.05, 0.01, 1.0, _A),
     table.number("vent_pause_s", 0.10, 0.0, 5.0, _A),
+    table.number("approach_s", 0.5, 0.05, 60.0, _A),
+    table.number("fill_gain_s3_m", 0.03, 0.0, 10.0, _A),
+    table.number("vent_gain_s3_m", 0.03, 0.0, 10.0, _A),
+    table.number("fill_pulse_shortest_s", 0.02, 0.01, 1.0, _A),
+    table.number("vent_pulse_longest_s", 0.3, 0.01, 2.0, _A),
     table.number("vent_timer_s", 10.0, 0.5, 60.0, _M),
     table.number("hold_timer_s", 5.0, 0.5, 60.0, _M),
     table.number("lock_out_s", 0.5, 0.1, 60.0, _A),
@@ -83,7 +102,7 @@ ROWS = (
         False,
         _A + ": requests sand from node 18 from the first sliding until calm_s after the last",
     ),
-    table.number("cut_off_m_s", 2.0, 0.3, 10.0, _M + ": 1.4 to 3"),
+    table.number("cut_off_m_s", 0.5, 0.3, 10.0, _M + ": 1.4 to 3"),
 )
 
 # the parameters as the kernels take them: SI units, unchangeable
@@ -111,10 +130,18 @@ class State(NamedTuple):
     runner: np.ndarray  # axle that runs up, -1: none; `choose_runner`, `finish_run_up`
     run_ups: np.ndarray  # run-ups begun since axles slide; `choose_runner`
     sliding_m_s: np.ndarray  # against the reference; `event_of`
-    raw: np.ndarray  # counts of the last cycle; `measure`
-    same: np.ndarray  # cycles in which only the counts of other axles have changed; `measure`
+    raw: np.ndarray  # counts of the last cycle; `judge`
+    measured_m_s: np.ndarray  # circumferential speed by the axle's sensor; `measure`
+    rim_m_s: np.ndarray  # the same of the last cycle; `judge`
+    same: np.ndarray  # cycles in which only the counts of other axles have changed; `judge`
+    accused: np.ndarray  # 1: contradicts an axle that runs free; `compare`
+    disputed: np.ndarray  # cycles in which it has done so; `compare`
+    out: np.ndarray  # 1: its sensor is rejected; `judge`
+    relief: np.ndarray  # cycles since an axle without a sensor was last relieved; `follow`
+    plausible: np.ndarray  # cycles since its last impossible reading; `judge`
     phase: np.ndarray  # Phase; `act`
     phase_age: np.ndarray  # cycles since the phase (or its pulse) began; `act`
+    pulse_s: np.ndarray  # length of the pulse of the phase; `act`
     vent_age: np.ndarray  # cycles of venting since the valve last filled; `act`
     hold_age: np.ndarray  # cycles of holding since the valve last filled; `act`
 
@@ -193,10 +220,46 @@ def cycle(unit, inputs):
     state.cycles[0] += 1.0
     magnets = 0
     for j in range(state.axles):
-        event = event_of(state, j, params)
-        magnets |= act(state, j, event, params) << (BITS_PER_AXLE * j)
+        if not sensors.rejected(state, j):
+            event = event_of(state, j, params)
+            magnets |= act(state, j, event, params) << (BITS_PER_AXLE * j)
+    for j in range(state.axles):
+        if sensors.rejected(state, j):
+            magnets |= follow(state, j, magnets, params) << (BITS_PER_AXLE * j)
     counts = round(state.reference_m_s[0] / REFERENCE_SCALE_M_S)
     return magnets, min(32767, max(-32768, counts))
+
+
+@kernel
+def follow(state, j, magnets, params):
+    """Put axle j into the phase of the axle that it follows; return its magnets [S6 of `sensors`].
+
+    Without a trusted axle the brake applies. `magnets` are those of the trusted axles.
+    """
+    leader = sensors.followed(state, j)
+    if leader == sensors.NOBODY:
+        state.phase[j] = np.int64(Phase.FILL)
+        state.phase_age[j] = 0.0
+        state.vent_age[j] = 0.0
+        state.hold_age[j] = 0.0
+        return 0
+    state.sliding_m_s[j] = state.sliding_m_s[leader]
+    state.phase[j] = state.phase[leader]
+    state.phase_age[j] = state.phase_age[leader]
+    state.vent_age[j] = state.vent_age[leader]
+    state.hold_age[j] = state.hold_age[leader]
+    if state.calm[0] > 0.0:
+        # no axle slides
+        state.relief[j] = 0.0
+        return (magnets >> (BITS_PER_AXLE * leader)) & PAIR_MASK
+    if sensors.passed(state.relief[j], params.relief_interval_s, params):
+        state.relief[j] = 0.0
+    relieved = not sensors.passed(state.relief[j], params.relief_s, params)
+    state.relief[j] += 1.0
+    if relieved:
+        state.phase[j] = np.int64(Phase.VENT)
+        return VENTING
+    return (magnets >> (BITS_PER_AXLE * leader)) & PAIR_MASK
 
 
 @kernel
@@ -217,7 +280,7 @@ def stuck(unit):
     """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
     bits = 0
     for j in range(unit.state.axles):
-        bits |= int(reference.implausible(unit.state, j, unit.params)) << j
+        bits |= int(sensors.rejected(unit.state, j)) << j
     return bits
 
 
@@ -231,13 +294,29 @@ def above(value, edges):
 
 
 @kernel
+def band_m_s(state, params):
+    """Return the edges of the slip band; it is narrower where little deceleration was learned [W4]."""
+    trusted = 0
+    for j in range(state.axles):
+        trusted += not sensors.rejected(state, j)
+    # axles without a sensor hardly brake
+    per_axle_m_s2 = state.deceleration_m_s2[0] * state.axles / max(trusted, 1)
+    span_m_s2 = params.wide_above_m_s2 - params.narrow_below_m_s2
+    rise = min(max((per_axle_m_s2 - params.narrow_below_m_s2) / max(span_m_s2, 1e-3), 0.0), 1.0)
+    share = params.narrow_share + (1.0 - params.narrow_share) * rise
+    v_ref = state.reference_m_s[0]
+    low = min(params.band_low_m_s, share * params.band_low_fraction * v_ref)
+    high = min(params.band_high_m_s, share * params.band_high_fraction * v_ref)
+    return low, high
+
+
+@kernel
 def event_of(state, j, params):
     """The event of axle j; also writes its sliding. A stronger event replaces a weaker one."""
     v_ref = state.reference_m_s[0]
     state.sliding_m_s[j] = v_ref - state.speed_m_s[j]  # [W2]
     begin = params.slide_begin_m_s + params.slide_begin_fraction * v_ref
-    low = min(params.band_low_m_s, params.band_low_fraction * v_ref)  # [W4]
-    high = min(params.band_high_m_s, params.band_high_fraction * v_ref)
+    low, high = band_m_s(state, params)
     sliding_class = above(state.sliding_m_s[j], (begin, low, high, high * params.deep_factor))
     acceleration_class = above(
         state.acceleration_m_s2[j],
@@ -246,10 +325,8 @@ def event_of(state, j, params):
     event = WISHES[sliding_class, acceleration_class]
     if state.runner[0] == j:
         event = np.int64(Event.RUN_UP)
-    if reference.implausible(state, j, params):
-        event = np.int64(Event.VENT)  # [W6]
-    vented_too_long = reference.passed(state.vent_age[j], params.vent_timer_s, params)
-    held_too_long = reference.passed(state.hold_age[j], params.hold_timer_s, params)
+    vented_too_long = sensors.passed(state.vent_age[j], params.vent_timer_s, params)
+    held_too_long = sensors.passed(state.hold_age[j], params.hold_timer_s, params)
     if vented_too_long or held_too_long:
         event = np.int64(Event.TIMER)
     if v_ref < params.cut_off_m_s:
@@ -258,22 +335,47 @@ def event_of(state, j, params):
 
 
 @kernel
+def imbalance(state, j, params):
+    """Return by how much axle j slides away from the middle of its band, in m/s2 [W7].
+
+    Positive: the brake is too strong for the rail.
+    """
+    low, high = band_m_s(state, params)
+    wanted = 0.5 * (low + high)
+    drift = -state.deceleration_m_s2[0] - state.acceleration_m_s2[j]
+    return drift + (state.sliding_m_s[j] - wanted) / params.approach_s
+
+
+@kernel
+def pulse_of(state, j, phase, params):
+    """Return the length in s of the pulse with which a phase of axle j begins."""
+    excess = imbalance(state, j, params)
+    if phase == Phase.STEP_FILL:
+        return min(max(-excess * params.fill_gain_s3_m, params.fill_pulse_shortest_s), params.fill_pulse_s)
+    if phase == Phase.STEP_VENT:
+        return min(max(excess * params.vent_gain_s3_m, params.vent_pulse_s), params.vent_pulse_longest_s)
+    if phase == Phase.LOCKED_OUT:
+        return params.lock_out_s
+    return 0.0
+
+
+@kernel
 def act(state, j, event, params):
     """Advance the phase of axle j on an event; return its magnets (bit 0 hold, bit 1 vent)."""
     # by phase: FILL, STEP_FILL, HOLD, STEP_VENT, VENT, RUN_UP, LOCKED_OUT
-    pulse = (0.0, params.fill_pulse_s, 0.0, params.vent_pulse_s, 0.0, 0.0, params.lock_out_s)
     pause = (0.0, params.fill_pause_s, 0.0, params.vent_pause_s, 0.0, 0.0, 0.0)
     phase = int(state.phase[j])
-    over = reference.passed(state.phase_age[j], pulse[phase] + pause[phase], params)
+    over = sensors.passed(state.phase_age[j], state.pulse_s[j] + pause[phase], params)
     following = NEXT[phase, event]
     may_change = over or INTERRUPTS[phase, event]
-    begins_again = following != phase or pulse[phase] > 0.0
+    begins_again = following != phase or state.pulse_s[j] > 0.0
     if may_change and begins_again:
         phase = following
         state.phase_age[j] = 0.0
+        state.pulse_s[j] = pulse_of(state, j, phase, params)
     state.phase[j] = phase
 
-    resting = reference.passed(state.phase_age[j], pulse[phase], params)
+    resting = sensors.passed(state.phase_age[j], state.pulse_s[j], params)
     magnets = MAGNETS[phase, int(resting)]
     state.phase_age[j] += 1.0
     filling = magnets == 0
