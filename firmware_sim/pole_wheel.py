@@ -58,7 +58,8 @@ class Sensor(NamedTuple):
     """Constants of the pole wheels and their unit.
 
     `dropout_rad_s`: speed below which there are no pulses. `flat_noise_rad_s_m`: standard deviation
-    that each metre of a wheel flat adds to the speed of a turning wheel.
+    that each metre of a wheel flat adds to the speed of a turning wheel. `noise_rad_s`: that of a
+    round wheel.
     """
 
     model: int
@@ -68,6 +69,7 @@ class Sensor(NamedTuple):
     timer_Hz: float
     tick_s: float
     flat_noise_rad_s_m: float = 0.0
+    noise_rad_s: float = 0.0
 
 
 def memory(seed: int, axles: int) -> np.ndarray:
@@ -95,9 +97,10 @@ def sense(row, memory, sensor, faults):
         if faulty.value(faults, faulty.NOISE_rad_s, j) != 0.0:
             speed += faulty.value(faults, faulty.NOISE_rad_s, j) * noise(memory, j)
         speed = drifting(speed, j, memory, sensor, faults)
-        flat_m = row[_FLAT + wheel]
-        if flat_m > 0.0 and row[_SPEED + wheel] > 0.0 and sensor.flat_noise_rad_s_m > 0.0:
-            speed = max(0.0, speed + sensor.flat_noise_rad_s_m * flat_m * noise(memory, j))
+        deviation = np.hypot(sensor.noise_rad_s, sensor.flat_noise_rad_s_m * row[_FLAT + wheel])
+        # a sensor without pulses has no noise
+        if deviation > 0.0 and speed > 0.0 and row[_SPEED + wheel] > 0.0:
+            speed = max(0.0, speed + deviation * noise(memory, j))
         row[_MEASURED + j] = speed
         row[_FREQUENCY + j] = speed * (sensor.teeth / (2.0 * np.pi))
         row[_PULSES + j] = np.floor(memory[COUNT, wheel] - memory[MISSED, wheel])

@@ -87,6 +87,7 @@ def _sensor(plan: Scenario) -> pole_wheel.Sensor:
         sensor["timer_Hz"],
         1.0 / tick_hz,
         plan["flats"]["noise_rad_s_m"],
+        sensor["noise_rad_s"],
     )
 
 

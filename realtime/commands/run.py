@@ -290,7 +290,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
     if options.seed and not summary["random"]:
         items.append(
             f"--seed {options.seed} has no effect: nothing in this run of the rig is random (noise of a "
-            "speed sensor is: fault speed_noise_burst, wheel flats with noise)"
+            "speed sensor is: sensor.noise_rad_s, fault speed_noise_burst, wheel flats with noise)"
         )
     result = summary | {"folder": str(out)}
     if options.also_without_wsp:

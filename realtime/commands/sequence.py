@@ -4,9 +4,11 @@ import argparse
 import contextlib
 import math
 import os
+import statistics
 import time
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -87,6 +89,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
     )
     parser.add_argument(
+        "--repeat",
+        type=int,
+        default=1,
+        metavar="N",
+        help="play each sequence N times, with the seeds from --seed on, as NAME_1 to NAME_N, and "
+        "print one table of its limits (default: 1)",
+    )
+    parser.add_argument(
         "--jobs",
         type=int,
         default=0,
@@ -126,6 +136,7 @@ def call(options: argparse.Namespace) -> int:
 
     # all options are checked before the first bench starts
     check_options(options, sequences)
+    sequences = _repeated(sequences, options.repeat)
     about = output.about(options)
     if options.pdf:
         pdf.check()
@@ -143,11 +154,19 @@ def call(options: argparse.Namespace) -> int:
         if outcome.result in counts:
             counts[outcome.result] += 1
 
+    limits = _spread(outcomes) if options.repeat > 1 else []
+    repeated: list[Any] = []
+    if limits:
+        repeated.append(_spread_table(limits, options.repeat))
+        if not any(outcome.summary.get("random") for outcome in outcomes):
+            repeated.append("nothing in these runs is random: their seeds have no effect")
+
     output.show(
         options,
         {
             "result": result,
             **counts,
+            "limits": limits,
             "report": str(paths[0]),
             "sequences": {outcome.sequence.name: outcome.result for outcome in outcomes},
             "warnings": [*report.contradictions(outcomes, about), *_warnings(outcomes)],
@@ -156,11 +175,58 @@ def call(options: argparse.Namespace) -> int:
         },
         f"{result}: {counts['pass']} passed, {counts['fail']} failed, "
         f"{counts['error']} with an error; report in {paths[0]} (not a certification)",
+        *repeated,
         *_interruption_lines(interrupted.by, sequences, not_played),
     )
     if interrupted.by:
         return output.INVALID
     return output.PASS if result == "pass" else output.FAILED
+
+
+def _repeated(sequences: "list[Sequence]", times: int) -> "list[Sequence]":
+    """Return each sequence so many times; the name of each repetition has a number."""
+    if times == 1:
+        return sequences
+    return [
+        replace(sequence, name=f"{sequence.name}_{number + 1}", repetition=number)
+        for sequence in sequences
+        for number in range(times)
+    ]
+
+
+def _spread(outcomes: "list[Outcome]") -> list[dict[str, Any]]:
+    """Return each limit with the least, mean and largest value of all repetitions."""
+    by_limit: dict[tuple[str, ...], list[Verdict]] = {}
+    for outcome in outcomes:
+        # the name of a repetition is that of the sequence and a number
+        name = outcome.sequence.name.rpartition("_")[0]
+        for verdict in outcome.verdicts:
+            if not math.isnan(verdict.value):
+                key = (name, verdict.what, verdict.limit, verdict.unit)
+                by_limit.setdefault(key, []).append(verdict)
+
+    rows = []
+    for key, verdicts in by_limit.items():
+        values = [verdict.value for verdict in verdicts]
+        row: dict[str, Any] = dict(zip(("sequence", "limit", "required", "unit"), key, strict=True))
+        row["least"] = min(values)
+        row["mean"] = statistics.fmean(values)
+        row["largest"] = max(values)
+        row["passed"] = sum(verdict.result == "pass" for verdict in verdicts)
+        row["played"] = len(verdicts)
+        rows.append(row)
+    return rows
+
+
+def _spread_table(rows: list[dict[str, Any]], times: int) -> Any:
+    """Return the rows of `_spread` as a table to print."""
+    shown = []
+    for row in rows:
+        words = (row["sequence"], row["limit"], row["required"], row["unit"])
+        numbers = (f"{row[key]:.4g}" for key in ("least", "mean", "largest"))
+        shown.append((*words, *numbers, f"{row['passed']} of {row['played']}"))
+    head = ("sequence", "limit", "required", "unit", "least", "mean", "largest", "passed")
+    return f"each sequence {times} times", head, shown
 
 
 def count_text(count: int) -> str:
@@ -283,6 +349,12 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
             f"--bus plays exactly one sequence on a running bench, and {len(sequences)} are given; "
             "give the name of one sequence"
         )
+    if options.repeat < 1:
+        raise ConfigError(f"--repeat {options.repeat}: allowed are numbers from 1")
+    if options.repeat > 1 and options.bus:
+        raise ConfigError(
+            "--repeat and --bus: a running bench plays a sequence once; leave one of the options out"
+        )
     if options.jobs < 0:
         raise ConfigError(
             f"--jobs {options.jobs}: allowed are numbers from 1, or 0 for the number of cores"
@@ -324,7 +396,7 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
 
     with writing(options.out):
         make_folder(options.out)
-    for sequence in sequences:
+    for sequence in _repeated(sequences, options.repeat):
         check_no_link(options.out / sequence.name)
 
 
@@ -492,7 +564,7 @@ def _play_on_new_bench(
         sequence,
         folder,
         pacing=options.pacing,
-        seed=options.seed,
+        seed=options.seed + sequence.repetition,
         dry_m=dry_stop.distance_m,
         wsp=options.wsp,
         companions=tuple(companions),

@@ -30,7 +30,7 @@ class Samples(NamedTuple):
     angle: np.ndarray
 
 
-def turn(speeds, model="pole_wheel", timer_Hz=1e6, dropout_rad_s=1.0, faults=()):
+def turn(speeds, model="pole_wheel", timer_Hz=1e6, dropout_rad_s=1.0, faults=(), noise_rad_s=0.0):
     """Return the samples of an axle that turns with speeds in rad/s, one a tick.
 
     `faults`: pairs of an effect and its value.
@@ -42,6 +42,7 @@ def turn(speeds, model="pole_wheel", timer_Hz=1e6, dropout_rad_s=1.0, faults=())
         dropout_rad_s=dropout_rad_s,
         timer_Hz=timer_Hz,
         tick_s=TICK_S,
+        noise_rad_s=noise_rad_s,
     )
     row = np.zeros(signals.WIDTH)
     memory = pole_wheel.memory(1, COACH.axles)
@@ -134,3 +135,14 @@ def test_a_seed_repeats_the_noise_of_a_burst():
     assert first.mean() == pytest.approx(50.0, abs=0.2)
     correlation = np.corrcoef(first[1:], first[:-1])[0, 1]
     assert np.abs(correlation) < 0.06
+
+
+def test_noise_of_the_sensor_has_its_deviation_and_no_mean_and_none_at_standstill():
+    deviation = 0.2
+    speeds = np.concatenate([np.full(4000, 50.0), np.zeros(200)])
+    measured = turn(speeds, "ideal", noise_rad_s=deviation).measured
+    error = measured[:4000] - 50.0
+    assert error.std() == pytest.approx(deviation, rel=0.05)
+    # the mean of 4000 numbers is within four of its deviations
+    assert abs(error.mean()) < 4.0 * deviation / np.sqrt(4000)
+    assert not measured[4000:].any()

@@ -149,6 +149,7 @@ class Sequence:
     notes: operator's notes for the events of the run.
     before, after: pre-conditions and post-conditions.
     criteria: the limits for its measures.
+    repetition: how many times it was played before; its seed is higher by this.
     """
 
     name: str
@@ -166,6 +167,7 @@ class Sequence:
     after: tuple[Condition, ...]
     steps: tuple[Step, ...]
     criteria: verdict.Profile
+    repetition: int = 0
 
     def allowed_unit(self, allowed: AllowList) -> str:
         """Return the unit. Raises ConfigError if it is an FMU that is not in the list."""
