@@ -22,7 +22,8 @@ noise_rad_s = {noise}
 def play(folder, capsys, noise, *words):
     """Play a short sequence on a coach with noisy sensors; return exit status and output."""
     (folder / "coach.toml").write_text(NOISY.format(noise=noise), encoding="utf-8")
-    text = (store.ROOT / "sequences" / "low_speed_010.toml").read_text(encoding="utf-8")
+    text = (store.ROOT / "sequences" / "emergency_040.toml").read_text(encoding="utf-8")
+    text = text.replace('speed = "40 km/h"', 'speed = "20 km/h"')
     sequence = folder / "slow.toml"
     sequence.write_text(f'scenario = "{folder}/coach.toml"\n{text}', encoding="utf-8")
     out = ("--out", str(folder / "report"), "--repeat", str(TIMES), "--seed", "4")
