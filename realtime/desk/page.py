@@ -24,12 +24,15 @@ _LIGHTS = {
 # what the lights show besides their colours
 _SIGNS = {lights.GREEN: "✓", lights.YELLOW: "!", lights.RED: "✕", lights.GREY: "?"}
 _ALARMS_SHOWN = 60
+# of the page, in this order
+SCRIPTS = ("desk.js", "connection.js")
 
 
 def build(desk: Desk) -> None:
     """Build the page for one browser."""
     ui.add_css(Path(__file__).with_name("desk.css"))
-    ui.add_head_html('<script src="/desk/desk.js"></script>')
+    for script in SCRIPTS:
+        ui.add_head_html(f'<script src="/desk/{script}"></script>')
     ui.dark_mode(True)
     for kind in (ui.select, ui.number, ui.input):
         kind.default_props("dense options-dense")

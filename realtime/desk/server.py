@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from fastapi.responses import FileResponse, PlainTextResponse
+from fastapi.responses import FileResponse, PlainTextResponse, Response
 from nicegui import app, ui
 from nicegui.json import NiceGUIJSONResponse
 
@@ -20,7 +20,9 @@ from rollerrig.wsp_interface.bus.hub import beyond_loopback
 from rollerrig.wsp_interface.events import Code
 
 _SERVED_SUFFIXES = (".html", ".svg", ".png", ".json", ".xml", ".csv", ".pdf", ".rrd", ".log")
-_NOT_FOUND = 404  # status code of HTTP
+# status codes of HTTP
+_NO_CONTENT = 204
+_NOT_FOUND = 404
 # time between two looks whether the server answers
 _LOOK_AGAIN_S = 0.05
 # leads the browser of `--open` to the desk
@@ -40,10 +42,15 @@ def free(host: str, port: int) -> int:
 
 
 def routes(desk: Desk) -> None:
-    """Register the other addresses: the script of the page, new rows, and files of reports."""
-    app.add_static_file(
-        local_file=Path(__file__).with_name("desk.js"), url_path="/desk/desk.js", max_cache_age=0
-    )
+    """Register the other addresses: scripts of the page, new rows, and files of reports."""
+    for script in page.SCRIPTS:
+        app.add_static_file(
+            local_file=Path(__file__).with_name(script), url_path=f"/desk/{script}", max_cache_age=0
+        )
+
+    @app.get("/desk/alive")
+    async def alive() -> Response:
+        return Response(status_code=_NO_CONTENT)
 
     @app.get("/desk/rows")
     def rows(bench: str = "", after: int = 0, whole: int = 0) -> Any:

@@ -124,10 +124,20 @@ class Page:
         """Return the element of an XPath when it is there."""
         return until(lambda: next(iter(self.browser.find_elements("xpath", path)), None), path)
 
-    def click(self, text):
-        """Click a button, without the mouse: an earlier message may cover it."""
+    def click(self, text, answering=True):
+        """Click a button, without the mouse: an earlier message may cover it.
+
+        While the desk is silent the page sends nothing, so this waits until it answers, unless
+        `answering` is false.
+        """
+        if answering:
+            until(lambda: not self.is_silent(), "a desk that answers")
         button = self.there(f"//button[not(@disabled)][normalize-space()='{text}']")
         self.browser.execute_script("arguments[0].click()", button)
+
+    def is_silent(self):
+        """Return whether the page shows that the desk does not answer."""
+        return self.browser.execute_script("return document.body.classList.contains('desk-silent')")
 
     def put(self, label, text):
         """Put a text into a field."""
