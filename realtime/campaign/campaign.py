@@ -30,7 +30,7 @@ from rollerrig.configs.vehicle import Kind
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import bench_runs, design, speed_steps, spreading, stops_in_lanes
-from rollerrig.realtime.record import figures, summary
+from rollerrig.realtime.record import figures, played, summary
 from rollerrig.wsp_interface import unit_choice
 
 # keys at the top of a plan
@@ -474,6 +474,8 @@ def _manifest(plan: Plan, found: str) -> dict[str, Any]:
     return {
         "fingerprint": found,
         "head": plan.head,
+        "unit_played": played.unit_of(plan.head["unit"])._asdict(),
+        "version": played.version(),
         "axes": plan.axes,
         "runs": len(plan.points),
         "sources": plan.sources,

@@ -138,6 +138,8 @@ def test_plan_json_has_the_largest_deviation_of_the_stops_that_ran_again(plan, t
     content = json.loads((out / "plan.json").read_text())
     assert content["long_step"] == {"ran_again": 1, "largest_deviation": missed}
     assert missed > 0.0
+    assert content["unit_played"]["kind"] == "reference"
+    assert content["unit_played"]["version"] == content["version"]
     # the folder still holds this plan
     assert campaign.open_result(loaded, out) == []
 

@@ -117,6 +117,15 @@ def test_a_value_in_the_place_of_a_table_is_refused(tmp_path, start):
         read(tmp_path, GOOD.replace(speed, f"{speed}\n{start}"))
 
 
+@pytest.mark.parametrize("key", ["scenario", "wsp", "criteria"])
+def test_a_table_in_the_place_of_a_text_is_refused(tmp_path, key):
+    with pytest.raises(ConfigError, match=rf"one\.toml, .*{key} = \{{.*a text in quotes"):
+        read(
+            tmp_path,
+            f"{key} = {{ sensor = {{ noise_rad_s = 0.1 }} }}\n" + GOOD.replace(f"{key} =", "#"),
+        )
+
+
 def test_a_limit_of_the_sequence_replaces_that_of_its_profile(tmp_path):
     loaded = read(tmp_path, GOOD + MEASURE.replace("0.4", "0.7"))
     bounds = [limit.high for limit in loaded.criteria.limits if limit.measure == "longest_lock"]

@@ -252,7 +252,7 @@ def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) ->
 
     speed_m_s = _optional(start, "speed", "m_s", in_start)
     tables = _tables(content, in_start)
-    scenario = str(content.get("scenario", ""))
+    scenario = _text(content, "scenario", "", in_head)
     try:
         kind = own_bench.kind_of_scenario(scenario, tables, "the scenario")
     except ConfigError as error:
@@ -274,14 +274,14 @@ def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) ->
         place = in_head("step") if "step" in content else str(path)
         raise ConfigError(f"{place}: there is no [[step]]; a sequence has at least one")
 
-    unit = str(content.get("wsp", "reference"))
+    unit = _text(content, "wsp", "reference", in_head)
     try:
         unit_choice.check(unit)
     except ConfigError as error:
         raise ConfigError(f"{in_head('wsp')}: {error}") from None
 
     limits = verdict.limits(content.get("measure", []), partial(source.where, "measure"))
-    profile = verdict.load(str(content.get("criteria", "none")), path)
+    profile = verdict.load(_text(content, "criteria", "none", in_head), path)
     return Sequence(
         name=path.stem,
         path=path,
@@ -290,7 +290,7 @@ def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) ->
         wsp=unit,
         wsp_at=in_head("wsp"),
         speed_m_s=speed_m_s,
-        adhesion=str(start.get("adhesion", "")),
+        adhesion=_text(start, "adhesion", "", in_start),
         tables=tables,
         kind=kind,
         notes=_texts(content, "notes", in_head),
@@ -490,6 +490,16 @@ def _patch(content: Any, where: str, most: int) -> Patch | None:
     if not axles or not all(type(axle) is int and 1 <= axle <= most for axle in axles):
         raise ConfigError(f"{where}: axles = {axles!r}: a list of axle numbers from 1 to {most}")
     return Patch(float(mu), tuple(axles))
+
+
+def _text(table: Mapping[str, Any], key: str, default: str, at: Where) -> str:
+    value = table.get(key, default)
+    if not isinstance(value, str):
+        raise ConfigError(
+            f"{at(key)} = {value!r}: allowed is a text in quotes; tables of a scenario are in "
+            "[start.tables]"
+        )
+    return value
 
 
 def _texts(table: Mapping[str, Any], key: str, at: Where) -> tuple[str, ...]:
