@@ -49,6 +49,9 @@ OVERHEAD = 0.05
 RUNS = 160
 CHUNK = 20
 ROUNDS = 2
+WITHOUT_DASK = (
+    "Dask is not installed, so its overhead was not measured: pip install 'rollerrig[cluster]'"
+)
 # stops on Dask
 TASKS = 40
 # the memory of a worker is extrapolated to so many stops
@@ -103,12 +106,13 @@ def run(given: argparse.Namespace, say: Say) -> Result:
             target("processor time of a stop", cpu_s / len(rows), 60.0 / RATE, "s"),
             target("wall time of two workers over one's", 1.0 / speed_up, 1.0 / SPEED_UP),
             target("memory of a worker after 10,000 stops", memory_MB, MEMORY_MB, "MB"),
-            target("Dask's overhead", dask["overhead"], OVERHEAD),
+            *_targets_of_dask(dask),
         ],
         "notes": [
+            *([] if dask["tasks"] else [WITHOUT_DASK]),
             f"two workers do {speed_up:.2f} times as much as one; each had "
             f"{100 * two['share']:.0f} % of a core (one alone {100 * one['share']:.0f} %), "
-            "and other programs used the rest"
+            "and other programs used the rest",
         ],
     }
 
@@ -206,10 +210,15 @@ def workers(plan: campaign.Plan, count: int) -> Result:
     }
 
 
+def _targets_of_dask(dask: Result) -> list[Result]:
+    """Return the target of Dask; none where it is not installed, because nothing was measured."""
+    return [target("Dask's overhead", dask["overhead"], OVERHEAD)] if dask["tasks"] else []
+
+
 def on_dask(plan: campaign.Plan) -> Result:
     """Return the wall time of single stops on one Dask worker, and the time that the stops took.
 
-    Without `distributed` the overhead is None.
+    Without `distributed` the overhead is None, and the notes say how to install it.
     """
     try:
         from distributed import Client, LocalCluster

@@ -1,13 +1,12 @@
 """`rollerrig campaign`: many runs from a plan, in processes or on a Dask cluster."""
 
 import argparse
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.processes import interruption
+from rollerrig.configs.processes import cores, interruption
 from rollerrig.configs.table import nearest
 from rollerrig.realtime.commands import output
 
@@ -34,7 +33,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="number of processes on this machine (default: the number of processor cores)",
+        help="number of processes on this machine (default: the number of cores that this process may use)",
     )
     parser.add_argument(
         "--scheduler",
@@ -227,4 +226,4 @@ def _finished(
 
     if options.scheduler:
         return spreading.on_a_cluster(work, chunks, options.scheduler)
-    return spreading.on_this_machine(work, chunks, options.workers or os.cpu_count() or 1)
+    return spreading.on_this_machine(work, chunks, options.workers or cores.allowed())

@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import math
-import os
 import statistics
 import time
 from collections.abc import Callable
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import check_no_link, make_folder, writing
-from rollerrig.configs.processes import children, interruption
+from rollerrig.configs.processes import children, cores, interruption
 from rollerrig.realtime.commands import output, wsp
 from rollerrig.realtime.record import run_folder
 
@@ -446,7 +445,7 @@ def _jobs(options: argparse.Namespace) -> int:
     if options.jobs:
         return int(options.jobs)
     if options.pacing == "lockstep":
-        return len(os.sched_getaffinity(0))
+        return cores.allowed()
     # benches in real time would disturb one another
     return 1
 

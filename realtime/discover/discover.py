@@ -10,7 +10,6 @@ until the budget of stops is used up.
 
 import asyncio
 import json
-import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -18,7 +17,7 @@ from typing import Any
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import check_no_link, make_folder, write_text, writing
-from rollerrig.configs.processes import children
+from rollerrig.configs.processes import children, cores
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.bench import bench, options, scenario
 from rollerrig.realtime.datasets import run_dataset, run_sensors
@@ -175,11 +174,7 @@ def _has_run(rig: str, folder: Path, stop: Stop) -> bool:
 
 def brake_all(jobs: Sequence[tuple[str, Path, Stop, int]], done: Callable[[int], None]) -> None:
     """Run stops in parallel, one per core; `done` receives the number of completed stops."""
-    cores = os.cpu_count() or 1
-    # the process may be limited to some of the cores
-    if hasattr(os, "sched_getaffinity"):
-        cores = len(os.sched_getaffinity(0))
-    workers = max(min(cores, len(jobs)), 1)
+    workers = max(min(cores.allowed(), len(jobs)), 1)
     with children.pool(workers) as pool:
         for count, _ in enumerate(pool.map(brake, jobs), start=1):
             done(count)
