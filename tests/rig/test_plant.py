@@ -154,7 +154,7 @@ def test_without_wsp_wheels_lock_on_leaves_and_some_on_soap_but_none_on_the_dry_
     # first ones of the bogies; the others lock
     soap = stops["rollers", "soap"][1]
     loaded = soap.creepage[soap.vehicle_speed > 20.0][:, [0, 2]]
-    assert 0.15 < loaded.max() < 0.5
+    assert 0.05 < loaded.max() < 0.15
     np.testing.assert_array_equal(soap.longest_lock[-1] > 10.0, [False, True, False, True])
     assert stops["rollers", "dry"][1].longest_lock[-1].max() == 0.0
 
