@@ -15,14 +15,14 @@ lanes and the replay of measured runs all use this law.
 [A5] with D = f_r - f_d and k = tau N |e|:  f = f_r - D exp(-k f), paper eq. 15, solved by
      f = f_r + W0(-k D exp(-k f_r)) / k
 [A6] tau |e| -> tau |e| (1 - x^2 (3 - 2 x)), x = (|s / v| - e_v) / (1 - e_c), from 0 to 1, with
-     1 / e_v = 1 / e_c + v / s_c, and e_v times v / (v + v_h): up to a creepage e_v this is the
-     paper's law, to the bit. Beyond it cleaning fades, and a locked wheel cleans nothing. e_c limits
-     the creepage: a turning tread carries the loosened contaminant out of the contact, a locked one
-     leaves it there. s_c limits the sliding speed, which matters at high speed: where the paper's
-     law was validated, a WSP held it at 4 to 6 m/s. Without a limit a locked wheel on soap has the
-     whole recovered adhesion, 0.26 at 40 m/s. v_h, 0 in the packaged sets, lowers the limit at low
-     speed, where the paper's data do not decide. Form and numbers: assumption (docs/paper.md has
-     the evidence). e_c of 1 or more, the default, is the paper's law throughout
+     1 / e_v = 1 / e_c + v / s_c, and e_v times v / (v + v_h). Up to a creepage e_v this is the
+     paper's law, to the bit; beyond it cleaning fades, and a locked wheel cleans nothing. e_c
+     limits the creepage: a turning tread carries the loosened contaminant out of the contact, a
+     locked one leaves it there. s_c limits the sliding speed, which matters at high speed: where
+     the paper's law was validated, a WSP held it at 4 to 6 m/s. Without a limit a locked wheel on
+     soap has the whole recovered adhesion, 0.26 at 40 m/s. v_h, 0 in the packaged sets, lowers the
+     limit at low speed, where the paper's data do not decide. Form and numbers: assumption
+     (docs/paper.md has the evidence). e_c of 1 or more, the default, is the paper's law throughout
 [A7] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), where an extended model gives recovery
      a memory L. lambda_0 is the transition of [A2], either for the work that [A5] has done or for
      the work that the f of the remembered lambda does: assumption
@@ -115,7 +115,7 @@ def cleaning_share(sliding_m_s, speed_m_s, law):
     share : 1 up to the creepage e_v, 0 for a locked wheel
     slope_s_m : d share / d sliding, in s/m, not above 0
     """
-    speed = max(abs(speed_m_s), STILL_M_S)
+    speed = min(max(abs(speed_m_s), STILL_M_S), LARGEST)
     fades = law.cleaning_creepage < 1.0
     creepage = law.cleaning_creepage if fades else 0.5
     begin = creepage / (1.0 + creepage * speed / law.cleaning_sliding_m_s)

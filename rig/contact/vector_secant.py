@@ -31,7 +31,7 @@ _LARGEST_STEP = 1e-3
 # step times the cube of this: with both limits it is below 1e-10. Near a double root g1 is small.
 _LARGEST_TURN = 0.003
 # a sliding speed that stands for infinity and can still be multiplied
-_NEVER_M_S = 1e9
+_NEVER_M_S = 1e18
 
 
 @kernel_inlined
