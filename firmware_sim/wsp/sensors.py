@@ -10,8 +10,8 @@ A sensor is rejected when its reading is impossible for a wheel that is braked, 
          the vehicle. No wheel can be faster than that. An axle that is faster is false, or the
          released axle is, if more trusted axles speak against it than for it
 
-A rejected sensor is out until its readings have been plausible, and near those of a trusted axle,
-for a time [S5]. An axle without a sensor does what the other axle of its bogie does, or an axle of
+A rejected sensor is out until its readings have been plausible for a time: none of the above, and
+between the slowest trusted axle and the reference speed [S5]. An axle without a sensor does what the other axle of its bogie does, or an axle of
 the other bogie if that one has no sensor either [S6]. If no axle has a sensor, the brakes apply.
 
 Source: physical bounds of a braked wheel; that units substitute the other axle of the bogie is an
@@ -19,6 +19,8 @@ assumption, as is every threshold. Limits: a false reading that a braked wheel c
 drift, a gain) is found only when [S4] compares axles; two false sensors that agree outvote a single
 true one.
 """
+
+import numpy as np
 
 from rollerrig.rig.compiled.kernel import kernel
 
@@ -56,13 +58,13 @@ def judge(state, speeds_raw, rims_m_s, params):
         elif moving > 0:
             state.same[j] += 1.0
         # a wheel that vents must run up
-        silent = speeds_raw[j] == 0 and passed(state.vent_age[j], params.silent_s, params)
+        silent = speeds_raw[j] == 0 and passed(state.free_age[j], params.silent_s, params)
         frozen = passed(state.same[j], params.stuck_s, params)
         disputed = passed(state.disputed[j], params.confirm_s, params)
         impossible = jumps(state.rim_m_s[j], rims_m_s[j], params)
         if state.cycles[0] == 0.0:
             impossible = False
-        if rejected(state, j) and not near_a_trusted_axle(state, j, rims_m_s, params):
+        if rejected(state, j) and not among_trusted_axles(state, j, rims_m_s, params):
             impossible = True  # [S5]
         if impossible or frozen or disputed or (silent and not rejected(state, j)):
             state.out[j] = 1.0
@@ -91,24 +93,28 @@ def far_above(faster_m_s, slower_m_s, params):
 
 
 @kernel
-def near_a_trusted_axle(state, j, rims_m_s, params):
-    """Whether the reading of axle j agrees with a trusted axle, or no axle is trusted [S5]."""
-    trusted = 0
+def among_trusted_axles(state, j, rims_m_s, params):
+    """Whether axle j reads a speed between the slowest trusted axle and the reference speed [S5].
+
+    If no axle is trusted, every reading is.
+    """
+    slowest_m_s = np.inf
+    fastest_m_s = state.reference_m_s[0]
     for k in range(state.axles):
-        if k == j or rejected(state, k):
-            continue
-        trusted += 1
-        above = far_above(rims_m_s[j], rims_m_s[k], params)
-        below = far_above(rims_m_s[k], rims_m_s[j], params)
-        if not above and not below:
-            return True
-    return trusted == 0
+        if not rejected(state, k):
+            slowest_m_s = min(slowest_m_s, rims_m_s[k])
+            fastest_m_s = max(fastest_m_s, rims_m_s[k])
+    if slowest_m_s == np.inf:
+        return True
+    above = far_above(rims_m_s[j], fastest_m_s, params)
+    below = far_above(slowest_m_s, rims_m_s[j], params)
+    return not above and not below
 
 
 @kernel
 def runs_free(state, j, params):
     """Whether axle j has vented for so long, and rises so little, that it turns with the vehicle."""
-    if rejected(state, j) or not passed(state.vent_age[j], params.free_s, params):
+    if rejected(state, j) or not passed(state.free_age[j], params.free_s, params):
         return False
     return state.acceleration_m_s2[j] < params.run_up_done_m_s2
 
