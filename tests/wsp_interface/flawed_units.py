@@ -18,6 +18,18 @@ SWING_S = 0.3  # half a period
 DRIFT_M_S2 = 1.6
 WRONG_DIAMETER = 1.25
 TWENTY_KM_H = 20.0 / 3.6
+# permitted shares of a motor
+ALL, NONE = 1.0, 0.0
+
+
+def acts(pairs, shares):
+    """Return whether a unit vents a valve or releases a motor."""
+    return VENTING in pairs or min(shares) < ALL
+
+
+def swapped(values):
+    """Return the values of the axles with those of the first and last axle exchanged."""
+    return [values[-1], *values[1:-1], values[0]]
 
 
 class Unit:
@@ -30,18 +42,14 @@ class Unit:
 
     def cycle(self, counts):
         """Return the byte of magnets, the reference speed in counts, and the shares of motors."""
-        byte, reference = logic.cycle(self._unit, self.hear(counts))
+        byte, reference = logic.cycle(self._unit, counts)
         shares = [logic.permitted_share(self._unit, axle) for axle in range(self.axles)]
-        pairs = self.answer(magnets.unpack(int(byte), self.axles))
+        pairs, shares = self.answer(magnets.unpack(int(byte), self.axles), shares)
         return magnets.pack(pairs), reference, shares
 
-    def hear(self, counts):
-        """Return the speeds that the logic gets."""
-        return counts
-
-    def answer(self, pairs):
-        """Return the pairs of magnets that the unit commands."""
-        return pairs
+    def answer(self, pairs, shares):
+        """Return the pairs of magnets and the shares of the motors that the unit commands."""
+        return pairs, shares
 
 
 class TooSlow(Unit):
@@ -50,10 +58,10 @@ class TooSlow(Unit):
     def __init__(self, params, axles):
         super().__init__(params, axles)
         cycles = round(TOO_LATE_S / CYCLE_S)
-        self._late = deque([[FILLING] * axles] * cycles)
+        self._late = deque([([FILLING] * axles, [ALL] * axles)] * cycles)
 
-    def answer(self, pairs):
-        self._late.append(pairs)
+    def answer(self, pairs, shares):
+        self._late.append((pairs, shares))
         return self._late.popleft()
 
 
@@ -70,12 +78,17 @@ class BandTooWide(Unit):
         }
         super().__init__(params._replace(**wide), axles)
 
+    def answer(self, pairs, shares):
+        # motors are released when the valves are, and not at the first sliding
+        return pairs, [ALL if pair == FILLING else NONE for pair in pairs]
+
 
 class OneAxleOnly(Unit):
     """Protects the leading axle only."""
 
-    def answer(self, pairs):
-        return [pairs[0], *[FILLING] * (self.axles - 1)]
+    def answer(self, pairs, shares):
+        others = self.axles - 1
+        return [pairs[0], *[FILLING] * others], [shares[0], *[ALL] * others]
 
 
 class WrongDiameter(Unit):
@@ -95,30 +108,32 @@ class DriftingReference(Unit):
         super().__init__(params._replace(reference_rise_m_s2=0.5), axles)
         self._drifted_m_s = None
 
-    def answer(self, pairs):
+    def answer(self, pairs, shares):
         reference_m_s = self._unit.state.reference_m_s
-        if self._drifted_m_s is None and VENTING in pairs:
+        if self._drifted_m_s is None and acts(pairs, shares):
             self._drifted_m_s = reference_m_s[0]
         if self._drifted_m_s is not None:
             self._drifted_m_s = max(self._drifted_m_s - DRIFT_M_S2 * CYCLE_S, 0.0)
             reference_m_s[0] = self._drifted_m_s
-        return pairs
+        return pairs, shares
 
 
 class NeverRefills(Unit):
-    """Holds for ever what a valve has vented."""
+    """Holds for ever what a valve has vented, and permits no motor again that it has released."""
 
     def __init__(self, params, axles):
         super().__init__(params, axles)
         self._vented = [False] * axles
+        self._released = [False] * axles
 
-    def answer(self, pairs):
+    def answer(self, pairs, shares):
         answered = []
         for axle, pair in enumerate(pairs):
             self._vented[axle] |= pair == VENTING
+            self._released[axle] |= shares[axle] < ALL
             holds = self._vented[axle] and pair == FILLING
             answered.append(HOLDING if holds else pair)
-        return answered
+        return answered, [NONE if released else ALL for released in self._released]
 
 
 class AlwaysVents(Unit):
@@ -128,9 +143,10 @@ class AlwaysVents(Unit):
         super().__init__(params, axles)
         self._slid = False
 
-    def answer(self, pairs):
-        self._slid |= VENTING in pairs
-        return [VENTING if self._slid else FILLING] * self.axles
+    def answer(self, pairs, shares):
+        self._slid |= acts(pairs, shares)
+        pair, share = (VENTING, NONE) if self._slid else (FILLING, ALL)
+        return [pair] * self.axles, [share] * self.axles
 
 
 class DeadWhenSlow(Unit):
@@ -139,12 +155,16 @@ class DeadWhenSlow(Unit):
     def __init__(self, params, axles):
         super().__init__(params._replace(cut_off_m_s=TWENTY_KM_H), axles)
 
+    def answer(self, pairs, shares):
+        slow = self._unit.state.reference_m_s[0] < TWENTY_KM_H
+        return pairs, [ALL] * self.axles if slow else shares
+
 
 class SwappedAxles(Unit):
     """Its valves are wired to the wrong axles: the first and last of its group are swapped."""
 
-    def answer(self, pairs):
-        return [pairs[-1], *pairs[1:-1], pairs[0]]
+    def answer(self, pairs, shares):
+        return swapped(pairs), swapped(shares)
 
 
 class Oscillating(Unit):
@@ -154,11 +174,12 @@ class Oscillating(Unit):
         super().__init__(params, axles)
         self._cycles = 0
 
-    def answer(self, pairs):
-        if self._cycles or VENTING in pairs:
+    def answer(self, pairs, shares):
+        if self._cycles or acts(pairs, shares):
             self._cycles += 1
         vents = self._cycles and int(self._cycles * CYCLE_S / SWING_S) % 2 == 0
-        return [VENTING if vents else FILLING] * self.axles
+        pair, share = (VENTING, NONE) if vents else (FILLING, ALL)
+        return [pair] * self.axles, [share] * self.axles
 
 
 FLAWED = (
