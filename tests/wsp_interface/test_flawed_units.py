@@ -12,7 +12,7 @@ import json
 import judge_flawed
 import memory_bench
 import pytest
-from flawed_units import FLAWED, Unit
+from flawed_units import FLAWED, DeadWhenSlow, Unit
 from program import rollerrig
 
 from rollerrig.configs import store
@@ -33,6 +33,10 @@ OTHERS = {
 # sequences that do not show every flaw, but the lack of a unit: why
 MILD = {
     "patches_one_side": "between the patches the adhesion suffices",
+}
+# flaws that a sequence cannot show: why
+HARMLESS = {
+    ("air_exhausted_120", DeadWhenSlow): "below 20 km/h the reservoir is too empty to lock a wheel",
 }
 
 
@@ -100,6 +104,8 @@ def test_a_train_without_a_unit_fails(name):
 @pytest.mark.parametrize("name", SEVERE)
 @pytest.mark.parametrize("kind_of_unit", FLAWED, **ids)
 def test_a_flawed_unit_fails(name, kind_of_unit):
+    if (name, kind_of_unit) in HARMLESS:
+        pytest.skip(HARMLESS[name, kind_of_unit])
     outcome = outcome_of(name, kind_of_unit)
     assert outcome.result is Result.FAIL, lines(outcome)
 
