@@ -95,6 +95,7 @@ ROWS = (
     table.number("fill_pulse_shortest_s", 0.01, 0.01, 1.0, _A + ": one cycle"),
     table.number("fill_pulse_s", 0.08, 0.01, 1.0, _A + ": the longest; a quarter of the fill time"),
     table.number("fill_pause_s", 3.0, 0.0, 5.0, _T + ": strokes of the valve"),
+    table.number("refill_pause_s", 1.0, 0.0, 5.0, _T + ": the same, for a wheel that does not slide"),
     table.number("vent_gain_s3_m", 0.014, 0.0, 10.0, _T + ": pulse for each m/s2 too much brake"),
     table.number("vent_pulse_s", 0.03, 0.01, 1.0, _A + ": the shortest; above the valve's dead time"),
     table.number("vent_pulse_longest_s", 0.3, 0.01, 2.0, _A + ": it empties most of a cylinder"),
@@ -109,6 +110,8 @@ ROWS = (
     ),
     table.number("cut_off_m_s", 0.5, 0.3, 10.0, _A + ": no lock worth a flat below; many cut at 1.4"),
 )
+
+FILL_EVENT = int(Event.FILL)  # as the kernels take it
 
 # the parameters as the kernels take them: SI units, unchangeable
 Params = NamedTuple("Params", [(row.name, Any) for row in ROWS])  # type: ignore[misc]
@@ -376,7 +379,11 @@ def act(state, j, event, params):
     # by phase: FILL, STEP_FILL, HOLD, STEP_VENT, VENT, RUN_UP, LOCKED_OUT
     pause = (0.0, params.fill_pause_s, 0.0, params.vent_pause_s, 0.0, 0.0, 0.0)
     phase = int(state.phase[j])
-    over = sensors.passed(state.phase_age[j], state.pulse_s[j] + pause[phase], params)
+    pause_s = pause[phase]
+    if event == FILL_EVENT:
+        # the wheel does not slide any more: adhesion may be back
+        pause_s = min(pause_s, params.refill_pause_s)
+    over = sensors.passed(state.phase_age[j], state.pulse_s[j] + pause_s, params)
     following = NEXT[phase, event]
     may_change = over or INTERRUPTS[phase, event]
     begins_again = following != phase or state.pulse_s[j] > 0.0

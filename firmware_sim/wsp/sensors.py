@@ -4,7 +4,8 @@ A sensor is rejected when its reading is impossible for a wheel that is braked, 
 
     [S1] a jump: from one cycle to the next the speed falls faster than the brake, or rises faster
          than the best rail, can turn a wheel; a lost signal (0 from above 5 m/s) and noise are jumps
-    [S2] frozen: the counts do not change for a time in which those of a trusted axle do
+    [S2] frozen: the counts do not change for a time in which those of two trusted axles do, or of
+         one if there are no more
     [S3] silent: the reading stays 0 although the valve has vented for long
     [S4] disagreement: an axle has vented for long and its speed no longer rises, so it turns with
          the vehicle. No wheel can be faster than that. An axle that is faster is false, or the
@@ -25,6 +26,8 @@ import numpy as np
 from rollerrig.rig.compiled.kernel import kernel
 
 NOBODY = -1
+# votes of the expected speed in [S4]: more than one axle, so that it decides between two and two
+EXPECTATION = 1.5
 
 
 @kernel
@@ -46,8 +49,10 @@ def judge(state, speeds_raw, rims_m_s, params):
     Parameters: `speeds_raw`, counts of this cycle, and `rims_m_s`, the same as circumferential
     speeds in m/s. `state.raw` and `state.speed_m_s` are still those of the last cycle.
     """
+    trusted = 0
     moving = 0  # trusted axles whose counts change
     for j in range(state.axles):
+        trusted += not rejected(state, j)
         moving += not rejected(state, j) and speeds_raw[j] != state.raw[j]
     compare(state, params)
     for j in range(state.axles):
@@ -55,7 +60,7 @@ def judge(state, speeds_raw, rims_m_s, params):
         if changed or speeds_raw[j] == 0:
             # the speed of a locked wheel is constantly zero, and that is plausible
             state.same[j] = 0.0
-        elif moving > 0:
+        elif moving > 0 and moving >= min(2, trusted - 1):
             state.same[j] += 1.0
         # a wheel that vents must run up
         silent = speeds_raw[j] == 0 and passed(state.free_age[j], params.silent_s, params)
@@ -134,21 +139,39 @@ def compare(state, params):
 @kernel
 def accuse(state, j, params):
     """Mark the sensors that must be false if axle j, which runs free, is compared with all."""
-    against = 0
-    witnesses = 0  # axles that run free at the same speed, axle j among them
+    expected_m_s = expected_speed_m_s(state, params)
+    against = 0.0
+    witnesses = 0.0  # axles that run free at the same speed, axle j among them
+    nearest_m_s = np.inf  # of the faster axles to the expected speed
     for k in range(state.axles):
         if rejected(state, k):
             continue
         if far_above(state.speed_m_s[k], state.speed_m_s[j], params):
-            against += 1
+            against += 1.0
+            nearest_m_s = min(nearest_m_s, abs(state.speed_m_s[k] - expected_m_s))
         elif runs_free(state, k, params):
             witnesses += not far_above(state.speed_m_s[j], state.speed_m_s[k], params)
+    if against == 0.0:
+        return
+    if against >= 2.0:
+        # a single faster axle may have raised what is expected
+        if nearest_m_s < abs(state.speed_m_s[j] - expected_m_s):
+            against += EXPECTATION
+        else:
+            witnesses += EXPECTATION
     if against > witnesses:
         state.accused[j] = 1.0
         return
     for k in range(state.axles):
         if not rejected(state, k) and far_above(state.speed_m_s[k], state.speed_m_s[j], params):
             state.accused[k] = 1.0
+
+
+@kernel
+def expected_speed_m_s(state, params):
+    """Return the vehicle speed by the last anchor and the learned deceleration."""
+    elapsed_s = state.anchor_age[0] * params.cycle_s
+    return state.anchor_m_s[0] - state.deceleration_m_s2[0] * elapsed_s
 
 
 @kernel

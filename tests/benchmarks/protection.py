@@ -134,6 +134,7 @@ def unit_of(band: float) -> logic.Params:
         "band_low_fraction": band,
         "band_high_m_s": _NO_LIMIT_M_S,
         "band_high_fraction": UPPER_OVER_LOWER * band,
+        "narrow_share": 1.0,
     }
     return logic.load()._replace(**edges)
 
