@@ -6,12 +6,15 @@ import re
 import shlex
 import subprocess
 import sys
+import tomllib
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 import program
 import pytest
 import written_docs
+import yaml
 from generator import thresholds as generator_thresholds
 from scipy.stats import binomtest
 
@@ -256,3 +259,23 @@ def test_a_benchmark_replaces_its_own_section_of_the_page(tmp_path):
     assert "kept" in text
     assert "| what | us |\n| --- | --- |\n| p50 | 12 |" in text
     assert "    rollerrig bench loop\n" in text
+
+
+def test_the_citation_and_the_changelog_name_the_version_that_is_installed():
+    version = metadata.version("rollerrig")
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == version
+    assert f"## {version}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_the_files_of_the_code_host_are_valid_and_run_what_decides():
+    folder = ROOT / ".github"
+    for file in folder.rglob("*.yml"):
+        assert yaml.safe_load(file.read_text(encoding="utf-8")), file
+    workflow = yaml.safe_load((folder / "workflows" / "ci.yml").read_text(encoding="utf-8"))
+    steps = workflow["jobs"]["run"]["steps"]
+    assert ".ci/run" in [step.get("run") for step in steps]
+    # with the oldest and the newest Python that the package allows
+    assert workflow["jobs"]["run"]["strategy"]["matrix"]["python"] == ["3.11", "3.13"]
+    required = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert required["requires-python"] == ">=3.11,<3.14"
