@@ -28,9 +28,8 @@ from rollerrig.configs.vehicle import (
     kind_of,
 )
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.realtime.bench import adhesion_profile
 from rollerrig.realtime.record import seal
-from rollerrig.rig import dynamic_params
+from rollerrig.rig import adhesion_profile, dynamic_params
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface import signals
 
