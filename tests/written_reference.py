@@ -31,8 +31,8 @@ USES = {
     "very_low": "tests of WSP on very low adhesion; crushed leaves, paper tape",
     "wet_clean": "rain on a clean rail; a WSP hardly acts",
     "wet_design": "wet rail at the design adhesion (0.12 to 0.15), on which a WSP acts",
-    "wet_leaves": "wet leaves; earlier name `leaf_film`. Full-scale tests with leaf layers found 0.05 "
-    "and less (Lewis and others, Tribology International 185, 2023, abstract read)",
+    "wet_leaves": "wet leaves; earlier name `leaf_film`. A full-scale rig found such adhesion on leaf "
+    "layers (Lewis and others, Tribology International 185, 2023, abstract read)",
 }
 SLIPS = (0.02, 0.10, 0.20, 1.0)
 SPEEDS_KM_H = (40, 80, 160)

@@ -28,9 +28,8 @@ from rollerrig.configs.vehicle import (
     kind_of,
 )
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.realtime.bench import adhesion_profile
 from rollerrig.realtime.record import seal
-from rollerrig.rig import dynamic_params
+from rollerrig.rig import adhesion_profile, dynamic_params
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface import signals
 
@@ -55,7 +54,14 @@ HEAD = (
 )
 LOOP = (
     integer("tick_hz", 1000, 100, 10000, "rig control and commands"),
-    number("step_s", 1e-4, 1e-6, 1e-2, "physics; the paper's"),
+    number(
+        "step_s",
+        1e-4,
+        1e-6,
+        1e-2,
+        "physics; the paper's. While wheels adhere, the recorded forces sum up to the vehicle's change "
+        "of momentum within 0.02 % at 1e-4, 0.5 % at 5e-4 and 1.6 % at 1e-3",
+    ),
     integer("record_hz", 100, 1, 10000, "samples of the recording"),
     integer("priority", 80, 0, 99, "SCHED_FIFO; 0: none"),
     integer(

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.bench import adhesion_profile, scenario
+from rollerrig.realtime.bench import scenario
+from rollerrig.rig import adhesion_profile
 from rollerrig.rig.contact import adhesion
 
 LINE = "position_m,adhesion\n0,0.15\n150,0.05\n350,0.15\n"
