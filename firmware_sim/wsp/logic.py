@@ -59,12 +59,12 @@ ROWS = (
     table.number("run_up_first_s", 1.5, 0.0, 60.0, _A),
     table.number("run_up_interval_s", 5.0, 0.5, 60.0, _A),
     table.integer(
-        "run_up_axles", 2, 1, AXLES_OF_GROUP, _A + ": the trailing ones run on cleaner rail"
+        "run_up_axles", 3, 1, AXLES_OF_GROUP, _A + ": one more than sensors may be false at once"
     ),
     table.number("run_up_shortest_s", 0.35, 0.1, 5.0, _A),
     table.number("run_up_longest_s", 4.0, 0.2, 10.0, _A),
     table.number("run_up_done_m_s2", 0.5, 0.0, 5.0, _A),
-    table.number("stuck_s", 0.5, 0.1, 60.0, _A + ": no wheel keeps its speed to a count so long"),
+    table.number("stuck_s", 1.0, 0.1, 60.0, _A + ": no wheel keeps its speed to a count so long"),
     table.number("jump_m_s", 0.1, 0.0, 10.0, _A + ": noise of a good sensor in one cycle"),
     table.number("jump_fall_m_s2", 50.0, 5.0, 1e4, _A + ": a full brake slows a free wheel by 20"),
     table.number("jump_rise_m_s2", 120.0, 5.0, 1e4, _A + ": dry rail turns a locked wheel by 80"),

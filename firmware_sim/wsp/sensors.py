@@ -17,7 +17,7 @@ the other bogie if that one has no sensor either [S6]. If no axle has a sensor, 
 
 Source: physical bounds of a braked wheel; that units substitute the other axle of the bogie is an
 assumption, as is every threshold. Limits: a false reading that a braked wheel could give (a slow
-drift, a gain) is found only when [S4] compares axles; two false sensors that agree outvote a single
+drift, a gain) is found only when [S4] compares axles; three false sensors that agree outvote a single
 true one.
 """
 

@@ -197,11 +197,11 @@ def test_stopped_by_the_master_it_drops_the_magnets_and_is_silent_until_started(
     bench.command(Command.STOP)
     assert bench.heard(MAGNETS)[-1] == (MAGNETS, ALL_OFF)
     bench.send(SYNC)
-    bench.send(SPEEDS, RUNNING)
+    bench.send(SPEEDS, LOCKED)
     frames = bench.heard(HEARTBEAT) + bench.heard(timeout_s=0.05)
     assert set(frames) == {(HEARTBEAT, STOPPED)}
     bench.command(Command.START, node=0)
-    assert ids(bench.cycle())[-2:] == [REFERENCE, MAGNETS]
+    assert ids(bench.cycle(LOCKED))[-2:] == [REFERENCE, MAGNETS]
 
 
 def test_commands_for_other_nodes_leave_it_alone(bench):
