@@ -82,7 +82,9 @@ ROWS = (
     table.number("band_low_fraction", 0.22, 0.0, 0.9, _T),
     table.number("band_high_m_s", 12.5, 0.2, 20.0, _A),
     table.number("band_high_fraction", 0.33, 0.0, 0.9, _T),
-    table.number("narrow_share", 0.35, 0.05, 1.0, _T + ": very low adhesion is largest at 3 to 6 %"),
+    table.number(
+        "narrow_share", 0.35, 0.05, 1.0, _T + ": very low adhesion is largest at 3 to 6 %"
+    ),
     table.number("narrow_below_m_s2", 0.4, 0.0, 5.0, _T + ": very low adhesion gives 0.3"),
     table.number("wide_above_m_s2", 0.7, 0.0, 5.0, _T + ": low adhesion gives 0.7 and more"),
     table.number("deep_factor", 1.5, 1.0, 3.0, _T),
@@ -95,9 +97,13 @@ ROWS = (
     table.number("fill_pulse_shortest_s", 0.01, 0.01, 1.0, _A + ": one cycle"),
     table.number("fill_pulse_s", 0.08, 0.01, 1.0, _A + ": the longest; a quarter of the fill time"),
     table.number("fill_pause_s", 3.0, 0.0, 5.0, _T + ": strokes of the valve"),
-    table.number("refill_pause_s", 1.0, 0.0, 5.0, _T + ": the same, for a wheel that does not slide"),
+    table.number(
+        "refill_pause_s", 1.0, 0.0, 5.0, _T + ": the same, for a wheel that does not slide"
+    ),
     table.number("vent_gain_s3_m", 0.014, 0.0, 10.0, _T + ": pulse for each m/s2 too much brake"),
-    table.number("vent_pulse_s", 0.03, 0.01, 1.0, _A + ": the shortest; above the valve's dead time"),
+    table.number(
+        "vent_pulse_s", 0.03, 0.01, 1.0, _A + ": the shortest; above the valve's dead time"
+    ),
     table.number("vent_pulse_longest_s", 0.3, 0.01, 2.0, _A + ": it empties most of a cylinder"),
     table.number("vent_pause_s", 0.5, 0.0, 5.0, _T),
     table.number("vent_timer_s", 10.0, 0.5, 60.0, _M),
@@ -108,7 +114,9 @@ ROWS = (
         False,
         _A + ": requests sand from node 18 from the first sliding until calm_s after the last",
     ),
-    table.number("cut_off_m_s", 0.5, 0.3, 10.0, _A + ": no lock worth a flat below; many cut at 1.4"),
+    table.number(
+        "cut_off_m_s", 0.5, 0.3, 10.0, _A + ": no lock worth a flat below; many cut at 1.4"
+    ),
 )
 
 FILL_EVENT = int(Event.FILL)  # as the kernels take it
@@ -307,7 +315,7 @@ def above(value, edges):
 
 @kernel
 def band_m_s(state, params):
-    """Return the edges of the slip band; it is narrower where little deceleration was learned [W4]."""
+    """Return the edges of the slip band, which narrows with the learned deceleration [W4]."""
     trusted = 0
     for j in range(state.axles):
         trusted += not sensors.rejected(state, j)
