@@ -315,7 +315,7 @@ def above(value, edges):
 
 @kernel
 def band_m_s(state, params):
-    """Return the edges of the slip band; it is narrower where little deceleration was learned [W4]."""
+    """Return the edges of the slip band, which narrows with the learned deceleration [W4]."""
     trusted = 0
     for j in range(state.axles):
         trusted += not sensors.rejected(state, j)

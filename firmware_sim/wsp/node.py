@@ -11,8 +11,8 @@ In lockstep the unit has no clock. It sends only in reaction to frames, and an a
 last frame, so that the bus log repeats. 0.1 s are counted in SYNCs there.
 
 Missing speeds: the unit repeats the last magnets for `MISSED_MAX` SYNCs. Then all magnets are off
-(the brakes apply) until speeds are back. An EMCY reports rejected speed sensors (code FF01h, axles as
-bits in the first manufacturer byte). The unit starts itself after boot-up, as CiA 302-2 allows
+(the brakes apply) until speeds are back. An EMCY reports rejected speed sensors (code FF01h, axles
+as bits in the first manufacturer byte). The unit starts itself after boot-up, as CiA 302-2 allows
 (1F80h). Source: CiA 301 (NMT, heartbeat, PDO).
 """
 

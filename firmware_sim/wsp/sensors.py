@@ -3,22 +3,25 @@
 A sensor is rejected when its reading is impossible for a wheel that is braked, never driven:
 
     [S1] a jump: from one cycle to the next the speed falls faster than the brake, or rises faster
-         than the best rail, can turn a wheel; a lost signal (0 from above 5 m/s) and noise are jumps
+         than the best rail, can turn a wheel; a lost signal (0 from above 5 m/s) and noise are
+         jumps
     [S2] frozen: the counts do not change for a time in which those of two trusted axles do, or of
          one if there are no more
     [S3] silent: the reading stays 0 although the valve has vented for long
     [S4] disagreement: an axle has vented for long and its speed no longer rises, so it turns with
-         the vehicle. No wheel can be faster than that. An axle that is faster is false, or the
-         released axle is, if more trusted axles speak against it than for it
+         the vehicle. No wheel can be faster than that. So an axle that is faster is false, or
+         the released axle is. The axles of each speed vote. Where two are faster, the speed that
+         the last anchor and the learned deceleration let expect votes too
 
 A rejected sensor is out until its readings have been plausible for a time: none of the above, and
-between the slowest trusted axle and the reference speed [S5]. An axle without a sensor does what the other axle of its bogie does, or an axle of
-the other bogie if that one has no sensor either [S6]. If no axle has a sensor, the brakes apply.
+between the slowest trusted axle and the reference speed [S5]. An axle without a sensor does what
+the other axle of its bogie does, or an axle of the other bogie if that one has no sensor
+either [S6]. If no axle has a sensor, the brakes apply.
 
 Source: physical bounds of a braked wheel; that units substitute the other axle of the bogie is an
 assumption, as is every threshold. Limits: a false reading that a braked wheel could give (a slow
-drift, a gain) is found only when [S4] compares axles; three false sensors that agree outvote a single
-true one.
+drift, a gain) is found only when [S4] compares axles; three false sensors that agree outvote a
+single true one.
 """
 
 import numpy as np
@@ -118,7 +121,7 @@ def among_trusted_axles(state, j, rims_m_s, params):
 
 @kernel
 def runs_free(state, j, params):
-    """Whether axle j has vented for so long, and rises so little, that it turns with the vehicle."""
+    """Whether axle j has vented so long, and rises so little, that it turns with the vehicle."""
     if rejected(state, j) or not passed(state.free_age[j], params.free_s, params):
         return False
     return state.acceleration_m_s2[j] < params.run_up_done_m_s2

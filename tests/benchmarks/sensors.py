@@ -1,9 +1,9 @@
 """`rollerrig bench sensors`: what false speed sensors cost the reference WSP.
 
-The coach brakes from 120 km/h with an emergency demand, on each rail whole and with every set of one
-to three false sensors, for every kind of fault. A row states the distance over that of the whole
-stop, what n unbraked axles of four and 12 % would allow [N1], and the longest lock of an axle with a
-good sensor above `LOCKS_ABOVE_M_S`. `--set` changes a value of all stops.
+The coach brakes from 120 km/h with an emergency demand, on each rail without a fault and with every
+set of one to three false sensors, for every kind of fault. A row states the distance over that of
+the whole stop, what n unbraked axles of four and 12 % would allow [N1], and the longest lock of an
+axle with a good sensor above `LOCKS_ABOVE_M_S`. `--set` changes a value of all stops.
 
     [N1] s / s_whole <= 1.12 * 4 / (4 - n)
 """

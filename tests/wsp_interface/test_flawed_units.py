@@ -34,6 +34,11 @@ OTHERS = {
 MILD = {
     "patches_one_side": "between the patches the adhesion suffices",
 }
+# these judge what a false sensor costs, and a unit with a wide band may bear this well
+MILD |= dict.fromkeys(
+    [name for name in store.names("sequences") if name.startswith("sensor_")],
+    "it judges how a unit bears a false sensor",
+)
 # flaws that a sequence cannot show: why
 HARMLESS = {
     ("air_exhausted_120", DeadWhenSlow): "below 20 km/h the reservoir is too empty to lock a wheel",
