@@ -40,8 +40,15 @@ MILD |= dict.fromkeys(
     "it judges how a unit bears a false sensor",
 )
 # flaws that a sequence cannot show: why
+EMPTY = "below 20 km/h the reservoir is too empty to lock a wheel"
+CLEANED = "below 20 km/h the rail is so clean that this brake locks no wheel"
 HARMLESS = {
-    ("air_exhausted_120", DeadWhenSlow): "below 20 km/h the reservoir is too empty to lock a wheel",
+    ("air_120", DeadWhenSlow): CLEANED,
+    ("air_exhausted_120", DeadWhenSlow): EMPTY,
+    ("air_exhausted_very_low_080", DeadWhenSlow): EMPTY,
+    ("emergency_120_laden", DeadWhenSlow): CLEANED,
+    ("service_160", DeadWhenSlow): CLEANED,
+    ("service_200", DeadWhenSlow): CLEANED,
 }
 
 
