@@ -137,6 +137,7 @@ OPENS = {
     "configs/output_files": "results",
     "configs/unpacking": "archives that are checked",
     "configs/processes/children": "standard streams, logs of own processes",
+    "configs/processes/cores": "the kernel",
     "realtime/standard_streams": "standard streams",
     "rig/params": "the table of parameters",
     "rig/compiled/compile_lock": "a lock in the cache",

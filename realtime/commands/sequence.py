@@ -195,7 +195,7 @@ def _repeated(sequences: "list[Sequence]", times: int) -> "list[Sequence]":
 
 def _spread(outcomes: "list[Outcome]") -> list[dict[str, Any]]:
     """Return each limit with the least, mean and largest value of all repetitions."""
-    by_limit: dict[tuple[str, ...], list[Verdict]] = {}
+    by_limit: dict[tuple[str, str, str, str], list[Verdict]] = {}
     for outcome in outcomes:
         # the name of a repetition is that of the sequence and a number
         name = outcome.sequence.name.rpartition("_")[0]

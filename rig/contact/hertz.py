@@ -25,7 +25,9 @@ NEWTON_STEPS = 6  # 4 are enough for curvature ratios up to 1e200
 LARGEST_RATIO = 1e200  # larger ratios of curvatures count as this: no ellipse is that thin
 
 
-def curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m):
+def curvatures(
+    wheel_radius_m: float, roller_radius_m: float, lateral_radius_m: float
+) -> tuple[float, float]:
     """Return the relative half curvatures (A, B) in 1/m, along and across [H1].
 
     All radii are positive; that of a rail along the rolling direction is infinite.
@@ -33,7 +35,7 @@ def curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m):
     return (0.5 * (1.0 / wheel_radius_m + 1.0 / roller_radius_m), 0.5 / lateral_radius_m)
 
 
-def elliptic_integrals(kappa):
+def elliptic_integrals(kappa: float) -> tuple[float, float]:
     """Return the complete elliptic integrals (K, D) for the complementary modulus 0 < kappa <= 1.
 
     K is the integral of the first kind. D is (K - E) / m with m = 1 - kappa^2 [H2].
@@ -61,7 +63,7 @@ def elliptic_integrals(kappa):
     return K, K * total
 
 
-def axis_ratio(curvature_ratio):
+def axis_ratio(curvature_ratio: float) -> tuple[float, float, float]:
     """Return (kappa, K, D): minor over major semi-axis [H2], and `elliptic_integrals(kappa)`.
 
     `curvature_ratio` is the larger over the smaller curvature, at least 1. Newton's method solves
@@ -91,7 +93,9 @@ def axis_ratio(curvature_ratio):
     return kappa, K, D
 
 
-def semi_axes(A_1_m, B_1_m, load_N, young_Pa, poisson):
+def semi_axes(
+    A_1_m: float, B_1_m: float, load_N: float, young_Pa: float, poisson: float
+) -> tuple[float, float, float, float]:
     """Return size, peak pressure and approach of the patch [H3] [H4].
 
     All four results are 0 unless the load and both curvatures are positive: then there is no
@@ -132,7 +136,7 @@ def semi_axes(A_1_m, B_1_m, load_N, young_Pa, poisson):
     return minor, major, pressure, approach
 
 
-def stiffness(A_1_m, B_1_m, young_Pa, poisson):
+def stiffness(A_1_m: float, B_1_m: float, young_Pa: float, poisson: float) -> float:
     """Return k_h in N m^-1.5 of N = k_h approach^1.5 [H4], paper eq. 5; 0 without curvature.
 
     The arguments are those of `semi_axes`.

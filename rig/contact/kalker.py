@@ -70,8 +70,11 @@ CHORD_END = 0.4
 _C11, _C22, _C23, _C33 = range(4)
 _NU_0, _NU_QUARTER, _NU_HALF = range(3)
 
+# c11, c22, c23 and c33
+Coefficients = tuple[float, float, float, float]
 
-def coefficients(a_over_b, poisson):
+
+def coefficients(a_over_b: float, poisson: float) -> Coefficients:
     """Return Kalker's (c11, c22, c23, c33) of an elliptic patch.
 
     `a_over_b` is the semi-axis along the rolling direction over the one across it. Values beyond
@@ -111,7 +114,7 @@ def coefficients(a_over_b, poisson):
     )
 
 
-def _chord_excess(slimness):
+def _chord_excess(slimness: float) -> float:
     """Return q of [K4] for b/a: 0 at the rows of the table, and outside 0.1 .. 0.4."""
     if not END < slimness < CHORD_END:
         return 0.0
@@ -121,7 +124,7 @@ def _chord_excess(slimness):
     return (slimness - low) * (high - slimness) / (low * high)
 
 
-def _interpolated(place, nu):
+def _interpolated(place: float, nu: float) -> Coefficients:
     """Return the four coefficients at a fractional row `place` of TABLE and a Poisson's ratio."""
     row = min(max(int(place), 0), LAST_ROW - 1)
     share = place - row
@@ -133,7 +136,7 @@ def _interpolated(place, nu):
     )
 
 
-def _coefficient(row, share, nu, column):
+def _coefficient(row: int, share: float, nu: float, column: int) -> float:
     """Return the coefficient of a column of TABLE, `share` of the way from `row` to the next."""
     # at the three tabulated Poisson's ratios [K1]
     low = TABLE[row][_NU_0][column] * (1.0 - share) + TABLE[row + 1][_NU_0][column] * share
@@ -150,7 +153,7 @@ def _coefficient(row, share, nu, column):
     )
 
 
-def _asymptote(g, long_patch, nu):
+def _asymptote(g: float, long_patch: bool, nu: float) -> Coefficients:
     """Return (c11, c22, c23, c33) of a slender patch: Kalker's formulas for g -> 0.
 
     g is min(a/b, b/a). `long_patch` is true for a > b.

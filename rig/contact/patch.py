@@ -112,7 +112,14 @@ def patch_for(
     )
 
 
-def _constants(wheel_radius_m, roller_radius_m, lateral_radius_m, young_Pa, shear_Pa, poisson):
+def _constants(
+    wheel_radius_m: float,
+    roller_radius_m: float,
+    lateral_radius_m: float,
+    young_Pa: float,
+    shear_Pa: float,
+    poisson: float,
+) -> tuple[float, ...]:
     """Return the numbers of Hertz and Kalker for a patch.
 
     They are (a1, b1, k_h, c11, c22, c23, c33, slim, eps1), named as in `Patch`.
