@@ -157,9 +157,12 @@ def packaged_law() -> tuple[str, ...]:
 
 
 def unit_of(plan: scenario.Scenario, found: dict[str, float]) -> logic.Params:
-    """Return the parameters of the reference WSP unit, with the band that was found."""
+    """Return the parameters of the reference WSP unit, with the band that was found.
+
+    The band is not narrowed where little deceleration is learned: what was found is the band.
+    """
     band = {name: value for name, value in found.items() if name.startswith("band_")}
-    return logic.load(plan["wsp_config"])._replace(**band)
+    return logic.load(plan["wsp_config"])._replace(narrow_share=1.0, **band)
 
 
 def rows_of(test: str, found: dict[str, float], *law: str) -> np.ndarray:
