@@ -1,8 +1,8 @@
 """Motors and friction brake together give what is demanded, over whole runs and at every tick.
 
-The sum may exceed the demand only by what the lag of the motors explains: while the friction force
-rises, the motors fall behind it by their time constant. The friction force is that of the cylinder
-pressure, as a brake control unit knows it.
+The sum may exceed the demand only by what the motors still give above their own demands, because
+they follow these with a lag and a limited rate, and by what the friction brake alone gives above
+the demand. The friction force is that of the cylinder pressure, as a brake control unit knows it.
 """
 
 import functools
@@ -61,18 +61,10 @@ class Run:
         self.speed_m_s = channels["vehicle_speed_m_s"]
         self.demand_N = number * (motors["demand_N_Pa"] or self.friction_N_Pa) * above_Pa
         self.friction_N = by_group(self.friction_N_Pa * np.maximum(pressures_Pa - spring_Pa, 0.0))
-        self.motors_N = by_group(of("dynamic_torque", "_Nm") / radius_m)
-        self.time_constant_s = motors["time_constant_s"]
-
-    def followed(self, values):
-        """Return values behind the lag of the motors."""
-        share = -np.expm1(-np.diff(self.time_s) / self.time_constant_s)
-        lagged = np.empty_like(values)
-        lagged[:, 0] = values[:, 0]
-        for row in range(1, values.shape[1]):
-            before = lagged[:, row - 1]
-            lagged[:, row] = before + (values[:, row] - before) * share[row - 1]
-        return lagged
+        torques_Nm = of("dynamic_torque", "_Nm")
+        self.motors_N = by_group(torques_Nm / radius_m)
+        own_demands_Nm = of("dynamic_share", "") * of("dynamic_torque_demand", "_Nm")
+        self.behind_N = by_group(np.maximum(torques_Nm - own_demands_Nm, 0.0) / radius_m)
 
     @property
     def excess_N(self):
@@ -88,8 +80,6 @@ def run_of(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_both_brakes_exceed_the_demand_by_no_more_than_the_lag_of_the_motors(name):
     run = run_of(name)
-    # what the friction brake has gained while the motors followed, and the demand has lost
-    behind_N = run.friction_N - run.followed(run.friction_N)
-    behind_N += run.followed(run.demand_N) - run.demand_N
-    over_N = run.excess_N - np.maximum(behind_N, 0.0)
+    friction_alone_N = np.maximum(run.friction_N - run.demand_N, 0.0)
+    over_N = run.excess_N - run.behind_N - friction_alone_N
     assert over_N.max() <= WITHIN * run.demand_N.max()
