@@ -30,6 +30,10 @@ _SINGULAR = {
 }
 
 
+# earlier names of packaged configurations, by kind: they find the present one
+_EARLIER_NAMES = {"adhesion": {"leaf_film": "wet_leaves", "wet": "wet_clean"}}
+
+
 def names(kind: str) -> list[str]:
     """Return the names of the packaged configurations of a kind (a folder under configs/)."""
     return sorted(path.stem for path in (ROOT / kind).glob("*.toml"))
@@ -46,9 +50,9 @@ def names_of_vehicles(kind: str) -> list[str]:
 def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
     """Return the file of a configuration. Raises ConfigError if there is none.
 
-    `name` is the name of a packaged configuration, or a path: it is a path if it ends in .toml or
-    has a folder. A path is relative to the working directory. If nothing is there, it is relative
-    to the folder of `mentioned_in`, the file that mentions it.
+    `name` is the name of a packaged configuration, or an earlier name of it, or a path: it is a
+    path if it ends in .toml or has a folder. A path is relative to the working directory. If
+    nothing is there, it is relative to the folder of `mentioned_in`, the file that mentions it.
     """
     path = Path(name)
     if path.suffix == ".toml" or len(path.parts) > 1:
@@ -64,7 +68,8 @@ def find(kind: str, name: str, mentioned_in: Path | None = None) -> Path:
             raise ConfigError(f"{name}: no such file; give the path of a TOML file")
         hint = nearest(path.stem, packaged_names, "Packaged")
         raise ConfigError(f"{name}: no such file{hint}; or give the path of a TOML file")
-    for packaged in (ROOT / kind / f"{name}.toml", ROOT / kind / VEHICLES / f"{name}.toml"):
+    present = _EARLIER_NAMES.get(kind, {}).get(name, name)
+    for packaged in (ROOT / kind / f"{present}.toml", ROOT / kind / VEHICLES / f"{present}.toml"):
         if os.path.isfile(packaged):
             return packaged
     raise ConfigError(

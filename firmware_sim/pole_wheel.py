@@ -35,7 +35,8 @@ EDGE_s = 4  # time of the latest pulse
 BEGIN_s = 5  # time of the pulse with which the measurement began; negative: none
 READING = 6  # measured speed in rad/s
 RANDOM = 7  # state of the random generator
-MEMORY = 8  # number of rows
+DRIFTED = 8  # how far a faulty measurement has drifted: measured over true speed, less 1
+MEMORY = 9  # number of rows
 
 SILENCE_S = 0.25  # without a pulse for this long the speed is zero
 # the minimal generator: x' = factor x mod modulus
@@ -95,6 +96,7 @@ def sense(row, memory, sensor, faults):
         speed = reading(row[_SPEED + wheel], wheel, memory, sensor, faults)
         if faulty.value(faults, faulty.NOISE_rad_s, j) != 0.0:
             speed += faulty.value(faults, faulty.NOISE_rad_s, j) * noise(memory, j)
+        speed = drifting(speed, j, memory, sensor, faults)
         deviation = np.hypot(sensor.noise_rad_s, sensor.flat_noise_rad_s_m * row[_FLAT + wheel])
         # a sensor without pulses has no noise
         if deviation > 0.0 and speed > 0.0 and row[_SPEED + wheel] > 0.0:
@@ -115,6 +117,19 @@ def reading(speed, j, memory, sensor, faults):
     if larger != 0.0:
         speed /= 1.0 + larger
     return speed
+
+
+@kernel
+def drifting(speed, j, memory, sensor, faults):
+    """Return the speed that a sensor with a step and a drift in its gain gives for axle j."""
+    step = faulty.value(faults, faulty.STEP, j)
+    rate_per_s = faulty.value(faults, faulty.DRIFT_per_s, j)
+    if step == 0.0 and rate_per_s == 0.0:
+        memory[DRIFTED, j] = 0.0
+        return speed
+    gain = max(0.0, 1.0 + step + memory[DRIFTED, j])
+    memory[DRIFTED, j] += rate_per_s * sensor.tick_s
+    return speed * gain
 
 
 @kernel

@@ -27,7 +27,8 @@ class DynamicBrake(NamedTuple):
     driven: np.ndarray  # bool, (axles,)
     blends_with: np.ndarray  # (axles,): number of the group of axles that blend together
     force_N: float
-    corner_speed_m_s: float
+    brake_corner_speed_m_s: float
+    corner_speed_m_s: float  # of traction
     fade_from_m_s: float
     fade_to_m_s: float
     traction_force_N: float
@@ -87,6 +88,7 @@ def build(
         driven=driven,
         blends_with=np.arange(number) // size,
         force_N=section["force_N"],
+        brake_corner_speed_m_s=brake_corner_speed_m_s(section),
         corner_speed_m_s=section["corner_speed_m_s"],
         fade_from_m_s=section["fade_from_m_s"],
         fade_to_m_s=section["fade_to_m_s"],
@@ -105,6 +107,16 @@ def build(
         traction_start_s=np.array([step["from_s"] for step in traction], dtype=np.float64),
         traction_share=np.array([step["share"] for step in traction], dtype=np.float64),
     )
+
+
+def brake_corner_speed_m_s(section: Mapping[str, Any]) -> float:
+    """Return the speed above which the power of the brake of a motor is constant.
+
+    It is that of traction, if neither a speed nor a power is given for the brake.
+    """
+    if section["brake_power_W"] > 0.0:
+        return float(section["brake_power_W"] / section["force_N"])
+    return float(section["brake_corner_speed_m_s"] or section["corner_speed_m_s"])
 
 
 def rotor_inertias_kgm2(sections: Mapping[str, Mapping[str, Any]]) -> np.ndarray:
@@ -136,6 +148,12 @@ def _check(
         raise ConfigError(
             f"{where} axles = {axles} without a curve; give force_N and corner_speed_m_s, both "
             "above 0, or remove the axles"
+        )
+    if section["brake_corner_speed_m_s"] > 0.0 and section["brake_power_W"] > 0.0:
+        raise ConfigError(
+            f"{where} brake_corner_speed_m_s = {section['brake_corner_speed_m_s']:g} and "
+            f"brake_power_W = {section['brake_power_W']:g}: each gives the curve of the brake; keep "
+            "one of them (the power is force_N times the corner speed)"
         )
     if section["fade_to_m_s"] >= section["fade_from_m_s"]:
         raise ConfigError(

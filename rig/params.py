@@ -493,6 +493,7 @@ def build_rollers(
         "tau_m_J": 0.0,
         "cleaning_creepage": math.inf,
         "cleaning_half_speed_m_s": 0.0,
+        "cleaning_sliding_m_s": math.inf,
     }
     rollers = {
         **sections,

@@ -184,6 +184,7 @@ class State(NamedTuple):
     dynamic_torque: np.ndarray  # N m, of the motor on the wheelset, positive brakes; dynamic_brake
     dynamic_torque_demand: np.ndarray  # N m, before slide control; dynamic_brake
     dynamic_before: np.ndarray  # N m, at the beginning of the step; dynamic_brake
+    dynamic_braking: np.ndarray  # N, that blending has of the motor at its speed; dynamic_brake
     dynamic_credit: np.ndarray  # N, force that blending counts; dynamic_brake
     dynamic_share: np.ndarray  # -, of the force that slide control permits; dynamic_brake
     dynamic_credit_share: np.ndarray  # -, as blending counts it; dynamic_brake
@@ -238,6 +239,7 @@ class State(NamedTuple):
     tau_m_J: np.ndarray
     cleaning_creepage: np.ndarray
     cleaning_half_speed_m_s: np.ndarray
+    cleaning_sliding_m_s: np.ndarray
     # (coach_state.SIZE,) of the multibody model, None for the planar vehicle
     coach: np.ndarray | None = None
 

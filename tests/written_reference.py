@@ -7,6 +7,8 @@ import argparse
 import math
 import re
 
+from paper import large_sliding
+
 from rollerrig.configs import store
 from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
@@ -18,6 +20,22 @@ from rollerrig.realtime.record import run_folder
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import conditions, measures, sequence, verdict
+
+# where each packaged set of adhesion may be used
+USES = {
+    "dry": "dry and clean rail, and the clean limit of the others. It is the recovered curve of the "
+    "paper's Table 4, a contact that is cleaner than rails in service: at 120 km/h it has twice what "
+    "Curtius and Kniffler measured (0.21). No packaged brake reaches either, so stops do not differ",
+    "low": "tests of WSP on low adhesion (0.05 to 0.08)",
+    "soap": "the paper's stops: soap and water, first wheel of a train",
+    "very_low": "tests of WSP on very low adhesion; crushed leaves, paper tape",
+    "wet_clean": "rain on a clean rail; a WSP hardly acts",
+    "wet_design": "wet rail at the design adhesion (0.12 to 0.15), on which a WSP acts",
+    "wet_leaves": "wet leaves; earlier name `leaf_film`. A full-scale rig found such adhesion on leaf "
+    "layers (Lewis and others, Tribology International 185, 2023, abstract read)",
+}
+SLIPS = (0.02, 0.10, 0.20, 1.0)
+SPEEDS_KM_H = (40, 80, 160)
 
 WRITTEN = "`make docs` writes this page from the code."
 # units at the ends of names of keys and signals
@@ -225,6 +243,10 @@ def scenario_keys():
         "",
         *key_table(scenario.FRICTION),
         "",
+        "Instead of `mu_cd` a step can have `profile`, the path of a CSV file with the columns "
+        "`position_m, adhesion`: the initial adhesion of a line by place, with its position 0 at "
+        "`from_m` (default 0) ([how](howto_run.md#play-the-adhesion-of-a-line)).",
+        "",
         "## [[fault]]",
         "",
         "`kind` is a [fault](faults.md), whose parameters are further keys.",
@@ -251,6 +273,8 @@ def adhesion_sets():
         "a dataset without `[adhesion]` has them. With the sets cleaning fades at large sliding "
         "([why](paper.md#adhesion-at-large-sliding)).",
         "",
+        *adhesion_of_wheels(sets),
+        "",
         f"| key | {' | '.join(f'`{name}`' for name in sets)} |",
         "|---" * (len(sets) + 1) + "|",
     ]
@@ -266,6 +290,26 @@ def adhesion_sets():
         "(recollection, to be checked against EN 15595 and UIC 541-05). That of `very_low` is as of "
         "crushed leaves or of the paper tape of UIC 541-05 (recollection).",
     ]
+    return lines
+
+
+def adhesion_of_wheels(sets):
+    """Return the lines of the table of what one wheel gets on each set."""
+    lines = [
+        "What one wheel of the coach gets at a slip of 2, 10, 20 % and locked, each at 40 / 80 / 160 "
+        "km/h, on a rail that no wheel ahead has cleaned. `leaf_film` and `wet` are earlier names of "
+        "`wet_leaves` and `wet_clean` and still work.",
+        "",
+        "| set | 2 % | 10 % | 20 % | locked | use for |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in sets:
+        params = large_sliding.params_of(name)
+        cells = []
+        for slip in SLIPS:
+            at = (large_sliding.wheel(params, slip, v / 3.6)[0] for v in SPEEDS_KM_H)
+            cells.append(" / ".join(f"{f:.3f}" for f in at))
+        lines.append(f"| `{name}` | {' | '.join(cells)} | {USES[name]} |")
     return lines
 
 

@@ -128,22 +128,9 @@ class Diagnosis:
 
     def look(self, sample: Sample) -> None:
         """Take the next sample; report what is new."""
-        if self._ended:
-            return
         before = self._before
-        if before is None:
-            self._before = sample
+        if not self._take(sample) or before is None:
             return
-        if sample.time_s <= before.time_s:
-            return
-        self._before = sample
-        for axle in range(self._kind.axles):
-            if abs(sample.sliding_m_s[axle]) > SLIDES_M_S:
-                self._slid_at_s[axle] = sample.time_s
-            has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
-            fault = sample.faults[axle] if sample.faults else ""
-            if fault or has_not_slid:
-                self._explained_by[axle] = fault
         if sample.speed_m_s < SLOWEST_M_S or self._may_drive(sample):
             self._forget_durations()
             return
@@ -156,6 +143,31 @@ class Diagnosis:
                     self._count_vent(axle, sample)
                 self._compare_with_others(axle, sample, sample.time_s - before.time_s)
         self._look_at_reference(sample)
+
+    def skip(self, sample: Sample) -> None:
+        """Take the next sample without judging it: it only shows which axles have slid."""
+        self._take(sample)
+        self._forget_durations()
+
+    def _take(self, sample: Sample) -> bool:
+        """Remember a sample; return whether it is a new one that follows another."""
+        if self._ended:
+            return False
+        before = self._before
+        if before is None:
+            self._before = sample
+            return False
+        if sample.time_s <= before.time_s:
+            return False
+        self._before = sample
+        for axle in range(self._kind.axles):
+            if abs(sample.sliding_m_s[axle]) > SLIDES_M_S:
+                self._slid_at_s[axle] = sample.time_s
+            has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
+            fault = sample.faults[axle] if sample.faults else ""
+            if fault or has_not_slid:
+                self._explained_by[axle] = fault
+        return True
 
     def _may_drive(self, sample: Sample) -> bool:
         """Return whether motors may drive: the vehicle has motors, and no brake is demanded."""

@@ -54,6 +54,7 @@ _OF_SPEED = (
     "missing_tooth",
     "speed_noise_burst",
     "wheel_diameter_mismatch",
+    "speed_sensor_drift",
 )
 WHEN = (
     number("at_s", 0.0, 0.0, 36000.0, "simulated time at which it begins"),
@@ -366,6 +367,18 @@ CATALOGUE: tuple[Kind, ...] = (
         "the magnets of a bogie do not drop, or rise if they are down",
         (integer("bogie", 1, 1, MOST_AXLES // AXLES_OF_BOGIE, "bogie, from the leading end"),),
         MAGNETIC_TRACK_BRAKE,
+    ),
+    Kind(
+        31,
+        "speed_sensor_drift",
+        TICK,
+        "the measured speed of an axle jumps by a step, and then drifts away from the true speed; "
+        "its pulses are counted as before",
+        (
+            _AXLE,
+            number("step_percent", 0.0, -90.0, 400.0, "jump when the fault begins"),
+            number("rate_percent_s", 2.0, -50.0, 50.0, "drift, in percent of the speed a second"),
+        ),
     ),
 )
 BY_NAME = {kind.name: kind for kind in CATALOGUE}

@@ -39,7 +39,9 @@ SAND_LATE_s = 13  # additional lag of the hose
 SAND_EMPTY = 14  # 1: the box is empty
 MOTOR_LOST = 15  # 1: the traction motor gives no torque
 TRACK_BRAKE_DEAD = 16  # 1: the magnets of the bogie of the axle do not drop
-_KINDS = 17
+STEP = 17  # measured speed over true speed, less 1
+DRIFT_per_s = 18  # growth of this error
+_KINDS = 19
 SIZE = 1 + _KINDS * MOST_AXLES
 
 

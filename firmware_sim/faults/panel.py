@@ -40,6 +40,10 @@ _EFFECTS: dict[str, Callable[[dict[str, Any]], list[tuple[int, int, float]]]] = 
     "wheel_diameter_mismatch": lambda v: [
         (effects.LARGER, v["axle"], v["difference_percent"] / 100.0)
     ],
+    "speed_sensor_drift": lambda v: [
+        (effects.STEP, v["axle"], v["step_percent"] / 100.0),
+        (effects.DRIFT_per_s, v["axle"], v["rate_percent_s"] / 100.0),
+    ],
     "hold_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], HOLD_MAGNET)],
     "hold_magnet_dead": lambda v: [(effects.MAGNETS_OFF, v["axle"], HOLD_MAGNET)],
     "vent_magnet_stuck": lambda v: [(effects.MAGNETS_ON, v["axle"], VENT_MAGNET)],

@@ -11,8 +11,8 @@ In lockstep the unit has no clock. It sends only in reaction to frames, and an a
 last frame, so that the bus log repeats. 0.1 s are counted in SYNCs there.
 
 Missing speeds: the unit repeats the last magnets for `MISSED_MAX` SYNCs. Then all magnets are off
-(the brakes apply) until speeds are back. An EMCY reports a stuck speed sensor (code FF01h, axles as
-bits in the first manufacturer byte). The unit starts itself after boot-up, as CiA 302-2 allows
+(the brakes apply) until speeds are back. An EMCY reports rejected speed sensors (code FF01h, axles
+as bits in the first manufacturer byte). The unit starts itself after boot-up, as CiA 302-2 allows
 (1F80h). Source: CiA 301 (NMT, heartbeat, PDO).
 """
 
@@ -72,7 +72,7 @@ class Wsp(Protocol):
         """Take note that a cycle without speeds has passed."""
 
     def stuck(self) -> int:
-        """The axles whose speed sensors count as stuck; bit 0 is the leading axle."""
+        """The axles whose speed sensors the unit rejects; bit 0 is the leading axle."""
 
     def sand(self) -> bool:
         """Whether the sanders should be on."""
@@ -215,7 +215,7 @@ class Unit:
     def _boot(self) -> None:
         """Reset, boot-up message, then OPERATIONAL without waiting for a master."""
         self._wsp.begin()
-        self._stuck = 0  # axles with a stuck sensor, as bits
+        self._stuck = 0  # axles with a rejected sensor, as bits
         self._magnets = ALL_OFF
         self._missed = 0  # SYNCs without speeds
         self._syncs = 0
@@ -284,13 +284,13 @@ class Unit:
         self._answer()
 
     def _report_stuck(self, axles: int) -> None:
-        """Send an EMCY when the stuck sensors change; one without error when none is stuck any
+        """Send an EMCY when the rejected sensors change; one without error when none is any
         more.
         """
         if axles == self._stuck:
             return
         self._stuck = axles
-        log.info("WSP unit: stuck speed sensors, by axle: %s", f"{axles:04b}"[::-1])
+        log.info("WSP unit: rejected speed sensors, by axle: %s", f"{axles:04b}"[::-1])
         error_code = SENSOR_STUCK if axles else 0
         error_register = rig.GENERIC_ERROR if axles else 0
         self._send(

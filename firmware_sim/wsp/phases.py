@@ -34,8 +34,7 @@ class Event(IntEnum):
     """Events of an axle.
 
     The first five are wishes; each has the number of the phase that it requests. RUN_UP, TIMER and
-    CUT_OFF replace a wish, and a higher number replaces a lower one. There is one exception: the
-    VENT of an axle with a stuck speed sensor replaces RUN_UP (`logic.event_of`).
+    CUT_OFF replace a wish, and a higher number replaces a lower one.
     """
 
     FILL = 0

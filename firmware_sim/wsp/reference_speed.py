@@ -7,6 +7,7 @@ learns the deceleration from the loss of speed since the last anchor. Source and
 `logic`.
 """
 
+from rollerrig.firmware_sim.wsp import sensors
 from rollerrig.firmware_sim.wsp.phases import Phase
 from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.wsp_interface import signals
@@ -16,49 +17,29 @@ NOBODY = -1.0
 
 
 @kernel
-def passed(cycles, duration_s, params):
-    """Whether a number of cycles has lasted the duration; half a cycle allows for rounding."""
-    return (cycles + 0.5) * params.cycle_s >= duration_s
-
-
-@kernel
 def measure(state, speeds_raw, params):
-    """Compute circumferential speeds in m/s and their filtered slopes in m/s2 from the counts."""
+    """Compute circumferential speeds in m/s and their filtered slopes in m/s2 from the counts.
+
+    An axle whose sensor is rejected has the speed of the axle that it follows.
+    """
+    rims_m_s = state.measured_m_s
     for j in range(state.axles):
-        v = abs(speeds_raw[j]) * SPEED_SCALE_RAD_S * 0.5 * params.wheel_diameter_m[j]
+        rims_m_s[j] = abs(speeds_raw[j]) * SPEED_SCALE_RAD_S * 0.5 * params.wheel_diameter_m[j]
         if state.cycles[0] == 0.0:
-            state.lagged_m_s[j] = v
+            state.lagged_m_s[j] = rims_m_s[j]
+    sensors.judge(state, speeds_raw, rims_m_s, params)
+    for j in range(state.axles):
+        v = rims_m_s[j]
         state.speed_m_s[j] = v
         state.acceleration_m_s2[j] = (v - state.lagged_m_s[j]) / params.acceleration_filter_s
         state.lagged_m_s[j] += state.acceleration_m_s2[j] * params.cycle_s  # [W3]
+    for j in range(state.axles):
+        source = sensors.followed(state, j) if sensors.rejected(state, j) else j
+        if source >= 0:
+            state.speed_m_s[j] = state.speed_m_s[source]  # [S6]
+            state.acceleration_m_s2[j] = state.acceleration_m_s2[source]
         falls = state.acceleration_m_s2[j] < -params.fall_m_s2
         state.falling[j] = state.falling[j] + 1.0 if falls else 0.0
-    doubt(state, speeds_raw)
-    for j in range(state.axles):
-        if implausible(state, j, params) and not implausible(state, j ^ 1, params):
-            state.speed_m_s[j] = state.speed_m_s[j ^ 1]  # [W6]
-            state.acceleration_m_s2[j] = state.acceleration_m_s2[j ^ 1]
-
-
-@kernel
-def doubt(state, speeds_raw):
-    """Count the cycles in which only the counts of other axles have changed [W6]."""
-    changed = 0
-    for j in range(state.axles):
-        changed += speeds_raw[j] != state.raw[j]
-    for j in range(state.axles):
-        if speeds_raw[j] != state.raw[j] or speeds_raw[j] == 0:
-            # the speed of a locked wheel is constantly zero, and that is plausible
-            state.same[j] = 0.0
-        elif changed > 1:
-            state.same[j] += 1.0
-        state.raw[j] = speeds_raw[j]
-
-
-@kernel
-def implausible(state, j, params):
-    """Whether the speed sensor of axle j must be stuck [W6]."""
-    return passed(state.same[j], params.stuck_s, params)
 
 
 @kernel
@@ -67,7 +48,7 @@ def protecting(state, params):
     busy = 0
     for j in range(state.axles):
         busy += int(state.phase[j]) != Phase.FILL
-        busy += passed(state.falling[j], params.confirm_s, params)
+        busy += sensors.passed(state.falling[j], params.confirm_s, params)
     return busy > 0
 
 
@@ -76,7 +57,7 @@ def advance(state, params):
     """Advance the reference speed by a cycle."""
     fastest = 0.0
     for j in range(state.axles):
-        if not implausible(state, j, params):
+        if not sensors.rejected(state, j):
             fastest = max(fastest, state.speed_m_s[j])
     if state.cycles[0] == 0.0:
         state.reference_m_s[0] = fastest
@@ -94,7 +75,7 @@ def advance(state, params):
     state.anchor_age[0] += 1.0
     state.calm[0] = 0.0 if sliding else state.calm[0] + 1.0
     # when no axle has slid for a while, the reference itself is an anchor
-    if passed(state.calm[0], params.calm_s, params):
+    if sensors.passed(state.calm[0], params.calm_s, params):
         state.anchor_m_s[0] = state.reference_m_s[0]
         state.anchor_age[0] = 0.0
         state.run_ups[0] = 0.0
@@ -108,13 +89,29 @@ def choose_runner(state, params):
         return
     first = state.run_ups[0] == 0.0
     wait_s = params.run_up_first_s if first else params.run_up_interval_s
-    if state.runner[0] != NOBODY and implausible(state, int(state.runner[0]), params):
+    if state.runner[0] != NOBODY and sensors.rejected(state, int(state.runner[0])):
         state.runner[0] = NOBODY
-    if state.runner[0] == NOBODY and passed(state.anchor_age[0], wait_s, params):
-        chosen = state.axles - 1 - int(state.run_ups[0]) % min(params.run_up_axles, state.axles)
-        if not implausible(state, chosen, params):
-            state.runner[0] = chosen
+    if state.runner[0] == NOBODY and sensors.passed(state.anchor_age[0], wait_s, params):
+        state.runner[0] = trailing(state, int(state.run_ups[0]), params)
         state.run_ups[0] += 1.0
+
+
+@kernel
+def trailing(state, turn, params):
+    """Return the axle that runs up in this turn, of the trailing axles with a trusted sensor."""
+    trusted = 0
+    for j in range(state.axles):
+        trusted += not sensors.rejected(state, j)
+    if trusted == 0:
+        return NOBODY
+    skip = turn % min(params.run_up_axles, trusted)
+    for j in range(state.axles - 1, -1, -1):
+        if sensors.rejected(state, j):
+            continue
+        if skip == 0:
+            return float(j)
+        skip -= 1
+    return NOBODY
 
 
 @kernel
@@ -124,11 +121,11 @@ def finish_run_up(state, params):
     if j < 0 or int(state.phase[j]) != Phase.RUN_UP:
         return
     age = state.phase_age[j]
-    long_enough = passed(age, params.run_up_shortest_s, params)
+    long_enough = sensors.passed(age, params.run_up_shortest_s, params)
     rises = state.acceleration_m_s2[j] >= params.run_up_done_m_s2
     if long_enough and not rises:
         anchor(state, state.speed_m_s[j], params)
-    elif passed(age, params.run_up_longest_s, params):
+    elif sensors.passed(age, params.run_up_longest_s, params):
         # the reference itself is the next anchor, and nothing is learned
         state.anchor_m_s[0] = state.reference_m_s[0]
         state.anchor_age[0] = 0.0

@@ -29,7 +29,7 @@ from rollerrig.configs.vehicle import (
 )
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import seal
-from rollerrig.rig import dynamic_params
+from rollerrig.rig import adhesion_profile, dynamic_params
 from rollerrig.rig import params as physics
 from rollerrig.wsp_interface import signals
 
@@ -54,7 +54,14 @@ HEAD = (
 )
 LOOP = (
     integer("tick_hz", 1000, 100, 10000, "rig control and commands"),
-    number("step_s", 1e-4, 1e-6, 1e-2, "physics; the paper's"),
+    number(
+        "step_s",
+        1e-4,
+        1e-6,
+        1e-2,
+        "physics; the paper's. While wheels adhere, the recorded forces sum up to the vehicle's change "
+        "of momentum within 0.02 % at 1e-4, 0.5 % at 5e-4 and 1.6 % at 1e-3",
+    ),
     integer("record_hz", 100, 1, 10000, "samples of the recording"),
     integer("priority", 80, 0, 99, "SCHED_FIFO; 0: none"),
     integer(
@@ -282,7 +289,10 @@ def resolve(name: str, head: dict[str, Any], layers: list[Layer]) -> Scenario:
     steps, demand = _demand(merged.demand, merged.programme_from)
     traction = _steps(TRACTION, merged.traction, f"{merged.programme_from} [[traction]]")
     friction, friction_rows = _friction(
-        merged.friction, checked["adhesion"], merged.programme_from, merged.kind.axles
+        _with_profiles(merged.friction, checked, merged.programme_from),
+        checked["adhesion"],
+        merged.programme_from,
+        merged.kind.axles,
     )
     resolved = {
         **merged.head,
@@ -559,6 +569,27 @@ def _check_blending(
         largest_Pa=max(pressures) * params.brake.weighed_share,
         limit_Pa=checked["dynamic_brake"]["friction_pressure_Pa"],
     )
+
+
+def _with_profiles(
+    rows: list[dict[str, Any]], checked: Mapping[str, Any], where: str
+) -> list[dict[str, Any]]:
+    """Return steps of friction in which each profile has become its steps. Raises ConfigError."""
+    result: list[dict[str, Any]] = []
+    for place, row in enumerate(rows, start=1):
+        if "profile" not in row:
+            result.append(row)
+            continue
+        at = f"{where} [[friction]] {place}"
+        given = dict(row)
+        profile = given.pop("profile")
+        axles = {"axles": given.pop("axles")} if "axles" in given else {}
+        table.known(given, ["from_m"], lambda key, at=at: f"{at}: beside profile")
+        start = [key for key in FRICTION if key.name in given]
+        start_m = table.read(start, given, at).get("from_m", 0.0)
+        for step in adhesion_profile.steps(profile, start_m, checked, at, where):
+            result.append({**step, **axles})
+    return result
 
 
 def _friction(

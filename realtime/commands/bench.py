@@ -56,6 +56,9 @@ BENCHMARKS = {
     "protection": _in_clone(
         "benchmarks.protection", "stops without WSP and at many slip bands, on low adhesion"
     ),
+    "sensors": _in_clone(
+        "benchmarks.sensors", "stops with one to three false speed sensors, by fault and rail"
+    ),
     "discover": _in_clone(
         "benchmarks.discover", "how often discover solves a sealed rig (minutes per rig)"
     ),
@@ -183,7 +186,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help="loop, hunting, protection: change one value of the scenario, as in loop.priority=0",
+        help="loop, hunting, protection, sensors: change one value of the scenario, as in loop.priority=0",
     )
     parser.add_argument(
         "--png", type=Path, metavar="FILE", help="protection: also draw the figures"

@@ -28,7 +28,6 @@ from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
-from rollerrig.configs.processes.cores import allowed as allowed_cores
 from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.commands import output, wsp
 
@@ -364,7 +363,7 @@ def port(number: int) -> Finding:
 
 def cores() -> Finding:
     """Check for two cores: one for the real-time thread, one for bus, recorder and unit."""
-    count = allowed_cores()
+    count = len(os.sched_getaffinity(0))
     found = f"{count} available"
     isolated = _ISOLATED_CORES_FILE.read_text().strip() if _ISOLATED_CORES_FILE.is_file() else ""
     if isolated:

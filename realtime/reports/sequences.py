@@ -159,6 +159,8 @@ def _verdict_data(verdict: Verdict) -> dict[str, Any]:
     data = dataclasses.asdict(verdict)
     data["value"] = finite(verdict.value)
     data["margin"] = finite(verdict.margin)
+    data["above_m_s"] = finite(verdict.above_m_s)
+    data["below_m_s"] = finite(verdict.below_m_s)
     return data
 
 
@@ -380,7 +382,7 @@ def _summary(outcome: Outcome, out: Path) -> list[str]:
     if known:
         least = min(known, key=lambda verdict: verdict.margin)
         least_margin = _margin(least)
-        least_margin_of = _worded(least.what)
+        least_margin_of = _worded(least)
 
     # an error may have left a record that is not complete
     found = {} if outcome.result is Result.ERROR else figures(outcome)
@@ -480,7 +482,7 @@ def _brakes(outcome: Outcome) -> list[Markup]:
 def _verdict_row(verdict: Verdict) -> tuple[str, ...]:
     measure = element(
         "span",
-        element("b", _worded(verdict.what)),
+        element("b", _worded(verdict)),
         page.BREAK,
         element("small", verdict.text),
     )
@@ -527,9 +529,9 @@ def _commanded_faults(outcome: Outcome) -> list[stop.Mark]:
     return found
 
 
-def _worded(what: str) -> str:
-    """Return the name of a measure, or of a step, as words."""
-    words = what.replace("_", " ") if what in measures.BY_NAME else what
+def _worded(verdict: Verdict) -> str:
+    """Return the measure with its bounds of speed, or the name of a step, as words."""
+    words = verdict.what.replace("_", " ") if verdict.measure else verdict.what
     return words[:1].upper() + words[1:]
 
 

@@ -28,7 +28,7 @@ from rollerrig.realtime.reports.friction_changes import AnyEvent
 from rollerrig.realtime.reports.page import Markup
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import measures
-from rollerrig.wsp_interface.sequences.measures import Record
+from rollerrig.wsp_interface.sequences.record import Record
 
 # a recorded signal by name
 Column = Callable[[str], np.ndarray]

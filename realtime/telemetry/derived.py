@@ -17,6 +17,7 @@ from rollerrig.realtime.record import played, validity
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.events import INFO, Code, Event
 from rollerrig.wsp_interface.sequences import measures
+from rollerrig.wsp_interface.sequences.record import Record
 from rollerrig.wsp_interface.signals import Table
 
 # m/s. Below this speed a percentage of the speed means nothing.
@@ -109,7 +110,7 @@ def _control_limit_curves(scenario: Mapping[str, Any]) -> list[Curve]:
 
 def _demanded_deceleration_curves(scenario: Mapping[str, Any]) -> list[Curve]:
     """Return the curve of the demanded deceleration; none if the scenario has no complete brake."""
-    record = measures.Record({}, (), {}, scenario)
+    record = Record({}, (), {}, scenario)
     try:
         measures.demanded_m_s2(record, 0.0, 0.0)
     except (KeyError, ZeroDivisionError):
@@ -149,7 +150,7 @@ def _limits_percent(rows: np.ndarray, limits: tuple[_ControlLimit, ...]) -> np.n
     return np.column_stack(percent)
 
 
-def _demanded_m_s2(rows: np.ndarray, record: measures.Record) -> np.ndarray:
+def _demanded_m_s2(rows: np.ndarray, record: Record) -> np.ndarray:
     pressure = rows[:, signals.column("brake_demand")]
     speed = rows[:, signals.column("vehicle_speed")]
     demanded = np.where(speed > 0.0, measures.demanded_m_s2(record, pressure, speed), 0.0)

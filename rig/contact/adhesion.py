@@ -14,15 +14,15 @@ lanes and the replay of measured runs all use this law.
 [A4] f_d, f_r: `polach` with (mu_cd, A_d, gamma_d), (mu_cr, A_r, gamma_r)   paper eqs. 11 to 13
 [A5] with D = f_r - f_d and k = tau N |e|:  f = f_r - D exp(-k f), paper eq. 15, solved by
      f = f_r + W0(-k D exp(-k f_r)) / k
-[A6] tau |e| -> tau |e| (1 - x^2 (3 - 2 x)), x = (|s / v| - e_v) / e_v, from 0 to 1, with
-     e_v = e_c v / (v + v_h): up to a creepage e_v this is the paper's law, to the bit; from 2 e_v
-     on nothing is cleaned. The paper's law alone gives a locked wheel the whole recovered adhesion
-     (0.26 on soap at 40 m/s), but it was validated only where a WSP held the sliding at 4 to 6 m/s.
-     On a rail a locked wheel keeps the low adhesion: a turning tread carries the loosened
-     contaminant out of the contact, a locked one leaves it there. At low speed the contaminant has
-     more time to flow back, so the limit falls there; v_h is the speed at which it is e_c / 2.
-     Form, reason, e_c and v_h: assumption (docs/paper.md has the evidence for it). e_c of 1 or
-     more, the default, is the paper's law throughout
+[A6] tau |e| -> tau |e| (1 - x^2 (3 - 2 x)), x = (|s / v| - e_v) / (1 - e_c), from 0 to 1, with
+     1 / e_v = 1 / e_c + v / s_c, and e_v times v / (v + v_h). Up to a creepage e_v this is the
+     paper's law, to the bit; beyond it cleaning fades, and a locked wheel cleans nothing. e_c
+     limits the creepage: a turning tread carries the loosened contaminant out of the contact, a
+     locked one leaves it there. s_c limits the sliding speed, which matters at high speed: where
+     the paper's law was validated, a WSP held it at 4 to 6 m/s. Without a limit a locked wheel on
+     soap has the whole recovered adhesion, 0.26 at 40 m/s. v_h, 0 in the packaged sets, lowers the
+     limit at low speed, where the paper's data do not decide. Form and numbers: assumption
+     (docs/paper.md has the evidence). e_c of 1 or more, the default, is the paper's law throughout
 [A7] d lambda/dx = (lambda_0 - lambda) / (L (v / 20 m/s)^p), where an extended model gives recovery
      a memory L. lambda_0 is the transition of [A2], either for the work that [A5] has done or for
      the work that the f of the remembered lambda does: assumption
@@ -76,6 +76,7 @@ class Law(NamedTuple):
     tau_m_J: float  # recovery for each J/m of specific work
     cleaning_creepage: float = math.inf  # e_c of [A6]
     cleaning_half_speed_m_s: float = 0.0  # v_h of [A6]
+    cleaning_sliding_m_s: float = math.inf  # s_c of [A6]
 
 
 @kernel_inlined
@@ -111,18 +112,17 @@ def cleaning_share(sliding_m_s, speed_m_s, law):
 
     Returns
     -------
-    share : 1 up to the creepage e_v, 0 from 2 e_v (or a locked wheel) on
+    share : 1 up to the creepage e_v, 0 for a locked wheel
     slope_s_m : d share / d sliding, in s/m, not above 0
     """
-    speed = max(abs(speed_m_s), STILL_M_S)
+    speed = min(max(abs(speed_m_s), STILL_M_S), LARGEST)
     fades = law.cleaning_creepage < 1.0
-    limit = law.cleaning_creepage * (speed / (speed + law.cleaning_half_speed_m_s))  # e_v
+    creepage = law.cleaning_creepage if fades else 0.5
+    begin = creepage / (1.0 + creepage * speed / law.cleaning_sliding_m_s)
+    begin *= speed / (speed + law.cleaning_half_speed_m_s)  # e_v
+    range_m_s = (1.0 - creepage) * speed if fades else math.inf
 
-    # sliding at which the fading begins, and the sliding from there to where nothing is cleaned
-    begin_m_s = limit * speed if fades else math.inf
-    range_m_s = min(limit, 1.0 - limit) * speed if fades else 1.0
-
-    x = min(max(sliding_m_s - begin_m_s, 0.0) / range_m_s, 1.0)
+    x = min(max(sliding_m_s - begin * speed, 0.0) / range_m_s, 1.0)
     return 1.0 - x * x * (3.0 - 2.0 * x), -6.0 * x * (1.0 - x) / range_m_s
 
 

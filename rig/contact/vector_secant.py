@@ -30,8 +30,8 @@ _LARGEST_STEP = 1e-3
 # The largest step times the curvature of g, over its slope g1. The error of a step is about the
 # step times the cube of this: with both limits it is below 1e-10. Near a double root g1 is small.
 _LARGEST_TURN = 0.003
-# a divisor in [D1] that must not be 0, m2/s2
-_LEAST_RANGE = 1e-30
+# a sliding speed that stands for infinity and can still be multiplied
+_NEVER_M_S = 1e18
 
 
 @kernel_inlined
@@ -57,14 +57,15 @@ def frictions(size_m_s, surface_m_s, load_N, eps1, decay_d, decay_r, law):
     u = load_N * _PER_LOAD_N
     speed = max(abs(surface_m_s), SPEED_FLOOR_M_S)
 
-    # numerator and denominator of x in [A6], both times (v + v_h) v
+    # numerator and denominator of x in [A6], both times (v + v_h) (s_c + e_c v) v
     slow = max(abs(surface_m_s), STILL_M_S)
     fades = law.cleaning_creepage < 1.0
     creepage = law.cleaning_creepage if fades else 0.5
+    most = min(law.cleaning_sliding_m_s, _NEVER_M_S)
     begin = creepage * slow
-    reach = slow + law.cleaning_half_speed_m_s
-    fading_range = max(min(begin, reach - begin) * slow, _LEAST_RANGE)
-    faded = size_m_s * reach - begin * slow
+    reach = (slow + law.cleaning_half_speed_m_s) * (most + begin)
+    fading_range = (slow - begin) * reach
+    faded = size_m_s * reach - begin * slow * most
 
     # 1 / speed, 1 / (1 + 2 u), 1 / size, 1 / fading_range [D1]
     light = 1.0 + 2.0 * u

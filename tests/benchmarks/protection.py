@@ -5,7 +5,7 @@ WSP, and with the reference WSP at other slip bands. A slip band is the range of
 the unit lets wheels slide. More sliding cleans the rail more, until too much of it locks the wheel,
 so the best band lies between. The steady curve of adhesion over creepage shows why: adhesion is
 largest at some creepage, and a locked wheel has no more than the initial adhesion. `--png` draws
-both. `--set` changes a value of all stops, as in `--set adhesion.cleaning_half_speed_m_s=0`.
+both. `--set` changes a value of all stops, as in `--set adhesion.cleaning_sliding_m_s=6`.
 """
 
 import argparse
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # packaged sets of [adhesion] on which wheels slide under an emergency demand, and the others
-LOW_SETS = ("soap", "low", "very_low", "leaf_film")
-OTHER_SETS = ("dry", "wet")
+LOW_SETS = ("soap", "low", "very_low", "wet_leaves")
+OTHER_SETS = ("dry", "wet_clean", "wet_design")
 SPEEDS_KM_H = (80, 120, 160)
 # lower edges of the slip bands, as shares of the reference speed, and the upper edge of each
 BANDS = (0.02, 0.03, 0.05, 0.08, 0.12, 0.16, 0.20, 0.25, 0.30, 0.40)
@@ -134,6 +134,7 @@ def unit_of(band: float) -> logic.Params:
         "band_low_fraction": band,
         "band_high_m_s": _NO_LIMIT_M_S,
         "band_high_fraction": UPPER_OVER_LOWER * band,
+        "narrow_share": 1.0,
     }
     return logic.load()._replace(**edges)
 
@@ -270,7 +271,7 @@ def _draw(found: Cases, settings: Sequence[str]) -> "Figure":
 
     figure = Figure(figsize=(11.0, 4.2), layout="constrained")
     curves, stops = figure.subplots(1, 2)
-    shown = dict(zip(LOW_SETS, map(colours.as_hex, colours.AXLES), strict=True))
+    shown = dict(zip(LOW_SETS, map(colours.as_hex, colours.AXLES), strict=False))
 
     for name in ("soap", "low"):
         for speed, style in ((10.0, ":"), (30.0, "-"), (50.0, "--")):

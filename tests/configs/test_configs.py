@@ -58,7 +58,10 @@ TABLE_5_M_S = {
 
 def test_the_promised_scenarios_and_sets_are_packaged():
     assert set(SCENARIOS) >= PROMISED
-    assert set(store.names("adhesion")) >= {"dry", "wet", "soap", "leaf_film"}
+    assert set(store.names("adhesion")) >= {"dry", "wet_clean", "soap", "wet_leaves"}
+    # earlier names
+    assert store.find("adhesion", "wet") == store.find("adhesion", "wet_clean")
+    assert store.find("adhesion", "leaf_film") == store.find("adhesion", "wet_leaves")
     assert store.names("vehicles")
     assert store.names("rigs")
     for name, speed_m_s in TABLE_5_M_S.items():

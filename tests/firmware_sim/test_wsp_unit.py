@@ -60,6 +60,11 @@ RUNNING = speeds(67.4, 67.4, 67.4, 67.4)
 LOCKED = speeds(0.0, 67.4, 67.4, 67.4)
 
 
+def locking(cycle):
+    """Return the speeds in a cycle after a wheel began to lock at 40 m/s2, until it stands."""
+    return speeds(max(0.0, 67.4 - 0.9 * cycle), 67.4, 67.4, 67.4)
+
+
 class Bench:
     """The other end of a virtual bus, and the unit in a separate thread."""
 
@@ -192,11 +197,11 @@ def test_stopped_by_the_master_it_drops_the_magnets_and_is_silent_until_started(
     bench.command(Command.STOP)
     assert bench.heard(MAGNETS)[-1] == (MAGNETS, ALL_OFF)
     bench.send(SYNC)
-    bench.send(SPEEDS, RUNNING)
+    bench.send(SPEEDS, LOCKED)
     frames = bench.heard(HEARTBEAT) + bench.heard(timeout_s=0.05)
     assert set(frames) == {(HEARTBEAT, STOPPED)}
     bench.command(Command.START, node=0)
-    assert ids(bench.cycle())[-2:] == [REFERENCE, MAGNETS]
+    assert ids(bench.cycle(LOCKED))[-2:] == [REFERENCE, MAGNETS]
 
 
 def test_commands_for_other_nodes_leave_it_alone(bench):
@@ -345,12 +350,10 @@ class LockstepBench:
             await asyncio.wait_for(self.heard.wait(), 60.0)
 
     async def cycles(self, count):
-        """Run SYNC cycles that wait for the answer; a wheel is locked in the second half."""
+        """Run SYNC cycles that wait for the answer; a wheel locks in the second half."""
         for i in range(count):
             self.rig.send(Frame(SYNC, b""))
-            data = RUNNING
-            if i > count // 2:
-                data = LOCKED
+            data = locking(max(0, i - count // 2))
             self.rig.send(Frame(SPEEDS, data))
             self.rig.send(Frame(PRESSURES, bytes(8)))
             while ids(self.frames).count(MAGNETS) <= i:
@@ -453,7 +456,7 @@ def test_a_terminated_unit_leaves_the_magnets_off_and_status_zero(lockstep, requ
 
 
 def sand_commands(sand):
-    """Return the sand commands of a unit with this setting while wheels run, lock and run."""
+    """Return the sand commands of a unit with this setting while wheels run, slide and run."""
     bus = can.Bus(interface="virtual", channel=f"sand{next(CHANNELS)}")
     params = logic.load()._replace(sand=sand)
     reference = wsp_unit.Reference(params, FRAMES, dynamic_brake=False)
@@ -462,7 +465,8 @@ def sand_commands(sand):
 
     sent = []
     unit._send = lambda can_id, data: sent.append((can_id, data))
-    for payload in [RUNNING] * 20 + [LOCKED] * 5 + [RUNNING] * 250:
+    slides = [locking(cycle) for cycle in (*range(12), *range(12, 0, -1))]
+    for payload in [RUNNING] * 20 + slides + [RUNNING] * 250:
         unit._handlers[SYNC](can.Message(arbitration_id=SYNC))
         unit._handlers[SPEEDS](can.Message(arbitration_id=SPEEDS, data=payload))
     bus.shutdown()

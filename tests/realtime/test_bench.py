@@ -42,7 +42,7 @@ def test_with_wsp_on_soap_no_axle_locks_longer_than_0_4_s(stop_with_wsp):
     assert stop_with_wsp.result["stopped"]
     axles = stop_with_wsp.result["axles"]
     assert max(axle["longest_lock_s"] for axle in axles) <= 0.4
-    assert sum(axle["vents"] for axle in axles) > 10
+    assert sum(axle["vents"] for axle in axles) > 3
 
 
 def test_without_wsp_on_leaves_every_wheelset_locks(stop_without_wsp):

@@ -174,7 +174,8 @@ def test_swapped_axles_are_found_and_named():
     one, found = diagnosed(free.simulate(plan))
     swaps = [fields for code, fields in found if code == Code.WSP_AXLES_SWAPPED]
     assert [(swap["axle"], swap["other"]) for swap in swaps] == [(1, 2)]
-    assert one.wrong_axle_s > 10.0
+    # the unit soon rejects a sensor that its own valve does not move
+    assert one.wrong_axle_s > 3.0
 
 
 @pytest.mark.parametrize(
@@ -248,11 +249,9 @@ def recorded_with(faults, folder):
 def test_what_a_known_fault_explains_is_not_diagnosed_as_wiring_or_diameters(tmp_path):
     events, without_the_faults = recorded_with(FAULTS_OF_AXLES, tmp_path / "run")
     # an observer who does not know the faults finds wrong causes
-    assert Code.WSP_REFERENCE_DRIFTS in codes(without_the_faults)
-    assert [event.code for event in events] == [Code.WSP_REFERENCE_DRIFTS_IN_FAULT]
-    assert events[0].fields["fault"] == "speed_sensor_dropout axle=3"
-    assert "speed_sensor_dropout axle=3" in events[0].text
-    assert "diameter" not in events[0].text
+    assert Code.WSP_VENTS_ON in codes(without_the_faults)
+    assert Code.WSP_VENTS_WITHOUT_SLIDING in codes(without_the_faults)
+    assert not events
 
 
 def test_a_fault_explains_its_axle_until_the_axle_no_longer_slides():
@@ -314,7 +313,8 @@ def test_the_events_of_a_sealed_rig_do_not_show_its_swapped_axles(tmp_path):
     assert [event for event in run.events if event.code in WSP_CODES] == []
     # the axles are swapped all the same
     one, _ = diagnosed(records.rows(run.table, run.signal_table))
-    assert one.wrong_axle_s > 10.0
+    # the unit soon rejects a sensor that its own valve does not move
+    assert one.wrong_axle_s > 3.0
 
 
 def test_what_an_emergency_stop_or_a_long_pause_of_the_bench_causes_is_not_blamed_on_the_unit():

@@ -296,7 +296,7 @@ def test_the_message_about_groups_without_units_has_the_command_that_starts_one(
             "axles = [1, 9]: the vehicle has 6 axles; list each driven axle once",
         ),
         ((BOTH_BRAKES, "--set", "dynamic_brake.force_N=0"), "without a curve"),
-        ((BOTH_BRAKES, "--set", "dynamic_brake.demand_N_Pa=0.9"), "which have 125.0 kN"),
+        ((BOTH_BRAKES, "--set", "dynamic_brake.demand_N_Pa=0.9"), "which have 137.0 kN"),
         (
             (BOTH_BRAKES, "--set", "magnetic_track_brake.bogies=[1, 5]"),
             "bogies = [1, 5]: the vehicle has 3 bogies",

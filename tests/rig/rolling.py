@@ -16,7 +16,7 @@ VENT = VENTING
 FULL_BRAKE_PA = 3.8e5
 # Values of configs/adhesion/soap.toml, leaf_film.toml and dry.toml. They are repeated here because
 # the tests must hold when those files change.
-SOAP = {"cleaning_creepage": 0.5}
+SOAP = {"cleaning_creepage": 0.55, "cleaning_sliding_m_s": 8.1}
 LEAVES = SOAP | {
     "mu_cd": 0.02,
     "mu_cr": 0.20,

@@ -22,6 +22,10 @@ def build(traction=(), **values):
     return dynamic_params.build(sections(**values), STEP_S, traction)
 
 
+def braking_N(speed_m_s, brake):
+    return dynamic_brake.curve_N(speed_m_s, brake.force_N, brake.brake_corner_speed_m_s)
+
+
 def test_a_vehicle_without_driven_axles_has_no_dynamic_brake():
     assert not dynamic_params.build(physics.check({}, "my.toml"), STEP_S).acts
 
@@ -29,10 +33,19 @@ def test_a_vehicle_without_driven_axles_has_no_dynamic_brake():
 def test_a_motor_has_constant_force_up_to_the_corner_speed_and_constant_power_above():
     brake = build()
     for speed_m_s in (0.0, 5.0, 10.0):
-        assert dynamic_brake.curve_N(speed_m_s, brake.force_N, brake) == 12000.0
+        assert braking_N(speed_m_s, brake) == 12000.0
     for speed_m_s in (12.0, 30.0, 60.0):
-        power_W = dynamic_brake.curve_N(speed_m_s, brake.force_N, brake) * speed_m_s
-        assert power_W == pytest.approx(120e3)
+        assert braking_N(speed_m_s, brake) * speed_m_s == pytest.approx(120e3)
+
+
+@pytest.mark.parametrize("given", [{"brake_corner_speed_m_s": 20.0}, {"brake_power_W": 240e3}])
+def test_the_brake_may_have_more_power_than_traction(given):
+    brake = build(traction_force_N=9000.0, **given)
+    assert braking_N(20.0, brake) == 12000.0
+    assert braking_N(40.0, brake) * 40.0 == pytest.approx(240e3)
+    # traction keeps its corner speed
+    driving_N = dynamic_brake.curve_N(20.0, brake.traction_force_N, brake.corner_speed_m_s)
+    assert driving_N * 20.0 == pytest.approx(90e3)
 
 
 def test_the_brake_fades_out_between_two_speeds():
@@ -58,6 +71,7 @@ def test_the_axles_of_a_bogie_or_of_a_car_blend_together():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
+        ({"brake_corner_speed_m_s": 20.0, "brake_power_W": 240e3}, "keep one of them"),
         ({"force_N": 0.0}, "without a curve; give force_N and corner_speed_m_s"),
         ({"corner_speed_m_s": 0.0}, "without a curve; give force_N and corner_speed_m_s"),
         ({"axles": [1, 5]}, "the vehicle has 4 axles"),

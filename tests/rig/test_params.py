@@ -191,6 +191,7 @@ def test_the_papers_tables_are_the_defaults():
         "tau_m_J": 1.9e-4,
         "cleaning_creepage": math.inf,
         "cleaning_half_speed_m_s": 0.0,
+        "cleaning_sliding_m_s": math.inf,
     }
 
 

@@ -148,12 +148,14 @@ def test_friction_limits_the_adhesion_of_the_contact(stops):
         assert (run.adhesion_degraded <= run.adhesion_recovered + 1e-12).all()
 
 
-def test_without_wsp_wheels_lock_on_leaves_and_slide_on_soap_but_not_on_the_dry_rig(stops):
+def test_without_wsp_wheels_lock_on_leaves_and_some_on_soap_but_none_on_the_dry_rig(stops):
     assert Rig(42.3, adhesion=LEAVES).roll(40.0).longest_lock[-1].min() > 10.0
-    # by the paper's law sliding cleans soap until the contact holds the brake
+    # soap: sliding cleans until the contact holds the brake of the wheels that braking loads, the
+    # first ones of the bogies; the others lock
     soap = stops["rollers", "soap"][1]
-    assert soap.longest_lock[-1].max() == 0.0
-    assert 0.15 < soap.creepage[soap.vehicle_speed > 20.0].max() < 0.5
+    loaded = soap.creepage[soap.vehicle_speed > 20.0][:, [0, 2]]
+    assert 0.05 < loaded.max() < 0.15
+    np.testing.assert_array_equal(soap.longest_lock[-1] > 10.0, [False, True, False, True])
     assert stops["rollers", "dry"][1].longest_lock[-1].max() == 0.0
 
 

@@ -76,9 +76,9 @@ class Adhesion(NamedTuple):
     slope: float
 
 
-def adhesion_of(sliding_m_s, bound, surface_m_s=30.0, mu_cd=MU_CD):
+def adhesion_of(sliding_m_s, bound, surface_m_s=30.0, mu_cd=MU_CD, sliding_bound_m_s=np.inf):
     """Return the adhesion of a wheelset; `bound` is the creepage up to which sliding cleans."""
-    law = RIG.law._replace(cleaning_creepage=bound)
+    law = RIG.law._replace(cleaning_creepage=bound, cleaning_sliding_m_s=sliding_bound_m_s)
     return Adhesion(
         *wheelset.wheelset_adhesion(sliding_m_s, surface_m_s, LOAD_N, mu_cd, MU_CR, RIG.patch, law)
     )
@@ -89,12 +89,24 @@ def test_cleaning_follows_the_paper_to_the_bit_up_to_its_creepage(sliding_m_s):
     assert adhesion_of(sliding_m_s, bound=0.5) == adhesion_of(sliding_m_s, bound=np.inf)
 
 
+@pytest.mark.parametrize("surface_m_s", [2.0, 10.0, 20.0, 40.0])
+def test_both_limits_together_are_their_harmonic_mean(surface_m_s):
+    limits = {"surface_m_s": surface_m_s, "bound": 0.55, "sliding_bound_m_s": 8.0}
+    begin_m_s = 1.0 / (1.0 / (0.55 * surface_m_s) + 1.0 / 8.0)
+    paper = {"surface_m_s": surface_m_s, "bound": np.inf}
+    before = 0.999 * begin_m_s
+    beyond = begin_m_s + 0.05 * surface_m_s
+    assert adhesion_of(before, **limits) == adhesion_of(before, **paper)
+    assert adhesion_of(beyond, **limits).f < adhesion_of(beyond, **paper).f
+
+
 # down to standstill, where creepage has a floor
-@pytest.mark.parametrize("bound", [0.5, 0.8])
+@pytest.mark.parametrize("bound", [0.3, 0.5, 0.8])
+@pytest.mark.parametrize("sliding_bound_m_s", [8.0, np.inf])
 @pytest.mark.parametrize("surface_m_s", [30.0, 3.0, 0.05, 1e-3, 0.0])
-def test_a_locked_wheel_does_not_clean(surface_m_s, bound):
+def test_a_locked_wheel_does_not_clean(surface_m_s, bound, sliding_bound_m_s):
     paper = adhesion_of(surface_m_s, np.inf, surface_m_s)
-    locked = adhesion_of(surface_m_s, bound, surface_m_s)
+    locked = adhesion_of(surface_m_s, bound, surface_m_s, sliding_bound_m_s=sliding_bound_m_s)
     assert locked.degraded == paper.degraded
     assert locked.recovered == paper.recovered
     assert locked.f == near(paper.degraded, rel=1e-12)

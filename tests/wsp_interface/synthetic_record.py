@@ -4,7 +4,7 @@ import numpy as np
 
 from rollerrig.realtime.bench import scenario
 from rollerrig.wsp_interface.harness_client import reception
-from rollerrig.wsp_interface.sequences.measures import Record
+from rollerrig.wsp_interface.sequences.record import Record
 
 GOOD = """title = "A stop from forty on soap"
 criteria = "stop"

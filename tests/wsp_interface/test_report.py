@@ -89,6 +89,11 @@ def test_the_page_names_the_source_of_every_limit(tmp_path):
             "from memory, not verified against EN 15595",
             "",
         ),
+        (
+            "recollection, to be checked against EN 15595:2018+A1:2023: which tests",
+            "from memory, not verified against EN 15595:2018+A1:2023",
+            "which tests",
+        ),
         ("assumption: a tenth", "assumption", "a tenth"),
         (
             "EN 15595, clause 7",

@@ -13,32 +13,34 @@ damage [M3] belongs to this project; it is in no standard.
          F_R = A + 2/3 B v0 + 1/2 C v0^2, the mean over the distance at a constant deceleration
     [M2] shortfall = worst mean over 10 s of (a_demanded - a), a_demanded by the demand
     [M3] D = E_locked / 1 MJ + E_sliding / 100 MJ, of the worst wheelset
+    [M4] s_rail = v0 t_e + v0^2 / (2 a_r),  a_r = min(a_e, (tau_i m g + F_R) / m_dyn)
+
+The stop [M4] is that of a vehicle which uses on all wheelsets, from the response of its brake to
+standstill, the initial adhesion tau_i of the run itself. So a distance over s_rail compares a unit
+with what the rail gave in this test, whatever this was: a unit that lets the wheels clean the rail
+is below 1, and locked wheels are above it.
 
 Source: [M1] EN 14531-1 in its simple form (equivalent response time and deceleration; recollection,
-to be checked against the standard). Limits: one gradient; if the demand changes, [M1] uses the
-largest one.
+to be checked against the standard). [M4] this project, after the idea of CEN/TR 17315:2019, which
+relates the distance to the adhesion of the test (recollection, to be checked against it). Limits:
+one gradient; if the demand changes, [M1] uses the largest one.
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from rollerrig.configs.vehicle import (
-    Kind,
     brake_torque_Nm_Pa,
-    kind_of,
     running_resistance,
     track_gradient,
     weighed_share,
 )
-from rollerrig.wsp_interface import braking, events
-from rollerrig.wsp_interface.diagnosis import Diagnosis, Sample
+from rollerrig.wsp_interface.sequences.record import NAN, Record
 
-LOCKED_M_S = 0.1  # a wheelset with a slower rim is locked
 DEEP_SLIP = 0.5  # share of the vehicle's speed by which a wheelset slides deeply
 SEGMENT_S = 10.0  # of [M2]
 REFERENCE_ABOVE_M_S = 5.0  # below this speed the unit's reference speed is not judged
@@ -46,72 +48,9 @@ REFERENCE_ABOVE_M_S = 5.0  # below this speed the unit's reference speed is not 
 LOCKED_MJ = 1.0
 SLIDING_MJ = 100.0
 FULL_BRAKE = 0.9  # share of the demanded pressure that counts as full brake
+NORMAL_PRESSURE_PA = 101325.0  # of a normal litre of air
+GRAVITY_M_S2 = 9.80665
 _TINY_S = 1e-9
-NAN = float("nan")
-
-
-@dataclass(frozen=True)
-class Record:
-    """The data of a sequence that was played.
-
-    columns: values by name, shape (n,), one for each bus cycle.
-    demands: the commanded brake demands, as (time in s, pressure in Pa).
-    finals: signals that were read at the end.
-    scenario: the resolved scenario.
-    dry_m: distance of the dry stop; NaN if there is none.
-    fault_s: time of the first fault; NaN if there is none.
-    """
-
-    columns: Mapping[str, np.ndarray]
-    demands: tuple[tuple[float, float], ...]
-    finals: Mapping[str, tuple[float, ...]]
-    scenario: Mapping[str, Any]
-    dry_m: float = NAN
-    fault_s: float = NAN
-
-    @cached_property
-    def kind(self) -> Kind:
-        """The kind of the vehicle."""
-        return kind_of(self.scenario, "the scenario")
-
-    @property
-    def axles(self) -> range:
-        """The axles of the vehicle, counted from 1."""
-        return range(1, self.kind.axles + 1)
-
-    @cached_property
-    def braking(self) -> slice:
-        """The rows from the first brake demand to standstill, or to the end."""
-        begin = braking.begin(self.columns["brake_demand_Pa"]) or 0
-        standstill = braking.standstill(self.columns["vehicle_speed_m_s"], begin)
-        end = len(self.columns["time_s"]) if standstill is None else standstill + 1
-        return slice(begin, end)
-
-    def braked(self, name: str) -> np.ndarray:
-        """Return a column over the braking, shape (n,)."""
-        return self.columns[name][self.braking]
-
-    def wheelsets(self, name: str, unit: str = "") -> np.ndarray:
-        """Return a signal of every wheelset over the braking, shape (axles, n)."""
-        return np.array([self.braked(f"{name}_{axle}{unit}") for axle in self.axles])
-
-    @cached_property
-    def diagnosis(self) -> Diagnosis:
-        """What the braking shows of the unit's wiring and reference speed."""
-        found = Diagnosis(self.kind, events.ignore)
-        sliding_m_s = self.wheelsets("sliding", "_m_s").T.tolist()
-        valves = self.wheelsets("valve").T.tolist()
-        for sample in zip(
-            self.braked("time_s").tolist(),
-            self.braked("vehicle_speed_m_s").tolist(),
-            sliding_m_s,
-            valves,
-            self.braked("wsp_reference_speed_m_s").tolist(),
-            self.braked("brake_demand_Pa").tolist(),
-            strict=True,
-        ):
-            found.look(Sample(*sample))
-        return found
 
 
 def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
@@ -177,28 +116,55 @@ def demanded_m_s2(record: Record, pressure_Pa: Any, speed_m_s: Any) -> Any:
     return force_N / dynamic_mass_kg(record)
 
 
-def reference_distance_m(record: Record) -> float:
-    """Return the computed stop distance [M1] at the largest demand; NaN if nothing brakes."""
-    v0 = float(record.braked("vehicle_speed_m_s")[0])
-    drag_N = mean_resistance_N(*_resistance(record), v0)
+def _response_s(record: Record) -> float:
+    """Return the equivalent response time of the brake [M1]."""
+    brake, valve = record.scenario["brake"], record.scenario["valve"]
+    return float(brake["fill_time_constant_s"] + valve["fill_time_constant_s"])
+
+
+def _full_force_N(record: Record) -> float:
+    """Return the force at the rims of the largest demand, as the load weighing lowers it."""
     demanded_Pa = max((pressure_Pa for _, pressure_Pa in record.demands), default=0.0)
     share = weighed_share(record.scenario["air"], record.scenario["vehicle"])
-    force_N = float(brake_force_N(record, demanded_Pa * share))
-    if force_N <= 0.0:
+    return float(brake_force_N(record, demanded_Pa * share))
+
+
+def reference_distance_m(record: Record) -> float:
+    """Return the computed stop distance [M1] at the largest demand; NaN if nothing brakes."""
+    return _computed_distance_m(record, _full_force_N(record))
+
+
+def rail_distance_m(record: Record) -> float:
+    """Return the distance of a stop that uses the initial adhesion of the run [M4].
+
+    NaN if nothing brakes, or if the first wheelset did not slide enough to show it.
+    """
+    weight_N = GRAVITY_M_S2 * record.scenario["vehicle"]["mass_kg"]
+    usable_N = initial_adhesion(record) * weight_N
+    return _computed_distance_m(record, min(usable_N, _full_force_N(record)))
+
+
+def _computed_distance_m(record: Record, force_N: float) -> float:
+    """Return the distance of a stop with a constant force at the rims; NaN without a force."""
+    if not force_N > 0.0:
         return NAN
+    v0 = float(record.whole("vehicle_speed_m_s")[0])
+    drag_N = mean_resistance_N(*_resistance(record), v0)
     equivalent_m_s2 = (force_N + drag_N) / dynamic_mass_kg(record)
-    response_s = (
-        record.scenario["brake"]["fill_time_constant_s"]
-        + record.scenario["valve"]["fill_time_constant_s"]
-    )
-    return equivalent_distance_m(v0, response_s, equivalent_m_s2)
+    return equivalent_distance_m(v0, _response_s(record), equivalent_m_s2)
 
 
 def _until_standstill(record: Record, name: str) -> float:
-    """Return the change of a column over the braking; NaN if the vehicle does not stop."""
+    """Return the change of a column over the braking; NaN if the vehicle does not stop.
+
+    With bounds of speed, it is the change in the steps that count.
+    """
+    if not record.slow_enough:
+        return NAN
+    if record.bounded:
+        return float(record.steps(name).sum())
     values = record.braked(name)
-    stands = record.braked("vehicle_speed_m_s")[-1] <= braking.STANDS_M_S
-    return float(values[-1] - values[0]) if stands else NAN
+    return float(values[-1] - values[0])
 
 
 def sliding(record: Record) -> np.ndarray:
@@ -240,13 +206,31 @@ def longest_stretch_s(time_s: np.ndarray, is_true: np.ndarray) -> float:
     return longest_s
 
 
+def _longest_s(record: Record, of_wheelsets: np.ndarray) -> float:
+    """Return the longest time for which a condition of a wheelset, shape (axles, n), holds."""
+    time_s = record.whole("time_s")
+    return max(longest_stretch_s(time_s, of_one) for of_one in of_wheelsets)
+
+
+def _longest_lock_s(record: Record) -> float:
+    """Return the longest lock of a wheelset: as the rig counts it, or between the bounds."""
+    if record.bounded:
+        return _longest_s(record, record.locked)
+    return max(record.finals["longest_lock"])
+
+
 def _longest_deep_slide_s(record: Record) -> float:
-    """Return the longest time for which one wheelset slid deeply above lock_above_m_s."""
-    speed_m_s = record.braked("vehicle_speed_m_s")
-    fast = speed_m_s > record.scenario["rig"]["lock_above_m_s"]
-    deep = (sliding(record) > DEEP_SLIP * speed_m_s) & fast
-    time_s = record.braked("time_s")
-    return max(longest_stretch_s(time_s, of_one) for of_one in deep)
+    """Return the longest time for which one wheelset slid deeply."""
+    sliding_m_s = record.wheelsets_whole("sliding", "_m_s")
+    deep = (sliding_m_s > DEEP_SLIP * record.whole("vehicle_speed_m_s")) & record.fast
+    return _longest_s(record, deep)
+
+
+def _locked_distance_m(record: Record) -> float:
+    """Return the distance that the worst wheelset ran locked, at every speed that counts."""
+    every_speed = record if record.bounded else record.between(0.0, math.inf)
+    run_m = every_speed.steps("position_m")
+    return float((every_speed.locked[:, :-1] * run_m).sum(axis=1).max())
 
 
 def as_measured(record: Record) -> dict[str, float]:
@@ -259,7 +243,7 @@ def as_measured(record: Record) -> dict[str, float]:
 
 
 def _wsp_acts(record: Record) -> np.ndarray:
-    """Return where any dump valve does not fill, over the braking, shape (n,)."""
+    """Return where any dump valve does not fill, over the rows that count, shape (n,)."""
     return np.any(record.wheelsets("valve") > 0.5, axis=0)
 
 
@@ -270,8 +254,11 @@ def _utilised_adhesion(record: Record) -> float:
     return float(np.mean(record.wheelsets("adhesion")[:, acts]))
 
 
-def _initial_adhesion(record: Record) -> float:
-    """Return the first wheelset's adhesion when it first slides by initial_at_sliding_m_s."""
+def initial_adhesion(record: Record) -> float:
+    """Return the first wheelset's adhesion when it first slides by initial_at_sliding_m_s.
+
+    NaN if it did not slide so much.
+    """
     sliding_m_s = sliding(record)[0]
     reached = np.flatnonzero(sliding_m_s >= record.scenario["adhesion"]["initial_at_sliding_m_s"])
     if not reached.size:
@@ -280,18 +267,26 @@ def _initial_adhesion(record: Record) -> float:
 
 
 def _shortfall_m_s2(record: Record) -> float:
-    """Return the worst mean over a segment of the demanded less the achieved deceleration [M2]."""
-    time_s = record.braked("time_s")
-    speed = record.braked("vehicle_speed_m_s")
+    """Return the worst mean over a segment of the demanded less the achieved deceleration [M2].
+
+    A segment counts if all of its rows do.
+    """
+    time_s = record.whole("time_s")
+    speed = record.whole("vehicle_speed_m_s")
     if len(time_s) < 2 or time_s[-1] - time_s[0] < SEGMENT_S:
         return NAN
-    demanded = demanded_m_s2(record, record.braked("brake_demand_Pa"), speed)
+    demanded = demanded_m_s2(record, record.whole("brake_demand_Pa"), speed)
     # the speed that the demanded deceleration has taken away so far
     changes = 0.5 * (demanded[1:] + demanded[:-1]) * np.diff(time_s)
     demanded_change = np.concatenate(([0.0], np.cumsum(changes)))
     # first and last row of each segment
     first = np.flatnonzero(time_s <= time_s[-1] - SEGMENT_S + _TINY_S)
     last = np.searchsorted(time_s, time_s[first] + SEGMENT_S - _TINY_S)
+    left_out = np.concatenate(([0], np.cumsum(~record.counts)))
+    within = left_out[last + 1] == left_out[first]
+    first, last = first[within], last[within]
+    if not first.size:
+        return NAN
     wanted = demanded_change[last] - demanded_change[first]
     achieved = speed[first] - speed[last]
     return float(np.max((wanted - achieved) / (time_s[last] - time_s[first])))  # [M2]
@@ -300,15 +295,42 @@ def _shortfall_m_s2(record: Record) -> float:
 def _damage(record: Record) -> float:
     """Return the index of wheel damage of the worst wheelset [M3]."""
     load_N = np.array(record.finals["wheel_load"])[:, np.newaxis]
-    power_W = record.wheelsets("adhesion") * load_N * sliding(record)
-    fast = record.braked("vehicle_speed_m_s") > record.scenario["rig"]["lock_above_m_s"]
-    rim_m_s = record.wheelsets("wheel_circumferential_speed", "_m_s")
-    locked = (rim_m_s < LOCKED_M_S) & fast
-    locked_W = np.where(locked, power_W, 0.0)
-    locked_J = np.sum(locked_W[:, 1:] * np.diff(record.braked("time_s")), axis=1)
+    sliding_m_s = record.wheelsets_whole("sliding", "_m_s")
+    power_W = record.wheelsets_whole("adhesion") * load_N * sliding_m_s
+    duration_s = np.diff(record.whole("time_s"))
+    locked_W = np.where(record.locked, power_W, 0.0)
+    locked_J = np.sum(locked_W[:, 1:] * duration_s, axis=1)
     sliding_J = np.array(record.finals["sliding_work"])
+    if record.bounded:
+        sliding_J = np.sum(np.where(record.counts, power_W, 0.0)[:, 1:] * duration_s, axis=1)
     total = locked_J / (LOCKED_MJ * 1e6) + sliding_J / (SLIDING_MJ * 1e6)
     return float(total.max())  # [M3]
+
+
+def _air_NL(record: Record) -> float:
+    """Return the air of all cylinders: as the rig counts it, or between the bounds of speed.
+
+    Only filling uses air, V dp / 101325 Pa, as in `rig/brake.py`.
+    """
+    if not record.bounded:
+        return record.finals["air_consumption"][0]
+    rises_Pa = 0.0
+    for axle in record.axles:
+        rises_Pa += np.maximum(record.steps(f"cylinder_pressure_{axle}_Pa"), 0.0).sum()
+    return float(record.scenario["brake"]["cylinder_volume_L"] * rises_Pa / NORMAL_PRESSURE_PA)
+
+
+def _vents(record: Record) -> float:
+    """Return the number of vents of all axles: as the rig counts them, or between the bounds."""
+    if record.bounded:
+        return float(record.begun_vents.sum())
+    return float(sum(record.finals["vents"]))
+
+
+def _vents_per_second(record: Record) -> float:
+    """Return how often per second the dump valve of the busiest axle began to vent."""
+    duration_s = float(record.steps("time_s").sum())
+    return _ratio(float(record.begun_vents.max()), duration_s)
 
 
 def _reference_error_m_s(record: Record) -> float:
@@ -363,6 +385,7 @@ class Measure:
     text: its meaning; values of the scenario are in braces, see `meaning`.
     of: computes it; NaN if it could not be measured.
     absent: why a run may have no value without an error; "" if it must have one.
+    whole: why it cannot be computed between bounds of speed; "" if it can.
     """
 
     name: str
@@ -371,10 +394,15 @@ class Measure:
     text: str
     of: Callable[[Record], float]
     absent: str = ""
+    whole: str = ""
 
     def meaning(self, record: Record) -> str:
         """Return the text with the values of the scenario of a record."""
         return self.text.format_map(record.scenario)
+
+
+_OF_WHOLE_STOP = "it compares whole stops"
+_READ_AT_END = "the rig counts it, and it is read once, at the end"
 
 
 MEASURES: tuple[Measure, ...] = (
@@ -399,6 +427,7 @@ MEASURES: tuple[Measure, ...] = (
         "stop distance over the computed one (EN 14531-1 in its simple form, from memory, not "
         "verified)",
         lambda r: _ratio(_until_standstill(r, "position_m"), reference_distance_m(r)),
+        whole=_OF_WHOLE_STOP,
     ),
     Measure(
         "stop_distance_over_dry",
@@ -406,20 +435,38 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "stop distance over that of the dry stop",
         lambda r: _ratio(_until_standstill(r, "position_m"), r.dry_m),
+        whole=_OF_WHOLE_STOP,
+    ),
+    Measure(
+        "stop_distance_over_rail",
+        "",
+        0.0,
+        "stop distance over that of a stop which uses the initial adhesion of this run on all "
+        "wheelsets (after CEN/TR 17315, from memory, not verified)",
+        lambda r: _ratio(_until_standstill(r, "position_m"), rail_distance_m(r)),
+        "the first wheelset did not slide so much that the run shows its initial adhesion",
+        whole=_OF_WHOLE_STOP,
     ),
     Measure(
         "longest_lock",
         "s",
         0.0,
-        "longest lock of a wheelset above {rig[lock_above_m_s]:g} m/s",
-        lambda r: max(r.finals["longest_lock"]),
+        "longest lock of a wheelset above {rig[lock_above_m_s]:g} m/s, or between the bounds of speed",
+        _longest_lock_s,
+    ),
+    Measure(
+        "locked_distance",
+        "m",
+        0.0,
+        "distance that the worst wheelset ran locked, at any speed",
+        _locked_distance_m,
     ),
     Measure(
         "longest_deep_slide",
         "s",
         0.0,
         "longest time for which one wheelset turned at less than half of the vehicle's speed, above "
-        "{rig[lock_above_m_s]:g} m/s; a lock is a part of it",
+        "{rig[lock_above_m_s]:g} m/s or between the bounds of speed; a lock is a part of it",
         _longest_deep_slide_s,
     ),
     Measure(
@@ -441,7 +488,7 @@ MEASURES: tuple[Measure, ...] = (
         "NL",
         0.0,
         "air that the brake cylinders used, all axles",
-        lambda r: r.finals["air_consumption"][0],
+        _air_NL,
     ),
     Measure(
         "reservoir_least",
@@ -450,6 +497,7 @@ MEASURES: tuple[Measure, ...] = (
         "lowest pressure of the auxiliary reservoir",
         _reservoir_least_Pa,
         "the vehicle has no reservoir: its supply of air is unlimited",
+        _READ_AT_END,
     ),
     Measure(
         "sand_used",
@@ -458,6 +506,7 @@ MEASURES: tuple[Measure, ...] = (
         "sand that all sanders took from their boxes",
         _sand_used_kg,
         "the vehicle has no sander",
+        _READ_AT_END,
     ),
     Measure(
         "utilised_adhesion",
@@ -468,12 +517,20 @@ MEASURES: tuple[Measure, ...] = (
         "the WSP did not act",
     ),
     Measure(
+        "utilised_over_initial_adhesion",
+        "",
+        0.0,
+        "mean adhesion of all axles while the WSP acts, over the initial adhesion of the run",
+        lambda r: _ratio(_utilised_adhesion(r), initial_adhesion(r.between(-math.inf, math.inf))),
+        "the WSP did not act, or the first wheelset did not slide so much",
+    ),
+    Measure(
         "initial_adhesion",
         "",
         0.0,
         "adhesion of the first wheelset when it first slides by "
         "{adhesion[initial_at_sliding_m_s]:g} m/s",
-        _initial_adhesion,
+        initial_adhesion,
         "the first wheelset did not slide so much",
     ),
     Measure(
@@ -498,6 +555,7 @@ MEASURES: tuple[Measure, ...] = (
         "longest flat that locks have made",
         _wheel_flat_mm,
         "wheels stay round: flats.wear_mm3_J is 0",
+        _READ_AT_END,
     ),
     Measure(
         "reference_speed_error",
@@ -512,7 +570,14 @@ MEASURES: tuple[Measure, ...] = (
         "",
         0.0,
         "number of times that a dump valve began to vent, all axles",
-        lambda r: float(sum(r.finals["vents"])),
+        _vents,
+    ),
+    Measure(
+        "vents_per_second",
+        "1/s",
+        0.0,
+        "number of times a second that the dump valve of the busiest axle began to vent",
+        _vents_per_second,
     ),
     Measure(
         "vents_without_sliding",
@@ -550,6 +615,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "from the first fault until every cylinder has 90 % of the demand",
         _full_brake_after_s,
+        whole="it begins at the fault, at whatever speed",
     ),
 )
 BY_NAME = {measure.name: measure for measure in MEASURES}

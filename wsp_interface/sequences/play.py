@@ -25,7 +25,7 @@ from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.harness_client import Event, Harness, TimeOutError
 from rollerrig.wsp_interface.sequences import running_bench, verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
-from rollerrig.wsp_interface.sequences.measures import Record
+from rollerrig.wsp_interface.sequences.record import Record
 from rollerrig.wsp_interface.sequences.sequence import Sequence, Step
 from rollerrig.wsp_interface.sequences.verdict import Result, Verdict
 from rollerrig.wsp_interface.unit_choice import AllowList

@@ -1,7 +1,9 @@
 """Verdicts: measures against limits, each with its margin and the source of its number.
 
-A criteria profile is a TOML file of limits. A sequence may add limits, which replace those of the
-profile for the same measure. A measure that could not be computed is an error, never a pass. An
+A criteria profile is a TOML file of limits. A limit may have bounds of speed: then its measure is
+that of the braking between these speeds. A sequence may add limits, which replace those of the
+profile for the same measure: a limit without bounds replaces all of them, one with bounds that with
+the same bounds. A measure that could not be computed is an error, never a pass. An
 exceeded limit wins over an error: what failed is a failure, whatever else could not be judged. If a
 pre-condition of the sequence did not hold, all measures are void, and the sequence is an error. A
 measure that a run cannot have, because for example the WSP did not act, does not count, and its
@@ -21,21 +23,28 @@ from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
 from rollerrig.wsp_interface.sequences import measures
-from rollerrig.wsp_interface.sequences.measures import Record
+from rollerrig.wsp_interface.sequences.measures import Measure
+from rollerrig.wsp_interface.sequences.record import Record
 
 NO_PROFILE = "none"  # the name of the profile without limits
 DISCLAIMER = "not a certification"
 UNVERIFIED = "recollection, to be checked against ..."
-# a source that is only remembered, and the standard against which it has to be checked
-_REMEMBERED = re.compile(r"recollection([^,]*), to be checked against ([^:;,]+)[:;,]?\s*(.*)")
+# a source that is only remembered, and the standard against which it has to be checked, with its
+# edition such as EN 15595:2018+A1:2023
+_REMEMBERED = re.compile(
+    r"recollection([^,]*), to be checked against ((?:[^:;,]|:(?=\d))+)[:;,]?\s*(.*)"
+)
 _VOID = "void: "  # begins the text of a void verdict
 _STANDARD = re.compile(r"(?:prEN|EN|UIC|ISO|IEC) ?\d[\d-]*|[Pp]aper[^:;,]*")
+HIGHEST_SPEED_M_S = 200.0
 # the keys of a limit, each with its value
 LIMIT = {
     "measure": "name of a measure",
     "unit": "unit of `max` and `min`, which is that of the measure",
     "max": "largest value that passes",
     "min": "least value that passes",
+    "above_m_s": "the measure counts while the vehicle is faster; default: no bound",
+    "below_m_s": "the measure counts while the vehicle is not faster; default: no bound",
     "source": "text: where the limit comes from",
 }
 
@@ -51,13 +60,40 @@ class Result(StrEnum):
 
 @dataclass(frozen=True)
 class Limit:
-    """The bounds of a measure, in its unit; infinite on a side without a bound."""
+    """The bounds of a measure, in its unit; infinite on a side without a bound.
+
+    above_m_s, below_m_s: the speeds of the vehicle at which the measure counts.
+    """
 
     measure: str
     unit: str
     low: float
     high: float
     source: str
+    above_m_s: float = -math.inf
+    below_m_s: float = math.inf
+
+    @property
+    def bounded(self) -> bool:
+        """Whether only some speeds of the vehicle count."""
+        return math.isfinite(self.above_m_s) or math.isfinite(self.below_m_s)
+
+    @property
+    def what(self) -> str:
+        """The measure, with its bounds of speed."""
+        words = [self.measure]
+        if math.isfinite(self.above_m_s):
+            words.append(f"above {self.above_m_s:.4g} m/s")
+        if math.isfinite(self.below_m_s):
+            words.append(f"below {self.below_m_s:.4g} m/s")
+        return " ".join(words)
+
+    def replaces(self, other: "Limit") -> bool:
+        """Whether a limit of a sequence replaces one of its profile."""
+        if self.measure != other.measure:
+            return False
+        same_bounds = (self.above_m_s, self.below_m_s) == (other.above_m_s, other.below_m_s)
+        return same_bounds or not self.bounded
 
 
 @dataclass(frozen=True)
@@ -69,14 +105,16 @@ class Profile:
     limits: tuple[Limit, ...]
 
     def with_limits(self, more: tuple[Limit, ...]) -> "Profile":
-        """Return the profile with more limits; they replace those of the same measure.
+        """Return the profile with more limits, which may replace those of the same measure.
 
         The title then mentions them.
         """
         if not more:
             return self
-        replaced = {limit.measure for limit in more}
-        kept = [limit for limit in self.limits if limit.measure not in replaced]
+        kept = []
+        for limit in self.limits:
+            if not any(one.replaces(limit) for one in more):
+                kept.append(limit)
         title = "limits in the sequence"
         if kept:
             title = f"{self.title}; and limits in the sequence"
@@ -87,12 +125,14 @@ class Profile:
 class Verdict:
     """One line of a report.
 
-    what: the measure, or the name of a step.
+    what: the measure with its bounds of speed, or the name of a step.
     value: in the unit; NaN where there is none.
     limit: the requirement as text.
     margin: the distance to the nearer bound, divided by that bound; negative if it is exceeded.
     source: of the limit.
     text: the meaning of the measure, or why there is no value.
+    measure: the name of the measure; "" for a step.
+    above_m_s, below_m_s: the speeds at which it counts; infinite without a bound.
     """
 
     what: str
@@ -103,6 +143,9 @@ class Verdict:
     result: Result
     source: str
     text: str = ""
+    measure: str = ""
+    above_m_s: float = -math.inf
+    below_m_s: float = math.inf
 
     @property
     def void(self) -> bool:
@@ -184,7 +227,35 @@ def _limit(table: Any, where: Callable[[str], str]) -> Limit:
             f"{where('max')} = {high:g} is below {measure.least:g}, the least value that "
             f"{name} can have; nothing can meet it"
         )
-    return Limit(name, measure.unit, float(low), float(high), str(table["source"]))
+    above_m_s, below_m_s = _speeds(table, measure, where)
+    source = str(table["source"])
+    return Limit(name, measure.unit, float(low), float(high), source, above_m_s, below_m_s)
+
+
+def _speeds(table: Any, measure: Measure, where: Callable[[str], str]) -> tuple[float, float]:
+    """Return the bounds of speed of a limit. Raises ConfigError."""
+    above_m_s = table.get("above_m_s", -math.inf)
+    below_m_s = table.get("below_m_s", math.inf)
+    for key, bound_m_s in (("above_m_s", above_m_s), ("below_m_s", below_m_s)):
+        if key not in table:
+            continue
+        is_number = isinstance(bound_m_s, int | float) and not isinstance(bound_m_s, bool)
+        if not is_number or not 0.0 <= bound_m_s <= HIGHEST_SPEED_M_S:
+            raise ConfigError(
+                f"{where(key)} = {bound_m_s!r}: allowed is a speed of the vehicle in m/s, from 0 to "
+                f"{HIGHEST_SPEED_M_S:g}; 30 km/h is 8.33"
+            )
+        if measure.whole:
+            raise ConfigError(
+                f"{where(key)}: {measure.name} has no bounds of speed, because {measure.whole}; "
+                f"remove {key}, or limit another measure"
+            )
+    if above_m_s >= below_m_s:
+        raise ConfigError(
+            f"{where('above_m_s')} = {above_m_s:g} is not below below_m_s = {below_m_s:g}; no speed "
+            "is between them"
+        )
+    return float(above_m_s), float(below_m_s)
 
 
 def judge(profile: Profile, record: Record, void: str = "") -> list[Verdict]:
@@ -211,6 +282,10 @@ def _voided(verdict: Verdict, reason: str) -> Verdict:
 def _judge(limit: Limit, record: Record) -> Verdict:
     measure = measures.BY_NAME[limit.measure]
     text = measure.meaning(record)
+    if limit.bounded:
+        record = record.between(limit.above_m_s, limit.below_m_s)
+    if limit.bounded and not record.counts.any():
+        return _without_rows(limit, record)
     try:
         value = float(measure.of(record))
     except (KeyError, IndexError, ValueError) as error:
@@ -228,8 +303,21 @@ def _judge(limit: Limit, record: Record) -> Verdict:
             result = Result.PASS
         else:
             result = Result.FAIL
+    return _verdict(limit, value, result, text)
+
+
+def _without_rows(limit: Limit, record: Record) -> Verdict:
+    """Return the verdict on a limit between whose bounds of speed the vehicle has not been."""
+    if record.stands:
+        text = "the stop has no speed between these bounds"
+        return _verdict(limit, math.nan, Result.ABSENT, text)
+    return _verdict(limit, math.nan, Result.ERROR, "was not measured: did the vehicle stop?")
+
+
+def _verdict(limit: Limit, value: float, result: Result, text: str) -> Verdict:
+    """Return the verdict on a limit."""
     return Verdict(
-        what=limit.measure,
+        what=limit.what,
         unit=limit.unit,
         value=value,
         limit=_bounds_text(limit),
@@ -237,6 +325,9 @@ def _judge(limit: Limit, record: Record) -> Verdict:
         result=result,
         source=limit.source,
         text=text,
+        measure=limit.measure,
+        above_m_s=limit.above_m_s,
+        below_m_s=limit.below_m_s,
     )
 
 

@@ -1,4 +1,4 @@
-/* The rules of the reference WSP (firmware_sim/wsp) in C, as an FMU for co-simulation: FMI 3, or FMI 2 with -DFMI2, or
+/* Rules of an earlier reference WSP (it trusted each sensor that was not stuck, and its pulses had one length) in C, as an FMU for co-simulation: FMI 3, or FMI 2 with -DFMI2, or
    a CAN node with -DLS_BUS.
    parameters.h is written by the tests from the packaged configuration and the tables of firmware_sim/wsp/phases.py.
    FAIL_AT_S, HANG_AT_S, CRASH_AT_S: what goes wrong, and when; with -DSEGFAULT a crash writes where no memory is. */

@@ -55,6 +55,7 @@ def test_the_replayed_law_is_the_law_of_the_plant(design: preparation.Design) ->
     for limit in (
         {"cleaning_creepage": math.inf},
         {"cleaning_creepage": 0.3, "cleaning_half_speed_m_s": 9.0},
+        {"cleaning_creepage": 0.55, "cleaning_sliding_m_s": 8.1},
     ):
         model = WheelModel(*design.base)._replace(**limit)
         law = adhesion.Law(*(getattr(model, name) for name in adhesion.Law._fields))
@@ -206,12 +207,13 @@ def test_the_exact_step_of_speed_and_recovery_is_the_exponential_of_the_matrix(
 def test_a_step_of_a_wheelset_returns_its_derivatives(
     design: preparation.Design, sliding: float, lambda_: float | None, of_work: float
 ) -> None:
-    # cleaning fades from a sliding of 5.5 m/s on: there more sliding cleans less
+    # cleaning fades from a sliding of 3 m/s on: there more sliding cleans less
     model = WheelModel(*design.base)._replace(
         memory_m=3.0,
         memory_of_work=of_work,
         cleaning_creepage=0.3,
         cleaning_half_speed_m_s=9.0,
+        cleaning_sliding_m_s=8.0,
     )
     step_s = 1e-4
     torque_Nm = 4000.0

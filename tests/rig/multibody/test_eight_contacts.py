@@ -20,7 +20,7 @@ POISSON = 0.3
 LAWS = []
 for _mu_cd in (0.01, 0.06, 0.25):
     for _tau_m_J in (0.0, 1.9e-4, 5e-3):
-        for _cleaning_creepage in (0.5, math.inf):
+        for _limits in ((0.5, math.inf), (0.5, 8.0), (math.inf, math.inf)):
             LAWS.append(
                 Law(
                     mu_cd=_mu_cd,
@@ -34,7 +34,8 @@ for _mu_cd in (0.01, 0.06, 0.25):
                     k_ar=1.0,
                     k_sr=0.4,
                     tau_m_J=_tau_m_J,
-                    cleaning_creepage=_cleaning_creepage,
+                    cleaning_creepage=_limits[0],
+                    cleaning_sliding_m_s=_limits[1],
                 )
             )
 
