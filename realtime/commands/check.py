@@ -28,6 +28,7 @@ from typing import NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import memory
+from rollerrig.configs.processes.cores import allowed as allowed_cores
 from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.commands import output, wsp
 
@@ -363,7 +364,7 @@ def port(number: int) -> Finding:
 
 def cores() -> Finding:
     """Check for two cores: one for the real-time thread, one for bus, recorder and unit."""
-    count = len(os.sched_getaffinity(0))
+    count = allowed_cores()
     found = f"{count} available"
     isolated = _ISOLATED_CORES_FILE.read_text().strip() if _ISOLATED_CORES_FILE.is_file() else ""
     if isolated:

@@ -22,6 +22,14 @@ FAILED = 1
 USAGE = 2
 INVALID = 4
 
+# the spread of a figure, as `figures.spread_of` returns it, with the heads of its columns
+SPREAD = {
+    "mean": "mean",
+    "standard_deviation": "standard deviation",
+    "least": "least",
+    "largest": "largest",
+}
+
 # a little less than 5 s, so that a busy machine, too, prints a line every five seconds
 PERIOD_S = 4.9
 

@@ -21,8 +21,7 @@ from rollerrig.realtime.record import run_folder
 if TYPE_CHECKING:
     from rollerrig.realtime.bench.options import Progress
 
-_SPREAD = ("mean", "standard_deviation", "least", "largest")
-_SPREAD_HEAD = ("figure", "unit", "runs", "mean", "standard deviation", "least", "largest")
+_SPREAD_HEAD = ("figure", "unit", "runs", *output.SPREAD.values())
 
 # exit status of a run that has missed deadlines, under --strict
 LATE = 3
@@ -200,7 +199,7 @@ def _show_runs(
 
     found = figures.spread(summaries)
     rows = [
-        (one["title"], one["unit"], str(one["runs"]), *(f"{one[key]:.6g}" for key in _SPREAD))
+        (one["title"], one["unit"], str(one["runs"]), *(f"{one[key]:.6g}" for key in output.SPREAD))
         for one in found
     ]
     lines = [f"recorded in {folder}/1 to {folder}/{len(summaries)}"]

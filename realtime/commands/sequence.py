@@ -3,7 +3,6 @@
 import argparse
 import contextlib
 import math
-import statistics
 import time
 from collections.abc import Callable
 from concurrent.futures.process import BrokenProcessPool
@@ -194,26 +193,31 @@ def _repeated(sequences: "list[Sequence]", times: int) -> "list[Sequence]":
 
 
 def _spread(outcomes: "list[Outcome]") -> list[dict[str, Any]]:
-    """Return each limit with the least, mean and largest value of all repetitions."""
+    """Return each limit of each sequence with the spread of its values over all repetitions."""
+    from rollerrig.realtime.record import figures
+
     by_limit: dict[tuple[str, str, str, str], list[Verdict]] = {}
     for outcome in outcomes:
-        # the name of a repetition is that of the sequence and a number
-        name = outcome.sequence.name.rpartition("_")[0]
+        # the file is the same in all repetitions, and the name is not
+        name = outcome.sequence.path.stem
         for verdict in outcome.verdicts:
             if not math.isnan(verdict.value):
                 key = (name, verdict.what, verdict.limit, verdict.unit)
                 by_limit.setdefault(key, []).append(verdict)
 
     rows = []
-    for key, verdicts in by_limit.items():
-        values = [verdict.value for verdict in verdicts]
-        row: dict[str, Any] = dict(zip(("sequence", "limit", "required", "unit"), key, strict=True))
-        row["least"] = min(values)
-        row["mean"] = statistics.fmean(values)
-        row["largest"] = max(values)
-        row["passed"] = sum(verdict.result == "pass" for verdict in verdicts)
-        row["played"] = len(verdicts)
-        rows.append(row)
+    for (name, what, limit, unit), verdicts in by_limit.items():
+        rows.append(
+            {
+                "sequence": name,
+                "limit": what,
+                "required": limit,
+                "unit": unit,
+                **figures.spread_of([verdict.value for verdict in verdicts]),
+                "passed": sum(verdict.result == "pass" for verdict in verdicts),
+                "played": len(verdicts),
+            }
+        )
     return rows
 
 
@@ -222,9 +226,9 @@ def _spread_table(rows: list[dict[str, Any]], times: int) -> Any:
     shown = []
     for row in rows:
         words = (row["sequence"], row["limit"], row["required"], row["unit"])
-        numbers = (f"{row[key]:.4g}" for key in ("least", "mean", "largest"))
+        numbers = (f"{row[key]:.4g}" for key in output.SPREAD)
         shown.append((*words, *numbers, f"{row['passed']} of {row['played']}"))
-    head = ("sequence", "limit", "required", "unit", "least", "mean", "largest", "passed")
+    head = ("sequence", "limit", "required", "unit", *output.SPREAD.values(), "passed")
     return f"each sequence {times} times", head, shown
 
 

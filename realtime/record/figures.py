@@ -108,13 +108,20 @@ def spread(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
                     "title": figure.title,
                     "unit": figure.unit,
                     "runs": len(values),
-                    "mean": statistics.fmean(values),
-                    "standard_deviation": statistics.stdev(values) if len(values) > 1 else 0.0,
-                    "least": min(values),
-                    "largest": max(values),
+                    **spread_of(values),
                 }
             )
     return found
+
+
+def spread_of(values: Sequence[float]) -> dict[str, float]:
+    """Return mean, standard deviation of a sample (0 for one value), least and largest value."""
+    return {
+        "mean": statistics.fmean(values),
+        "standard_deviation": statistics.stdev(values) if len(values) > 1 else 0.0,
+        "least": min(values),
+        "largest": max(values),
+    }
 
 
 def _is_number(value: Any) -> bool:

@@ -33,11 +33,13 @@ def _resolve_once(context: Any, function: Any, given: Any, keywords: Any) -> Any
     if keywords or type(function) is not types.Function:
         return _resolve_function_type(context, function, given, keywords)
     known = function.__dict__.setdefault(_KNOWN, {})
-    found = known.get(tuple(given))
+    # another target of numba (a GPU) has another context
+    question = (context, *given)
+    found = known.get(question)
     if found is None:
         found = _resolve_function_type(context, function, given, keywords)
         if found is not None:
-            known[tuple(given)] = found
+            known[question] = found
     return found
 
 
@@ -52,4 +54,5 @@ def _get_function_unless_plain(
 
 _of_types.resolve_function_type = _resolve_once
 _of_code.get_function = _get_function_unless_plain
+# [N3]
 base._has_loc = functools.cache(base._has_loc)

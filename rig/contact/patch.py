@@ -88,21 +88,15 @@ def patch_for(
             "contact parameters"
         )
 
-    a1, b1, k_h, c11, c22, c23, c33, slim, eps1 = _constants(
-        float(wheel_radius_m),
-        float(roller_radius_m),
-        float(lateral_radius_m),
-        float(young_Pa),
-        float(shear_Pa),
-        float(poisson),
-    )
+    A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
+    a1, b1, k_h, c11, c22, c23, c33, slim = _of_curvatures(A, B, young_Pa, poisson)
     return Patch(
         a1=a1,
         b1=b1,
         c11=c11,
         shear_Pa=shear_Pa,
         k_h_N_m32=k_h,
-        eps1=eps1,
+        eps1=_eps_per_creepage(a1, b1, c11, shear_Pa, 1.0),
         c22=c22,
         c23=c23,
         c33=c33,
@@ -112,24 +106,16 @@ def patch_for(
     )
 
 
-def _constants(
-    wheel_radius_m: float,
-    roller_radius_m: float,
-    lateral_radius_m: float,
-    young_Pa: float,
-    shear_Pa: float,
-    poisson: float,
+def _of_curvatures(
+    A_1_m: float, B_1_m: float, young_Pa: float, poisson: float
 ) -> tuple[float, ...]:
-    """Return the numbers of Hertz and Kalker for a patch.
+    """Return the numbers of Hertz and Kalker for half curvatures along and across.
 
-    They are (a1, b1, k_h, c11, c22, c23, c33, slim, eps1), named as in `Patch`.
+    They are (a1, b1, k_h, c11, c22, c23, c33, slim), named as in `Patch`.
     """
-    A, B = hertz.curvatures(wheel_radius_m, roller_radius_m, lateral_radius_m)
-    a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
-    k_h = hertz.stiffness(A, B, young_Pa, poisson)
-    c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
-    eps1 = _eps_per_creepage(a1, b1, c11, shear_Pa, 1.0)
-    return a1, b1, k_h, c11, c22, c23, c33, _slimness(a1 / b1), eps1
+    a1, b1, _, _ = hertz.semi_axes(A_1_m, B_1_m, 1.0, young_Pa, poisson)
+    k_h = hertz.stiffness(A_1_m, B_1_m, young_Pa, poisson)
+    return a1, b1, k_h, *kalker.coefficients(a1 / b1, poisson), _slimness(a1 / b1)
 
 
 class Patches(NamedTuple):
@@ -149,11 +135,7 @@ def tabulate(
     rows = np.empty((_NODES, _COLUMNS))
     for i, log in enumerate(np.linspace(-_REACH, _REACH, _NODES)):
         A = 1.0 / (1.0 + math.exp(log))
-        B = 1.0 - A
-        a1, b1, _, _ = hertz.semi_axes(A, B, 1.0, young_Pa, poisson)
-        k_h = hertz.stiffness(A, B, young_Pa, poisson)
-        c11, c22, c23, c33 = kalker.coefficients(a1 / b1, poisson)
-        rows[i] = (a1, b1, k_h, c11, c22, c23, c33, _slimness(a1 / b1))
+        rows[i] = _of_curvatures(A, 1.0 - A, young_Pa, poisson)
     return Patches((_NODES - 1) / (2.0 * _REACH), shear_Pa, model, cells, rows)
 
 

@@ -695,7 +695,7 @@ WORDS = {
     Code.UNIT_SILENT: "the unit was [silent]",
     Code.UNIT_NO_COMMAND: "a unit gave [no valid command]",
     Code.MAGNETS_FOREIGN: "another program than the unit set its magnets",
-    Code.NMT_FOREIGN: "another program stopped or reset the unit",
+    Code.NMT_FOREIGN: "another program stopped or reset a unit",
     Code.LOOP_STALLED: "the bench stood still for 1 s or longer",
     Code.UNIT_TWO_SENDERS: "two programs sent the commands of one unit",
     Code.EMERGENCY_STOP_SET: "the emergency stop was set over Modbus",

@@ -354,8 +354,8 @@ def test_with_a_fixed_processor_a_copy_of_the_folder_needs_no_compiler(modules, 
 def test_kernels_of_the_product_are_found_wherever_it_is_installed(tmp_path):
     program = (
         "from rollerrig.rig.compiled import compile_progress, kernel_cache\n"
-        "from rollerrig.rig.contact import hertz\n"
-        "hertz.curvatures(0.46, 0.6, 1.0)\n"
+        "from rollerrig.rig.contact import polach\n"
+        "polach.eps_per_creepage(6e-3, 6e-3, 4.0, 8e10, 5e4)\n"
         "print(kernel_cache.ROOT, compile_progress.has_compiled())"
     )
     printed = []

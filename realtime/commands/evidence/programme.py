@@ -183,6 +183,7 @@ def _sequence_options(options: argparse.Namespace, out: Path) -> argparse.Namesp
     playing.pacing = "lockstep"
     playing.jobs = 1
     playing.steps = False
+    playing.repeat = 1
     # the unit of the programme is the unit of all sequences
     playing.allow_unit = []
     return playing

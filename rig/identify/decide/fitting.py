@@ -218,8 +218,14 @@ def _wheel_response(
         changes[inside, place] = matrix.in_bins[at][inside]
 
     Z = np.empty((len(changes), courses.size), changes.dtype)
-    state = np.zeros((2, linearised))
-    sensitivity.response(changes, linear.variance[at], linear.coefficients[at], state, Z)
+    sensitivity.response(
+        changes,
+        linear.variance[at],
+        linear.coefficients[at],
+        np.zeros(linearised),
+        np.zeros(linearised),
+        Z,
+    )
     # courses of finite steps that were not replayed: the explanation has the cause in another shape
     Z[:, linearised:] = 0.0
 

@@ -4,7 +4,6 @@ Each null simulation is simulated from the fitted model with a separate seed. It
 scored like the measured runs. The seeds are fixed, so the decision is repeatable.
 """
 
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, Future
 from functools import partial
@@ -13,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.processes import children
+from rollerrig.configs.processes import children, cores
 from rollerrig.rig.identify.causes import columns, discrepancy
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design, prepare
@@ -74,13 +73,10 @@ def worker_pool() -> Executor:
     """Return a pool with a process for each core, at most eight; this process alone on one core."""
     from threadpoolctl import threadpool_limits
 
-    cores = os.cpu_count() or 1
-    if hasattr(os, "sched_getaffinity"):
-        # fewer, where this process may not use all of them
-        cores = len(os.sched_getaffinity(0))
-    if cores == 1:
+    count = cores.allowed()
+    if count == 1:
         return _ThisProcess()
-    return children.pool(min(cores, MOST_PROCESSES), threadpool_limits, 1)
+    return children.pool(min(count, MOST_PROCESSES), threadpool_limits, 1)
 
 
 def simulate_and_score(

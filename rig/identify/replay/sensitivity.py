@@ -104,14 +104,13 @@ def second_gain(variance, coefficients, row):
 
 
 @kernel
-def response(changes, variance, coefficients, state, out):
+def response(changes, variance, coefficients, d_omega, d_m, out):
     """Write the response of one wheel's whitened innovations to `out`, shape (n, columns) [S2].
 
-    `changes` (n, columns) are changes of the wheel's acceleration, `state` (2, columns) is 0.
+    `changes` (n, columns) are changes of the wheel's acceleration, `d_omega` and `d_m` (columns,)
+    are work space with zeros.
     """
     columns = changes.shape[1]
-    d_omega = state[0]
-    d_m = state[1]
     for k in range(changes.shape[0]):
         scale = 1.0 / math.sqrt(variance[k])
         f00 = coefficients[k, F00]
@@ -134,7 +133,7 @@ def vehicle_response(changes, variance, noise, step_s, d_u, out):
     """Write the response of the whitened innovations of one vehicle to `out`, shape (n, columns).
 
     `changes` (n, columns) are changes of du/dt, `noise` is that of the vehicle's speed, `d_u`
-    (columns,) is 0.
+    (columns,) is work space with zeros.
     """
     columns = changes.shape[1]
     for k in range(changes.shape[0]):
