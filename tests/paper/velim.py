@@ -162,7 +162,8 @@ def unit_of(plan: scenario.Scenario, found: dict[str, float]) -> logic.Params:
     The band is not narrowed where little deceleration is learned: what was found is the band.
     """
     band = {name: value for name, value in found.items() if name.startswith("band_")}
-    return logic.load(plan["wsp_config"])._replace(narrow_share=1.0, **band)
+    band["narrow_share"] = 1.0
+    return logic.load(plan["wsp_config"])._replace(**band)
 
 
 def rows_of(test: str, found: dict[str, float], *law: str) -> np.ndarray:

@@ -4,7 +4,6 @@ import functools
 from pathlib import Path
 
 import bench_process
-import fmus
 import program
 import pytest
 
@@ -18,14 +17,6 @@ def folders(tmp_path_factory):
 def stop_with_wsp(folders):
     """velim_a1 over the bus in lockstep, with the reference unit in a separate process."""
     return bench_process.run(folders / "with", "--pacing", "lockstep")
-
-
-@pytest.fixture(scope="session")
-def stop_with_fmu(folders):
-    """velim_a1 over the bus in lockstep, with the rules in C as an FMU of FMI 3 in SI units."""
-    unit = fmus.build(folders)
-    words = ("--pacing", "lockstep", "--set", "duration_max_s=7", "--wsp", f"fmu:{unit}")
-    return bench_process.run(folders / "with_fmu", *words)
 
 
 @pytest.fixture(scope="session")

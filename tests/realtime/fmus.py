@@ -12,7 +12,7 @@ from xml.sax.saxutils import quoteattr
 import fmpy
 from fmpy import fmi2, fmi3
 
-from rollerrig.firmware_sim.wsp import logic, phases
+from rollerrig.firmware_sim.wsp import logic, phases, sensors
 from rollerrig.firmware_sim.wsp.reference_speed import SPEED_SCALE_RAD_S
 
 SOURCE = Path(__file__).parent / "fmu" / "wsp.c"
@@ -204,6 +204,7 @@ def _parameters(path):
     params = logic.load()
     lines = [
         f"#define SPEED_SCALE {SPEED_SCALE_RAD_S!r}",
+        f"#define EXPECTATION {sensors.EXPECTATION!r}",
         f"static const double DIAMETER[] = {{{', '.join(map(repr, params.wheel_diameter_m))}}};",
     ]
     lines += [

@@ -1,4 +1,4 @@
-"""A WSP unit that is an FMU: rules of an earlier reference unit in C, compiled for FMI 2 and 3, brake the coach
+"""A WSP unit that is an FMU: the reference's rules in C, compiled for FMI 2 and 3, brake the coach
 over the bus.
 """
 
@@ -43,8 +43,8 @@ def fmu(tmp_path_factory):
 
 
 @pytest.mark.parametrize("version", [pytest.param(2, marks=pytest.mark.nightly), 3])
-def test_rules_in_an_fmu_give_the_same_channels_in_each_version_and_in_other_units(
-    version, stop_with_fmu, tmp_path
+def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(
+    version, stop_with_wsp, tmp_path
 ):
     # an FMU that is told rpm and bar, which are converted; the other one SI
     units = {"rad/s": "rpm", "Pa": "bar"} if version == 3 else {}
@@ -59,13 +59,13 @@ def test_rules_in_an_fmu_give_the_same_channels_in_each_version_and_in_other_uni
         "--pacing",
         "lockstep",
         "--set",
-        "duration_max_s=7",
+        "duration_max_s=9",
         "--wsp",
         f"fmu:{unit}",
     )
     assert run.status == 4, run.stderr  # it has not stopped
     assert run.record.column("vents_1")[-1] > 0
-    bench_process.assert_same_channels(run, stop_with_fmu)
+    bench_process.assert_same_channels(run, stop_with_wsp)
     # what the FMU has said stands in the log of the unit
     assert "the WSP of the FMU is there" in (run.out / "wsp.log").read_text()
     assert json.loads((run.out / "summary.json").read_text())["wsp"]["unit"] == f"fmu:{unit}"

@@ -23,8 +23,8 @@ def said(run):
     return (run.out / "wsp.log").read_text()
 
 
-def test_rules_on_a_can_node_of_an_fmu_give_the_channels_of_those_with_signals(
-    stop_with_fmu, tmp_path
+def test_the_reference_rules_on_a_can_node_of_an_fmu_give_the_channels_of_the_reference_unit(
+    stop_with_wsp, tmp_path
 ):
     # each frame waits for the confirmation of the last
     unit = fmus.build_can(tmp_path)
@@ -33,13 +33,13 @@ def test_rules_on_a_can_node_of_an_fmu_give_the_channels_of_those_with_signals(
         "--pacing",
         "lockstep",
         "--set",
-        "duration_max_s=7",
+        "duration_max_s=9",
         "--wsp",
         f"fmu:{unit}",
     )
     assert not run.reported(Code.UNIT_ENDED), run.stderr + said(run)
     assert run.record.column("vents_1")[-1] > 0
-    bench_process.assert_same_channels(run, stop_with_fmu)
+    bench_process.assert_same_channels(run, stop_with_wsp)
     assert json.loads((run.out / "summary.json").read_text())["wsp"]["unit"] == f"fmu:{unit}"
 
 

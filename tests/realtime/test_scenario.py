@@ -42,7 +42,7 @@ def test_a_later_layer_overrides_an_earlier_one(user_scenario, tmp_path):
     plain = scenario.load(user_scenario)
     # the scenario overrides the set "wet", and the set overrides the default
     assert plain["adhesion"]["mu_cd"] == 0.09
-    assert plain["adhesion"]["cleaning_creepage"] == 0.3
+    assert plain["adhesion"]["cleaning_creepage"] == 0.55
     assert plain["adhesion"]["mu_cr"] == 0.28
     extended = scenario.load(user_scenario, str(model))
     assert extended["adhesion"]["tau_m_J"] == 1e-4

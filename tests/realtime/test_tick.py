@@ -130,7 +130,7 @@ def test_the_unit_in_the_tick_sees_counts_and_answers_a_cycle_later(build):
     machine = build()
     units = tick.Units(np.zeros((1, logic.SIZE)), logic.load("reference"))
     inputs = np.zeros(2 * MOST_AXLES, dtype=np.int64)
-    tick.run_ticks_with_units(machine, 4000, 10, units, inputs)
+    tick.run_ticks_with_units(machine, 6000, 10, units, inputs)
     speed = machine.row[TABLE.span("wheel_speed")]
     assert np.abs(inputs[:4] * 0.01 - speed).max() < 0.5
     assert np.isfinite(machine.command[REFERENCE])

@@ -1,5 +1,5 @@
-/* Rules of an earlier reference WSP (it trusted each sensor that was not stuck, and its pulses had one length) in C, as an FMU for co-simulation: FMI 3, or FMI 2 with -DFMI2, or
-   a CAN node with -DLS_BUS.
+/* The rules of the reference WSP (firmware_sim/wsp) in C, for four axles, as an FMU for co-simulation: FMI 3, or FMI 2
+   with -DFMI2, or a CAN node with -DLS_BUS.
    parameters.h is written by the tests from the packaged configuration and the tables of firmware_sim/wsp/phases.py.
    FAIL_AT_S, HANG_AT_S, CRASH_AT_S: what goes wrong, and when; with -DSEGFAULT a crash writes where no memory is. */
 #include <math.h>
@@ -28,52 +28,140 @@ typedef struct {
     double in[8];       /* wheel speeds in rad/s, cylinder pressures in Pa */
     int hold[4], vent[4];
     double reference, time;
-    /* memory of the rules */
+    /* memory of the rules: names as in firmware_sim/wsp/logic.py, ages in cycles */
     double cycles, speed[4], lagged[4], slope[4], falling[4], deceleration, anchored, anchor_age, calm, run_ups;
-    double sliding[4], same[4], phase_age[4], vent_age[4], hold_age[4];
+    double sliding[4], measured[4], rim[4], same[4], disputed[4], relief[4], plausible[4];
+    double phase_age[4], pulse[4], free_age[4], vent_age[4], hold_age[4];
     long raw[4];
-    int runner, phase[4];
+    int accused[4], out[4], runner, phase[4];
 } Wsp;
 
+#define EACH_AXLE for (int j = 0; j < 4; j++)
+
 static int passed(double cycles, double duration) { return (cycles + 0.5) * CYCLE_S >= duration; }
-static int stuck(const Wsp *w, int j) { return passed(w->same[j], STUCK_S); }
 static double least(double a, double b) { return a < b ? a : b; }
 static double most(double a, double b) { return a > b ? a : b; }
+static int trusted(const Wsp *w)
+{
+    int count = 0;
+    EACH_AXLE count += !w->out[j];
+    return count;
+}
 
+/* sensors.py */
+static int jumps(double before, double now)
+{
+    double change = now - before;
+    return change < -(JUMP_M_S + JUMP_FALL_M_S2 * CYCLE_S) || change > JUMP_M_S + JUMP_RISE_M_S2 * CYCLE_S;
+}
+
+static int far_above(double faster, double slower) { return faster > slower * (1.0 + AGREE_FRACTION) + AGREE_M_S; }
+
+static int among_trusted_axles(const Wsp *w, int i)
+{
+    double slowest = INFINITY, fastest = w->reference;
+    EACH_AXLE if (!w->out[j]) {
+        slowest = least(slowest, w->measured[j]);
+        fastest = most(fastest, w->measured[j]);
+    }
+    if (slowest == INFINITY) return 1;
+    return !far_above(w->measured[i], fastest) && !far_above(slowest, w->measured[i]);
+}
+
+static int runs_free(const Wsp *w, int i)
+{
+    return !w->out[i] && passed(w->free_age[i], FREE_S) && w->slope[i] < RUN_UP_DONE_M_S2;
+}
+
+static void accuse(Wsp *w, int i)
+{
+    double expected = w->anchored - w->deceleration * (w->anchor_age * CYCLE_S);
+    double against = 0.0, witnesses = 0.0, nearest = INFINITY;
+    EACH_AXLE {
+        if (w->out[j]) continue;
+        if (far_above(w->speed[j], w->speed[i])) {
+            against += 1.0;
+            nearest = least(nearest, fabs(w->speed[j] - expected));
+        } else if (runs_free(w, j)) {
+            witnesses += !far_above(w->speed[i], w->speed[j]);
+        }
+    }
+    if (against == 0.0) return;
+    if (against >= 2.0) *(nearest < fabs(w->speed[i] - expected) ? &against : &witnesses) += EXPECTATION;
+    if (against > witnesses) {
+        w->accused[i] = 1;
+        return;
+    }
+    EACH_AXLE if (!w->out[j] && far_above(w->speed[j], w->speed[i])) w->accused[j] = 1;
+}
+
+static void judge(Wsp *w, const long *counts)
+{
+    int all = trusted(w), moving = 0;
+    EACH_AXLE {
+        moving += !w->out[j] && counts[j] != w->raw[j];
+        w->accused[j] = 0;
+    }
+    EACH_AXLE if (runs_free(w, j)) accuse(w, j);
+    EACH_AXLE w->disputed[j] = w->accused[j] ? w->disputed[j] + 1.0 : 0.0;
+    EACH_AXLE {
+        int impossible = w->cycles > 0.0 && jumps(w->rim[j], w->measured[j]);
+        int silent = counts[j] == 0 && passed(w->free_age[j], SILENT_S);
+        if (counts[j] != w->raw[j] || counts[j] == 0) w->same[j] = 0.0;
+        else if (moving > 0 && moving >= (all > 2 ? 2 : all - 1)) w->same[j] += 1.0;
+        if (w->out[j] && !among_trusted_axles(w, j)) impossible = 1;
+        if (impossible || passed(w->same[j], STUCK_S) || passed(w->disputed[j], CONFIRM_S) || (silent && !w->out[j])) {
+            w->out[j] = 1;
+            w->plausible[j] = 0.0;
+        } else {
+            w->plausible[j] += 1.0;
+            if (passed(w->plausible[j], TRUST_AGAIN_S)) w->out[j] = 0;
+        }
+        w->raw[j] = counts[j];
+        w->rim[j] = w->measured[j];
+    }
+}
+
+static int followed(const Wsp *w, int j)
+{
+    for (int step = 1; step < 4; step++)
+        if (!w->out[j ^ step]) return j ^ step;
+    return NOBODY;
+}
+
+/* reference_speed.py */
 static void measure(Wsp *w, const long *counts)
 {
-    int changed = 0;
-    for (int j = 0; j < 4; j++) {
-        double v = fabs((double)counts[j]) * SPEED_SCALE * 0.5 * DIAMETER[j];
-        if (w->cycles == 0.0) w->lagged[j] = v;
-        w->speed[j] = v;
-        w->slope[j] = (v - w->lagged[j]) / ACCELERATION_FILTER_S;
+    EACH_AXLE {
+        w->measured[j] = fabs((double)counts[j]) * SPEED_SCALE * 0.5 * DIAMETER[j];
+        if (w->cycles == 0.0) w->lagged[j] = w->measured[j];
+    }
+    judge(w, counts);
+    EACH_AXLE {
+        w->speed[j] = w->measured[j];
+        w->slope[j] = (w->speed[j] - w->lagged[j]) / ACCELERATION_FILTER_S;
         w->lagged[j] += w->slope[j] * CYCLE_S;
+    }
+    EACH_AXLE {
+        int source = w->out[j] ? followed(w, j) : j;
+        if (source >= 0) {
+            w->speed[j] = w->speed[source];
+            w->slope[j] = w->slope[source];
+        }
         w->falling[j] = w->slope[j] < -FALL_M_S2 ? w->falling[j] + 1.0 : 0.0;
     }
-    for (int j = 0; j < 4; j++) changed += counts[j] != w->raw[j];
-    for (int j = 0; j < 4; j++) {
-        if (counts[j] != w->raw[j] || counts[j] == 0) w->same[j] = 0.0;
-        else if (changed > 1) w->same[j] += 1.0;
-        w->raw[j] = counts[j];
-    }
-    for (int j = 0; j < 4; j++)
-        if (stuck(w, j) && !stuck(w, j ^ 1)) {
-            w->speed[j] = w->speed[j ^ 1];
-            w->slope[j] = w->slope[j ^ 1];
-        }
 }
 
 static void advance(Wsp *w)
 {
     double fastest = 0.0, fall = REFERENCE_FALL_M_S2, before;
     int sliding = 0;
-    for (int j = 0; j < 4; j++) {
-        if (!stuck(w, j)) fastest = most(fastest, w->speed[j]);
+    EACH_AXLE {
+        if (!w->out[j]) fastest = most(fastest, w->speed[j]);
         sliding |= w->phase[j] != FILL || passed(w->falling[j], CONFIRM_S);
     }
     if (w->cycles == 0.0) {
-        w->reference = fastest;
+        w->reference = w->anchored = fastest;
         w->deceleration = FIRST_DECELERATION_M_S2;
         w->runner = NOBODY;
     }
@@ -88,16 +176,25 @@ static void advance(Wsp *w)
     }
 }
 
+static int trailing(const Wsp *w, int turn)
+{
+    int all = trusted(w), skip;
+    if (all == 0) return NOBODY;
+    skip = turn % (all < RUN_UP_AXLES ? all : RUN_UP_AXLES);
+    for (int j = 3; j >= 0; j--)
+        if (!w->out[j] && skip-- == 0) return j;
+    return NOBODY;
+}
+
 static void choose_runner(Wsp *w)
 {
     if (w->reference < CUT_OFF_M_S) {
         w->runner = NOBODY;
         return;
     }
-    if (w->runner != NOBODY && stuck(w, w->runner)) w->runner = NOBODY;
+    if (w->runner != NOBODY && w->out[w->runner]) w->runner = NOBODY;
     if (w->runner == NOBODY && passed(w->anchor_age, w->run_ups == 0.0 ? RUN_UP_FIRST_S : RUN_UP_INTERVAL_S)) {
-        int chosen = 3 - (int)w->run_ups % RUN_UP_AXLES;
-        if (!stuck(w, chosen)) w->runner = chosen;
+        w->runner = trailing(w, (int)w->run_ups);
         w->run_ups += 1.0;
     }
 }
@@ -122,38 +219,90 @@ static void finish_run_up(Wsp *w)
     w->runner = NOBODY;
 }
 
+/* logic.py */
+static void band(const Wsp *w, double *low, double *high)
+{
+    int all = trusted(w);
+    double per_axle = w->deceleration * 4 / (all > 1 ? all : 1);
+    double span = most(WIDE_ABOVE_M_S2 - NARROW_BELOW_M_S2, 1e-3);
+    double share = NARROW_SHARE + (1.0 - NARROW_SHARE) * least(most((per_axle - NARROW_BELOW_M_S2) / span, 0.0), 1.0);
+    *low = least(BAND_LOW_M_S, share * BAND_LOW_FRACTION * w->reference);
+    *high = least(BAND_HIGH_M_S, share * BAND_HIGH_FRACTION * w->reference);
+}
+
 static int event_of(Wsp *w, int j)
 {
-    double v = w->reference, s = w->sliding[j] = v - w->speed[j], a = w->slope[j];
+    double v = w->reference, s = w->sliding[j] = v - w->speed[j], a = w->slope[j], low, high;
     double begin = SLIDE_BEGIN_M_S + SLIDE_BEGIN_FRACTION * v;
-    double low = least(BAND_LOW_M_S, BAND_LOW_FRACTION * v), high = least(BAND_HIGH_M_S, BAND_HIGH_FRACTION * v);
+    band(w, &low, &high);
     int row = (s > begin) + (s > low) + (s > high) + (s > high * DEEP_FACTOR);
     int column = (a > -FAST_FALL_M_S2) + (a > -FALL_M_S2) + (a > RISE_M_S2) + (a > FAST_RISE_M_S2);
     int event = WISHES[row][column];
     if (w->runner == j) event = E_RUN_UP;
-    if (stuck(w, j)) event = E_VENT;
     if (passed(w->vent_age[j], VENT_TIMER_S) || passed(w->hold_age[j], HOLD_TIMER_S)) event = E_TIMER;
     if (v < CUT_OFF_M_S) event = E_CUT_OFF;
     return event;
 }
 
+static double pulse_of(const Wsp *w, int j, int phase)
+{
+    double low, high, excess;
+    band(w, &low, &high);
+    excess = -w->deceleration - w->slope[j] + (w->sliding[j] - 0.5 * (low + high)) / APPROACH_S;
+    if (phase == STEP_FILL) return least(most(-excess * FILL_GAIN_S3_M, FILL_PULSE_SHORTEST_S), FILL_PULSE_S);
+    if (phase == STEP_VENT) return least(most(excess * VENT_GAIN_S3_M, VENT_PULSE_S), VENT_PULSE_LONGEST_S);
+    return phase == LOCKED_OUT ? LOCK_OUT_S : 0.0;
+}
+
 static void act(Wsp *w, int j, int event)
 {
-    const double pulse[] = {0.0, FILL_PULSE_S, 0.0, VENT_PULSE_S, 0.0, 0.0, LOCK_OUT_S};
-    const double pause[] = {0.0, FILL_PAUSE_S, 0.0, VENT_PAUSE_S, 0.0, 0.0, 0.0};
-    int phase = w->phase[j], following = NEXT[phase][event], magnets;
-    int over = passed(w->phase_age[j], pulse[phase] + pause[phase]);
-    if ((over || INTERRUPTS[phase][event]) && (following != phase || pulse[phase] > 0.0)) {
-        phase = following;
+    double pause = w->phase[j] == STEP_FILL ? FILL_PAUSE_S : w->phase[j] == STEP_VENT ? VENT_PAUSE_S : 0.0;
+    int following = NEXT[w->phase[j]][event], magnets;
+    if (event == FILL) pause = least(pause, REFILL_PAUSE_S);
+    if ((passed(w->phase_age[j], w->pulse[j] + pause) || INTERRUPTS[w->phase[j]][event])
+        && (following != w->phase[j] || w->pulse[j] > 0.0)) {
+        w->phase[j] = following;
         w->phase_age[j] = 0.0;
+        w->pulse[j] = pulse_of(w, j, following);
     }
-    w->phase[j] = phase;
-    magnets = MAGNETS[phase][passed(w->phase_age[j], pulse[phase])];
+    magnets = MAGNETS[w->phase[j]][passed(w->phase_age[j], w->pulse[j])];
     w->phase_age[j] += 1.0;
     w->hold[j] = magnets & 1;
     w->vent[j] = magnets >> 1;
+    w->free_age[j] = w->vent[j] ? w->free_age[j] + 1.0 : 0.0;
     w->vent_age[j] = magnets == 0 ? 0.0 : w->vent_age[j] + (w->vent[j] != 0);
     w->hold_age[j] = magnets == 0 ? 0.0 : w->hold_age[j] + (w->vent[j] == 0);
+}
+
+/* an axle whose sensor is rejected */
+static void follow(Wsp *w, int j)
+{
+    int leader = followed(w, j), relieved;
+    if (leader == NOBODY) {
+        w->phase[j] = FILL;
+        w->phase_age[j] = w->free_age[j] = w->vent_age[j] = w->hold_age[j] = 0.0;
+        w->hold[j] = w->vent[j] = 0;
+        return;
+    }
+    w->sliding[j] = w->sliding[leader];
+    w->phase[j] = w->phase[leader];
+    w->phase_age[j] = w->phase_age[leader];
+    w->free_age[j] = w->free_age[leader];
+    w->vent_age[j] = w->vent_age[leader];
+    w->hold_age[j] = w->hold_age[leader];
+    w->hold[j] = w->hold[leader];
+    w->vent[j] = w->vent[leader];
+    if (w->calm > 0.0) {
+        w->relief[j] = 0.0;
+        return;
+    }
+    if (passed(w->relief[j], RELIEF_INTERVAL_S)) w->relief[j] = 0.0;
+    relieved = !passed(w->relief[j], RELIEF_S);
+    w->relief[j] += 1.0;
+    if (relieved) {
+        w->phase[j] = VENT;
+        w->hold[j] = w->vent[j] = 1;
+    }
 }
 
 #ifdef LAST_WORDS
@@ -182,13 +331,14 @@ static int step(Wsp *w)
 #ifdef CRASH_AT_S
     if (w->time > CRASH_AT_S) { printf("the next step crashes\n"); CRASH; }
 #endif
-    for (int j = 0; j < 4; j++) counts[j] = lrint(w->in[j] * SPEED_UNIT / SPEED_SCALE);
+    EACH_AXLE counts[j] = lrint(w->in[j] * SPEED_UNIT / SPEED_SCALE);
     measure(w, counts);
     advance(w);
     choose_runner(w);
     finish_run_up(w);
     w->cycles += 1.0;
-    for (int j = 0; j < 4; j++) act(w, j, event_of(w, j));
+    EACH_AXLE if (!w->out[j]) act(w, j, event_of(w, j));
+    EACH_AXLE if (w->out[j]) follow(w, j);
     w->time += CYCLE_S;
 #ifdef NAN_AT_S
     if (w->time > NAN_AT_S) w->reference = NAN;
