@@ -56,6 +56,7 @@ PLAN = (
     ("frame_duplicated", 6.3, 6.5, {"can_id": 0x191, "every": 1}),
     ("error_frame", 6.6, 6.8, {"node": 17, "attempts": 2}),
     ("bus_off", 6.9, 7.2, {"node": 4}),
+    ("speed_sensor_drift", 7.3, 7.8, {"axle": 4, "step_percent": -10.0, "rate_percent_s": 4.0}),
     ("heartbeat_late", 7.3, 7.8, {"node": 17, "delay_s": 0.6}),
     ("wsp_frozen", 8.0, 8.4, {}),
     ("receive_error", 9.0, 9.4, {"node": 16, "attempts": 1}),

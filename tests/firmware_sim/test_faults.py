@@ -217,6 +217,28 @@ def test_a_larger_wheel_is_measured_slower_by_the_difference_of_the_diameters(ri
     assert on_bus[:, 2] == pytest.approx(on_bus[:, 1] / 1.05, rel=0.01)
 
 
+@pytest.mark.conformance("Faults", "speed_sensor_drift")
+def test_a_sensor_that_drifts_jumps_and_then_leaves_the_true_speed_at_its_rate(rig):
+    span = within("speed_sensor_drift", 0.0)
+    measured = measured_speeds(rig, *span)[3]
+    true = wheel_speeds(rig, *span)[3]
+    since_s = rig.channel("time_s", *span) - span[0]
+    drifted = true * (1.0 - 0.10 + 0.04 * since_s)
+    assert measured[1:] == pytest.approx(drifted[1:], rel=1e-3)
+    assert speeds_on_bus(rig, *span)[-1, 3] == pytest.approx(measured[-1], abs=0.2)
+
+    # its pulses are those of the wheel
+    whole, drifting = (
+        np.ptp(rig.channel(f"pulse_count_{axle}", *span))
+        / np.ptp(rig.channel(f"wheel_angle_{axle}_rad", *span))
+        for axle in (3, 4)
+    )
+    assert drifting == pytest.approx(whole, rel=0.02)
+
+    later = after("speed_sensor_drift")
+    assert np.array_equal(measured_speeds(rig, *later)[3], wheel_speeds(rig, *later)[3])
+
+
 # --- valves and cylinders ---
 
 
