@@ -78,6 +78,9 @@ BENCHMARKS = {
     "fuzz": _in_clone(
         "endurance.fuzz", "a million malformed inputs through every interface of running benches"
     ),
+    "files": _in_clone(
+        "endurance.files", "a thousand damaged files of each kind that is read (a quarter of an hour)"
+    ),
     "repeat": _in_clone(
         "benchmarks.repeat",
         "whether the sequence of every fault repeats to the byte on busy cores (two hours)",
@@ -119,7 +122,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         default=0,
         metavar="N",
-        help="fuzz: number of inputs (default: 1000000); kill: number of kills (default: 100); "
+        help="fuzz: number of inputs (default: 1000000); files: files of each kind (default: 1000); "
+        "kill: number of kills (default: 100); "
         "repeat: runs of each sequence (default: 10); merge: stops (default: 1000000)",
     )
     parser.add_argument("--live", action="store_true", help="loop: with the live view")

@@ -1,10 +1,12 @@
 """Short versions of the endurance runs: the resources of a long run, and the losses of a kill."""
 
 import argparse
+import os
 import re
+import signal
 
 import pytest
-from endurance import kill, runs, soak
+from endurance import files, kill, runs, soak
 
 pytestmark = pytest.mark.nightly
 
@@ -49,3 +51,21 @@ def test_a_kill_costs_a_second_at_most_and_leaves_no_process(how):
     assert found["lost_s"] <= kill.LOST_S
     assert found["left"] == 0
     assert found["traceback"] == 0
+
+
+def test_damaged_files_of_each_kind_are_read_or_refused():
+    found = files.run(argparse.Namespace(count=4, seed=3), lambda text: None)
+    assert found["failures"] == []
+    for name, kind in found["kinds"].items():
+        assert sum(kind["outcomes"].values()) == 4, name
+
+
+def test_an_exception_that_is_not_of_the_program_is_found():
+    done = files.apart(lambda: 1 / 0)
+    assert done["outcome"] == files.FOREIGN
+    assert "ZeroDivisionError" in done["text"]
+
+
+def test_a_process_that_dies_is_found():
+    killed = files.apart(lambda: os.kill(os.getpid(), signal.SIGKILL))
+    assert killed["outcome"] == files.DIED

@@ -16,57 +16,17 @@ from rollerrig.rig.identify.train_recorder import recording
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1")
 rosbag2 = pytest.importorskip("rosbags.rosbag2")
-typesys = pytest.importorskip("rosbags.typesys")
+recorded_bag = pytest.importorskip("recorded_bag")
 zstd = pytest.importorskip("backports.zstd")
 
-MODES = rosbag2.CompressionMode
-PLUGINS = rosbag2.StoragePlugin
+MODES = recorded_bag.MODES
+PLUGINS = recorded_bag.PLUGINS
 MB = 1_000_000
-DATASET = """kind = "recorder"
-[channels]
-bogie_speed_1_m_s = { column = "/axle:data", name = "axle" }
-reference_speed_m_s = { column = "/gnss:twist.linear.x", name = "gnss" }
-[[run]]
-file = "RUN"
-"""
-N = 300
-TIME_S = 1000.0 + 0.1 * np.arange(N)
-SPEED_M_S = 20.0 - 0.05 * np.arange(N)
-
-
-def write(folder, mode=MODES.NONE, plugin=PLUGINS.SQLITE3, zeros=0):
-    """Write a recording `run`, with a last message of `zeros` bytes that are 0."""
-    store = typesys.get_typestore(typesys.Stores.LATEST)
-    Float64 = store.types["std_msgs/msg/Float64"]
-    Header = store.types["std_msgs/msg/Header"]
-    Time = store.types["builtin_interfaces/msg/Time"]
-    Twist = store.types["geometry_msgs/msg/Twist"]
-    TwistStamped = store.types["geometry_msgs/msg/TwistStamped"]
-    Vector3 = store.types["geometry_msgs/msg/Vector3"]
-
-    bag = rosbag2.Writer(folder / "run", version=9, storage_plugin=plugin)
-    if mode != MODES.NONE:
-        bag.set_compression(mode, rosbag2.CompressionFormat.ZSTD)
-    with bag:
-        axle = bag.add_connection("/axle", Float64.__msgtype__, typestore=store)
-        gnss = bag.add_connection("/gnss", TwistStamped.__msgtype__, typestore=store)
-        for at_s, speed in zip(TIME_S, SPEED_M_S, strict=True):
-            at_ns = round(at_s * 1e9)
-            plain = Float64(speed)
-            bag.write(axle, at_ns, store.serialize_cdr(plain, Float64.__msgtype__))
-
-            # the stamp of the header differs from the time at which the bag received the message
-            header = Header(Time(int(at_s) + 1, 0), "")
-            twist = Twist(Vector3(speed, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))
-            stamped = TwistStamped(header, twist)
-            bag.write(gnss, at_ns, store.serialize_cdr(stamped, TwistStamped.__msgtype__))
-        if zeros:
-            bag.write(axle, round(TIME_S[-1] * 1e9), bytes(zeros))
 
 
 def load(folder, run="run"):
     """Return the run of the recording. Raises ConfigError."""
-    (folder / "dataset.toml").write_text(DATASET.replace("RUN", run))
+    (folder / "dataset.toml").write_text(recorded_bag.DATASET.replace("RUN", run))
     return recording.load(folder).runs[0]
 
 
@@ -97,25 +57,29 @@ COMPRESSED = [form for form in FORMS if form.startswith("compressed")]
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_rosbag_reads_as_the_csv(tmp_path, form):
-    write(tmp_path, *FORMS[form])
+    recorded_bag.write(tmp_path, *FORMS[form])
     run = load(tmp_path)
-    np.testing.assert_allclose(run.channels["axle"].values, SPEED_M_S)
-    np.testing.assert_allclose(run.channels["axle"].time_s, TIME_S - TIME_S[0], atol=1e-6)
+    np.testing.assert_allclose(run.channels["axle"].values, recorded_bag.SPEED_M_S)
+    np.testing.assert_allclose(
+        run.channels["axle"].time_s, recorded_bag.TIME_S - recorded_bag.TIME_S[0], atol=1e-6
+    )
     # a channel with a header has the stamps of the header
-    stamps_s = np.floor(TIME_S) + 1.0
-    np.testing.assert_allclose(run.channels["gnss"].time_s, stamps_s - TIME_S[0], atol=1e-6)
+    stamps_s = np.floor(recorded_bag.TIME_S) + 1.0
+    np.testing.assert_allclose(
+        run.channels["gnss"].time_s, stamps_s - recorded_bag.TIME_S[0], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("form", COMPRESSED)
 def test_a_rosbag_that_unpacks_to_a_thousand_times_its_size_is_refused(tmp_path, form):
-    write(tmp_path, *FORMS[form], zeros=60 * MB)
+    recorded_bag.write(tmp_path, *FORMS[form], zeros=60 * MB)
     assert size_of(tmp_path / "run") < 0.1 * MB
     with pytest.raises(ConfigError, match=r"run: unpacks to more than 50 MB.*split it"):
         load(tmp_path)
 
 
 def test_a_compressed_file_is_refused_before_it_is_on_the_disk(tmp_path, monkeypatch):
-    write(tmp_path, MODES.FILE, PLUGINS.SQLITE3, zeros=60 * MB)
+    recorded_bag.write(tmp_path, MODES.FILE, PLUGINS.SQLITE3, zeros=60 * MB)
     # a folder for temporary files into which nothing can be written
     monkeypatch.setattr(tempfile, "tempdir", str(Path("/proc/self/none")))
     with pytest.raises(ConfigError, match="unpacks to more than 50 MB"):
@@ -123,7 +87,7 @@ def test_a_compressed_file_is_refused_before_it_is_on_the_disk(tmp_path, monkeyp
 
 
 def test_a_chunk_beyond_its_limit_is_refused_where_the_whole_recording_is_within(tmp_path):
-    write(tmp_path, MODES.STORAGE, PLUGINS.MCAP, zeros=260 * MB)
+    recorded_bag.write(tmp_path, MODES.STORAGE, PLUGINS.MCAP, zeros=260 * MB)
     # a large file beside it allows more for the whole recording
     noise = np.random.default_rng(1).bytes(4 * MB)
     (tmp_path / "run" / "notes.bin").write_bytes(noise)
@@ -135,6 +99,7 @@ def test_a_chunk_beyond_its_limit_is_refused_where_the_whole_recording_is_within
     "compression", list(rosbag1.Writer.CompressionFormat), ids=lambda c: c.name
 )
 def test_a_bag_of_ros_1_that_unpacks_to_a_thousand_times_its_size_is_refused(tmp_path, compression):
+    typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
     bag = rosbag1.Writer(tmp_path / "run.bag")
     bag.set_compression(compression)
@@ -147,7 +112,7 @@ def test_a_bag_of_ros_1_that_unpacks_to_a_thousand_times_its_size_is_refused(tmp
 
 
 def test_a_database_with_rows_without_end_is_refused(tmp_path):
-    write(tmp_path)
+    recorded_bag.write(tmp_path)
     with sqlite3.connect(next((tmp_path / "run").glob("*.db3"))) as database:
         database.executescript(
             """
@@ -163,7 +128,7 @@ def test_a_database_with_rows_without_end_is_refused(tmp_path):
 
 
 def test_a_value_that_the_database_computes_has_a_limit(tmp_path):
-    write(tmp_path)
+    recorded_bag.write(tmp_path)
     with sqlite3.connect(next((tmp_path / "run").glob("*.db3"))) as database:
         database.executescript(
             """
@@ -178,7 +143,7 @@ def test_a_value_that_the_database_computes_has_a_limit(tmp_path):
 
 
 def test_large_metadata_are_refused(tmp_path):
-    write(tmp_path)
+    recorded_bag.write(tmp_path)
     with (tmp_path / "run" / "metadata.yaml").open("a") as metadata:
         metadata.write("#" * 2 * MB)
     with pytest.raises(ConfigError, match=r"metadata.yaml: has more than 1 MB"):
@@ -187,7 +152,7 @@ def test_large_metadata_are_refused(tmp_path):
 
 @pytest.mark.parametrize("form", FORMS)
 def test_a_damaged_rosbag_gives_a_message_with_its_file(tmp_path, form):
-    write(tmp_path, *FORMS[form])
+    recorded_bag.write(tmp_path, *FORMS[form])
     rng = np.random.default_rng(7)
     refused = 0
     for file in sorted((tmp_path / "run").iterdir()):
