@@ -79,7 +79,8 @@ BENCHMARKS = {
         "endurance.fuzz", "a million malformed inputs through every interface of running benches"
     ),
     "files": _in_clone(
-        "endurance.files", "a thousand damaged files of each kind that is read (a quarter of an hour)"
+        "endurance.files",
+        "a thousand damaged files of each kind that is read (a quarter of an hour)",
     ),
     "repeat": _in_clone(
         "benchmarks.repeat",
