@@ -82,12 +82,14 @@ PACKAGED_SET = "soap"
 # a setting that turns recovery off: the classic model
 CLASSIC = "adhesion.tau_m_J=0.0"
 # contaminants that `over_contaminants` tries, and number of points of its curves
-SCAN = tuple(float(mu_cd) for mu_cd in np.geomspace(0.006, 0.06, 9))
+SCAN = tuple(float(mu_cd) for mu_cd in np.geomspace(0.006, 0.06, 13))
 _CURVE_POINTS = 500
 # contaminants whose means are so close to the best one are equally good
 _EQUAL_M_S = 0.02
 # lower edge of the WSP's sliding band and its width in m/s, which `calibrate` tries
-BANDS = tuple((low, width) for low in (4.2, 4.5, 4.8, 5.1) for width in (0.9, 1.3, 1.7))
+BANDS = tuple(
+    (low, width) for low in (3.0, 3.4, 3.8, 4.2, 4.6, 5.0) for width in (1.4, 2.0, 2.6, 3.2)
+)
 
 _FIT = "fitted on group A of Table 6"
 # keys of SETTINGS

@@ -1,5 +1,5 @@
-"""FMUs for the tests, written and compiled here: the reference WSP's rules in C, for FMI 2 and
-3.
+"""FMUs for the tests, written and compiled here: rules of an earlier reference WSP in C, for FMI 2
+and 3.
 """
 
 import functools
@@ -200,7 +200,7 @@ def description(version, name, inputs, sources=False):
 
 
 def _parameters(path):
-    """The reference's thresholds and tables as C."""
+    """The thresholds and tables of the present reference WSP as C."""
     params = logic.load()
     lines = [
         f"#define SPEED_SCALE {SPEED_SCALE_RAD_S!r}",

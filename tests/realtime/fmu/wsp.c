@@ -1,5 +1,6 @@
-/* Rules of an earlier reference WSP (it trusted each sensor that was not stuck, and its pulses had one length) in C, as an FMU for co-simulation: FMI 3, or FMI 2 with -DFMI2, or
-   a CAN node with -DLS_BUS.
+/* Rules of an earlier reference WSP in C, as an FMU for co-simulation: FMI 3, or FMI 2 with -DFMI2, or a CAN node with
+   -DLS_BUS. It trusts each sensor that is not stuck, its band does not narrow and its pulses have one length, so it does
+   not brake as the present reference WSP does.
    parameters.h is written by the tests from the packaged configuration and the tables of firmware_sim/wsp/phases.py.
    FAIL_AT_S, HANG_AT_S, CRASH_AT_S: what goes wrong, and when; with -DSEGFAULT a crash writes where no memory is. */
 #include <math.h>
