@@ -64,7 +64,7 @@ def test_rules_in_an_fmu_give_the_same_channels_in_each_version_and_in_other_uni
         f"fmu:{unit}",
     )
     assert run.status == 4, run.stderr  # it has not stopped
-    assert run.record.column("vents_1")[-1] > 0
+    assert run.record.column("vents_2")[-1] > 0
     bench_process.assert_same_channels(run, stop_with_fmu)
     # what the FMU has said stands in the log of the unit
     assert "the WSP of the FMU is there" in (run.out / "wsp.log").read_text()
