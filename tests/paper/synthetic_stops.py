@@ -1,6 +1,7 @@
 """Makes the synthetic dataset of the six Velim stops: simulated by this project, seen by sensors.
 
-`configs/datasets/velim_synthetic` is this dataset.
+`configs/datasets/velim_synthetic` is such a dataset, made with the reference unit and the fit of an
+earlier version.
 """
 
 from pathlib import Path

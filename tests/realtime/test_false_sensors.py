@@ -17,9 +17,16 @@ SHORT_KM_H = 40
 FEW = ((1,), (4,), (3, 4), (1, 2, 4))
 
 
-# what the unit does not survive: three sensors that drift down alike on very low adhesion, where
-# they outvote the fourth
-OUTVOTED = {("very_low", "drift down", axles) for axles in sensors.SETS if len(axles) == 3}
+THREE = [axles for axles in sensors.SETS if len(axles) == 3]
+# what the unit does not survive (docs/performance.md has the times for which good axles lock):
+# sensors that drift down alike on very low adhesion and outvote the others, three sensors that
+# repeat an old speed alike, and one set of three lost sensors on very low adhesion (1.1 s)
+NOT_SURVIVED = {
+    *(("very_low", "drift down", axles) for axles in [*THREE, (2, 3), (3, 4)]),
+    *((rail, "stuck", axles) for rail in ("low", "very_low") for axles in THREE),
+    ("very_low", "dropout", (1, 2, 4)),
+    ("very_low", "jump up", (1, 2, 4)),
+}
 
 
 @functools.cache
@@ -50,7 +57,7 @@ ALL = itertools.product(sensors.RAILS, sensors.FAULTS, sensors.SETS)
 
 
 @pytest.mark.nightly
-@pytest.mark.parametrize(("rail", "fault", "axles"), sorted({*ALL} - OUTVOTED))
+@pytest.mark.parametrize(("rail", "fault", "axles"), sorted({*ALL} - NOT_SURVIVED))
 def test_false_sensors_cost_their_axles_at_most_and_lock_no_other(rail, fault, axles):
     check(rail, fault, axles, sensors.SPEED_KM_H)
 

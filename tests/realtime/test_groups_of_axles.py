@@ -250,7 +250,7 @@ def test_an_fmu_protects_a_last_group_that_has_two_axles(fmu, tmp_path):
     assert status == 4, messages
     table = pyarrow.parquet.read_table(folder / "channels.parquet")
     # its second instance has acted, and its reference speed is near that of the vehicle
-    assert table["magnets_5"].to_numpy().any()
+    assert table["magnets_6"].to_numpy().any()
     reference = table["wsp_reference_speed_2_m_s"].to_numpy()[20]
     assert reference == pytest.approx(table["vehicle_speed_m_s"].to_numpy()[20], rel=0.5)
 
