@@ -16,6 +16,8 @@ from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import campaign, design, speed_steps
+from rollerrig.realtime.campaign.components import failures, train
+from rollerrig.realtime.campaign.statistics import laws
 from rollerrig.realtime.record import run_folder
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.wsp_interface import signals
@@ -355,6 +357,20 @@ def other_keys():
         "A range in `[vary]`, for a random design:",
         "",
         *key_table(design.RANGE),
+        "",
+        "An input in `[inputs]`, next to `distribution`, its parameters, `low`, `high` and `source`. `per` is "
+        f"{', '.join(f'`{unit}`' for unit in train.UNITS[:-1])}: each of these units has its own value.",
+        "",
+        *key_table((laws.ELASTICITY, laws.IN_CAR, laws.BETWEEN_CARS)),
+        "",
+        "A component `[failures.NAME]`. Further keys are `places` (a list of numbers of units), `set` (values of "
+        "the scenario) and the parameters of its fault. [How to write them](howto_kdry.md).",
+        "",
+        *key_table(failures.ROWS),
+        "",
+        "`[failures]` itself:",
+        "",
+        *key_table((failures.RAREST,)),
         "",
         "`[etcs]`, for the deceleration by steps of speed:",
         "",

@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.vehicle import (
+    brake_factors,
     brake_torque_Nm_Pa,
     running_resistance,
     track_gradient,
@@ -57,7 +58,7 @@ def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
     """Return the force at the rim of all wheelsets at a cylinder pressure."""
     brake = record.scenario["brake"]
     return (
-        record.kind.axles
+        sum(brake_factors(record.scenario))
         * brake_torque_Nm_Pa(brake)
         / record.scenario["vehicle"]["wheel_radius_m"]
         * np.maximum(0.0, np.asarray(pressure_Pa) - brake["spring_pressure_Pa"])
