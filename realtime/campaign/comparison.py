@@ -32,6 +32,7 @@ FIGURES = (
     "braking_time_s",
     "sliding_max_m_s",
     "longest_lock_s",
+    "longest_deep_slide_s",
     "dissipated_energy_J",
     "vents",
     "air_consumption_NL",

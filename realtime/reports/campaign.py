@@ -131,7 +131,7 @@ def step(plan: campaign.Plan, outcome: Outcome) -> str:
 
 def cells(outcome: Outcome) -> list[list[str]]:
     """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
-    rows = [[name, *(f"{value:.4g}" for value in values)] for name, values in outcome.quantiles]
+    rows = [[name, *map(figures.number, values)] for name, values in outcome.quantiles]
     empty = [""] * (len(QUANTILES) - 1)
     rows.append(["not valid (runs, left out)", str(outcome.not_valid), *empty])
     return rows
@@ -226,7 +226,7 @@ def _page(
     # stable: the stopping distance first, then in the order of the table
     differing.sort(key=lambda name: name != DISTANCES[0])
     constant = [
-        f"{_title(name)} {figures.BY_NAME[name].scale * values[0]:.4g}"
+        f"{_title(name)} {figures.number(figures.BY_NAME[name].scale * values[0])}"
         for name, values in all_quantiles
         if values[0] == values[-1]
     ]
@@ -315,7 +315,7 @@ def _title(name: str) -> str:
 
 def read(name: str, value: float | None) -> str:
     """Return a figure for a reader: four digits in its unit; "not stopped" if the run has none."""
-    return "not stopped" if value is None else f"{figures.BY_NAME[name].scale * value:.4g}"
+    return "not stopped" if value is None else figures.number(figures.BY_NAME[name].scale * value)
 
 
 def read_with_unit(name: str, value: float | None) -> str:
@@ -327,7 +327,7 @@ def read_with_unit(name: str, value: float | None) -> str:
 
 def _input(value: Any) -> str:
     if isinstance(value, float):
-        return page.number(value)
+        return figures.number(value)
     return "none" if value == "" else str(value)
 
 

@@ -9,7 +9,6 @@ import base64
 import contextlib
 import html
 import io
-import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -51,9 +50,6 @@ SIGNATURES = "signatures"
 # whether pictures are pixels, for `pdf`
 _PIXELS = ContextVar("pixels", default=False)
 _PIXELS_PER_INCH = 150
-
-# of numbers in tables
-_DIGITS = 4
 
 AXLES = tuple(colours.as_hex(colour) for colour in colours.AXLES)
 GREY = colours.as_hex(colours.GREY)
@@ -270,15 +266,6 @@ def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4
     text = _drawn(draw, size, "svg").decode("utf-8")
     svg = text[text.index("<svg") :]
     return Markup(svg.replace(INK, "currentColor"))
-
-
-def number(value: float) -> str:
-    """Return a number for a table: about four digits, and never with an exponent."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    decimals = max(_DIGITS - 1 - math.floor(math.log10(abs(value))), 0)
-    text = f"{value:.{decimals}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def plain_logarithm(axis: Axis) -> None:
