@@ -19,6 +19,7 @@ from rollerrig.realtime.campaign import campaign, design, speed_steps
 from rollerrig.realtime.campaign.components import failures, train
 from rollerrig.realtime.campaign.statistics import laws
 from rollerrig.realtime.record import run_folder
+from rollerrig.realtime.reports.statistics import osrd
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import conditions, measures, sequence, verdict
@@ -375,6 +376,12 @@ def other_keys():
         "`[etcs]`, for the deceleration by steps of speed:",
         "",
         *key_table(speed_steps.ROWS),
+        "",
+        "## Train for OSRD",
+        "",
+        "The file that the option `--train` of `rollerrig etcs` names. [What it is for](campaigns.md#for-osrd).",
+        "",
+        *key_table(osrd.ROWS),
         "",
         "## Reference unit",
         "",
