@@ -145,6 +145,21 @@ def brake_torque_Nm_Pa(brake: Mapping[str, float]) -> float:
     )
 
 
+def brake_factors(sections: Mapping[str, Mapping[str, Any]]) -> list[float]:
+    """Return the factor of the brake torque of each axle of checked sections.
+
+    Raises ConfigError where [brake] axle_factors does not have one number for each axle.
+    """
+    axles = sections["vehicle"]["axles"]
+    factors = list(sections["brake"].get("axle_factors", ()))
+    if factors and len(factors) != axles:
+        raise ConfigError(
+            f"[brake] axle_factors has {len(factors)} numbers, and the vehicle has {axles} axles; "
+            "give one number for each axle, or none"
+        )
+    return factors or [1.0] * axles
+
+
 def weighed_share(air: Mapping[str, float], vehicle: Mapping[str, Any]) -> float:
     """Return the share of the demanded pressure that the weighing valve passes at this vehicle
     mass.

@@ -113,7 +113,7 @@ def begin(state, brake):
     # cylinders on a reservoir fill and vent by choked flow
     lags = air.reservoir_L == 0.0
     for j in range(state.axles):
-        state.torque_per_pressure[j] = brake.torque_Nm_Pa
+        state.torque_per_pressure[j] = brake.torque_Nm_Pa[j]
         state.spring_pressure[j] = brake.spring_pressure_Pa
         state.air_per_pressure[j] = brake.volume_L / NORMAL_PRESSURE_PA
         state.fill_share[j] = brake.valve_fill_share if lags else 0.0
@@ -187,13 +187,7 @@ def set_capacities(state):
         )
 
 
-@kernel
-def capacity(pressure_Pa, brake):
-    """Return the torque in N m that a wheelset's discs can hold at a cylinder pressure [B4]."""
-    return torque_at(pressure_Pa, brake.torque_Nm_Pa, brake.spring_pressure_Pa)
-
-
 @kernel_inlined
 def torque_at(pressure_Pa, torque_Nm_Pa, spring_Pa):
-    """Return `capacity` for these constants of a brake."""
+    """Return the torque in N m that a wheelset's discs can hold at a cylinder pressure [B4]."""
     return max(0.0, torque_Nm_Pa * (pressure_Pa - spring_Pa))

@@ -20,6 +20,7 @@ from rollerrig.configs.vehicle import (
     GRAVITY_M_S2,
     axle_positions_m,
     bodies,
+    brake_factors,
     brake_torque_Nm_Pa,
     kind_of,
     weighed_share,
@@ -105,9 +106,10 @@ class Brake(NamedTuple):
     """Pneumatics and disc brake of a wheelset.
 
     A share is the part of the difference that a lag closes in one step: 1 - exp(-step / T).
+    torque_Nm_Pa: (axles,).
     """
 
-    torque_Nm_Pa: float
+    torque_Nm_Pa: np.ndarray
     spring_pressure_Pa: float
     volume_L: float
     demand_fill_share: float
@@ -617,7 +619,7 @@ def _brake(sections: Mapping[str, Mapping[str, Any]], tick_s: float, substeps: i
     valve = sections["valve"]
     step_s = tick_s / substeps
     return Brake(
-        torque_Nm_Pa=brake_torque_Nm_Pa(b),
+        torque_Nm_Pa=brake_torque_Nm_Pa(b) * np.array(brake_factors(sections)),
         spring_pressure_Pa=b["spring_pressure_Pa"],
         volume_L=b["cylinder_volume_L"],
         demand_fill_share=_share(step_s, b["fill_time_constant_s"]),

@@ -279,11 +279,13 @@ def capacity(state, axle, params):
     if params.pads.vary:
         pressure_Pa = state.clamp_pressure[axle]
         rim_m_s = params.wheels.table[vehicle.RADIUS_M, axle] * state.wheel_speed[axle]
-        torque_Nm = brake.capacity(pressure_Pa, params.brake) * pads.friction_share(
-            rim_m_s, pressure_Pa, state.disc_temperature[axle], params.pads
-        )
+        share = pads.friction_share(rim_m_s, pressure_Pa, state.disc_temperature[axle], params.pads)
     else:
-        torque_Nm = brake.capacity(state.cylinder_pressure[axle], params.brake)
+        pressure_Pa = state.cylinder_pressure[axle]
+        share = 1.0
+    torque_Nm = share * brake.torque_at(
+        pressure_Pa, state.torque_per_pressure[axle], state.spring_pressure[axle]
+    )
     if params.effects.on_torque:
         place_m = state.position[0] - params.axle_position_m[axle]
         torque_Nm = applied.torque(torque_Nm, state, axle, place_m, params.effects)

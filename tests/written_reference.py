@@ -16,7 +16,10 @@ from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import campaign, design, speed_steps
+from rollerrig.realtime.campaign.components import failures, train
+from rollerrig.realtime.campaign.statistics import laws
 from rollerrig.realtime.record import run_folder
+from rollerrig.realtime.reports.statistics import osrd
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import conditions, measures, sequence, verdict
@@ -356,9 +359,29 @@ def other_keys():
         "",
         *key_table(design.RANGE),
         "",
+        "An input in `[inputs]`, next to `distribution`, its parameters, `low`, `high` and `source`. `per` is "
+        f"{', '.join(f'`{unit}`' for unit in train.UNITS[:-1])}: each of these units has its own value.",
+        "",
+        *key_table((laws.ELASTICITY, laws.IN_CAR, laws.BETWEEN_CARS)),
+        "",
+        "A component `[failures.NAME]`. Further keys are `places` (a list of numbers of units), `set` (values of "
+        "the scenario) and the parameters of its fault. [How to write them](howto_kdry.md).",
+        "",
+        *key_table(failures.ROWS),
+        "",
+        "`[failures]` itself:",
+        "",
+        *key_table((failures.RAREST,)),
+        "",
         "`[etcs]`, for the deceleration by steps of speed:",
         "",
         *key_table(speed_steps.ROWS),
+        "",
+        "## Train for OSRD",
+        "",
+        "The file that the option `--train` of `rollerrig etcs` names. [What it is for](campaigns.md#for-osrd).",
+        "",
+        *key_table(osrd.ROWS),
         "",
         "## Reference unit",
         "",

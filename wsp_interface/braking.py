@@ -17,6 +17,8 @@ import numpy as np
 
 # a slower vehicle stands
 STANDS_M_S = 0.01
+# share of the vehicle's speed by which a wheelset slides deeply
+DEEP_SLIP = 0.5
 
 
 def begin(demand_Pa: np.ndarray) -> int | None:
@@ -37,3 +39,21 @@ def standstill(speed_m_s: np.ndarray, since: int = 0) -> int | None:
     """
     standing = np.flatnonzero(speed_m_s[since:] <= STANDS_M_S)
     return since + int(standing[0]) if standing.size else None
+
+
+def longest_stretch_s(time_s: np.ndarray, is_true: np.ndarray) -> float:
+    """Return the longest time without a break for which a condition, shape (n,), holds."""
+    changes = np.diff(np.concatenate(([0], is_true.astype(np.int8), [0])))
+    begins = np.flatnonzero(changes == 1)
+    if not begins.size:
+        return 0.0
+    ends = np.flatnonzero(changes == -1) - 1
+    return float((time_s[ends] - time_s[begins]).max())
+
+
+def is_deep(sliding_m_s: np.ndarray, speed_m_s: np.ndarray, above_m_s: float) -> np.ndarray:
+    """Return where a wheelset slides deeply while the vehicle is faster than `above_m_s`.
+
+    The arrays have the shape (n,); the sliding may be (axles, n).
+    """
+    return (sliding_m_s > DEEP_SLIP * speed_m_s) & (speed_m_s > above_m_s)

@@ -31,15 +31,20 @@ def _failed(error: str) -> Done:
 
 
 def run(
-    scenario: str, unit_command: str, settings: tuple[str, ...], columns: tuple[str, ...] = ()
+    scenario: str,
+    unit_command: str,
+    settings: tuple[str, ...],
+    faults: tuple[str, ...] = (),
+    columns: tuple[str, ...] = (),
 ) -> Done:
     """Return the summary and some recorded columns of one run, or its error.
 
-    `scenario` is a name or a file, `settings` are in the form of `--set`.
+    `scenario` is a name or a file, `settings` are in the form of `--set`, `faults` in that
+    of `--fault`.
     """
     with tempfile.TemporaryDirectory(prefix="rollerrig-campaign-") as place:
         folder = Path(place) / "run"
-        words = ["run", *words_of(scenario, unit_command, settings)]
+        words = ["run", *words_of(scenario, unit_command, settings, faults)]
         words += ["--out", str(folder), "--json"]
         done = subprocess.run(
             children.command(*children.module(_CLI, *words)),
@@ -62,9 +67,19 @@ def run(
     return Done(result, channels, None)
 
 
-def words_of(scenario: str, unit_command: str, settings: tuple[str, ...]) -> list[str]:
+def words_of(
+    scenario: str, unit_command: str, settings: tuple[str, ...], faults: tuple[str, ...] = ()
+) -> list[str]:
     """Return the arguments of `rollerrig run` for one run."""
     words = [scenario, "--pacing", "lockstep", "--unit", unit_command]
+    return words + options_of(settings, faults)
+
+
+def options_of(settings: tuple[str, ...], faults: tuple[str, ...]) -> list[str]:
+    """Return the options of `rollerrig run` that change values and add faults."""
+    words = []
     for setting in settings:
         words += ["--set", setting]
+    for fault in faults:
+        words += ["--fault", fault]
     return words

@@ -7,8 +7,10 @@ chunks were spread: over the cores of this machine, or over a Dask cluster (`spr
 campaign keeps no rows of all runs (`large`).
 """
 
+import bisect
 import functools
 import hashlib
+import itertools
 import json
 import math
 import re
@@ -27,9 +29,12 @@ from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.table import choice, integer
 from rollerrig.configs.vehicle import Kind
+from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import bench_runs, design, speed_steps, spreading, stops_in_lanes
+from rollerrig.realtime.campaign.components import applied as applied_of
+from rollerrig.realtime.campaign.statistics import strata as strata_of
 from rollerrig.realtime.record import figures, played, summary
 from rollerrig.wsp_interface import unit_choice
 
@@ -51,6 +56,9 @@ AGAIN = 0.01
 # columns of the step of a row, and of the share by which the longer step has missed the distance
 STEP = "step_s"
 MISSED = "long_step_missed"
+# columns of the number of the stratum of a row, and of the weight of the row among all stops
+STRATUM = "stratum"
+WEIGHT = "weight"
 # runs in a chunk of a large campaign, if the plan states no other
 _LARGE_CHUNK = 200
 # units that a campaign knows without importing a module
@@ -85,6 +93,15 @@ class Plan(NamedTuple):
     sources: tuple[tuple[str, str, str], ...] = ()
     # the rows have the deceleration of each of these steps; None: they have none
     steps: speed_steps.Steps | None = None
+    # of a stratified design; the runs are in the order of the strata
+    strata: tuple[strata_of.Stratum, ...] = ()
+    # what inputs of single units and failures do to a run
+    applied: applied_of.Applied | None = None
+
+    def stratum_of(self, number: int) -> int:
+        """Return the number of the stratum of a run of a stratified design."""
+        ends = list(itertools.accumulate(found.runs for found in self.strata))
+        return bisect.bisect_right(ends, number)
 
     @property
     def chunks(self) -> range:
@@ -102,7 +119,7 @@ class Plan(NamedTuple):
 # --- the plan ---
 
 # the tables of a plan, next to the values at its top
-TABLES = ("vary", "inputs", "correlation", "etcs")
+TABLES = ("vary", "inputs", "correlation", "failures", "etcs")
 
 
 def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: Any) -> Plan:
@@ -119,6 +136,7 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
     vary = content.pop("vary", {})
     inputs = content.pop("inputs", {})
     correlations = content.pop("correlation", [])
+    failures = content.pop("failures", None)
     steps_table = content.pop("etcs", None)
     head = table.read(ROWS, content, str(path))
     if "chunk" not in content and design.is_large(head):
@@ -127,7 +145,10 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
     if head["scenario"].endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
 
-    drawn = design.points(vary, inputs, correlations, head, path)
+    base = None
+    if design.needs_vehicle(inputs, failures):
+        base = scenario.load(head["scenario"], "", ()).resolved
+    drawn = design.points(vary, inputs, correlations, head, path, failures, base)
     steps = None
     if steps_table is not None:
         steps = speed_steps.read(steps_table, f"{path} [etcs]")
@@ -138,15 +159,32 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
         ranges=drawn.ranges,
         sources=drawn.sources,
         steps=steps,
+        strata=drawn.strata,
+        applied=drawn.applied,
     )
     if unit_command:
         head["unit"] = unit_choice.check(f"{unit_choice.COMMAND}{unit_command}")
     else:
         _check_unit(head["unit"], path, allow_code)
         _unit(head["unit"])
+    _check_failures(plan, path)
     _check_values(plan, path)
     _check_step(plan, path)
     return plan
+
+
+def _check_failures(plan: Plan, path: Path) -> None:
+    """Raise ConfigError unless the scenario allows each component to fail."""
+    if plan.applied is None:
+        return
+    values = dict(zip(plan.axes, plan.points[0], strict=True))
+    values |= {failure.column: "" for failure in plan.applied.failures}
+    for failure in plan.applied.failures:
+        for unit in failure.effects:
+            try:
+                _load(plan, *plan.applied.changes(values | {failure.column: str(unit)}))
+            except ConfigError as error:
+                raise ConfigError(f"{path} [failures] {failure.name}: {error}") from None
 
 
 def _check_step(plan: Plan, path: Path) -> None:
@@ -213,7 +251,19 @@ def _unit(name: str) -> str | free.UnitCall:
 
 def resolve(plan: Plan, number: int, files: scenario.Files = store.load) -> scenario.Scenario:
     """Return the scenario of run `number`, from `files`. Raises ConfigError."""
-    resolved = scenario.load(plan.head["scenario"], "", settings(plan, number), files=files)
+    return _load(plan, *changes(plan, number), files)
+
+
+def _load(
+    plan: Plan,
+    settings: tuple[str, ...],
+    faults: tuple[str, ...],
+    files: scenario.Files = store.load,
+) -> scenario.Scenario:
+    """Return the scenario of a plan with some values and faults. Raises ConfigError."""
+    resolved = scenario.load(plan.head["scenario"], "", settings, faults=faults, files=files)
+    for fault in resolved.faults:
+        catalogue.check_equipped(fault, resolved.resolved, plan.head["scenario"])
     # a program of the user needs a bench with a bus, which refuses nothing that free pacing does
     if not unit_choice.command_of(plan.head["unit"]):
         free.check(resolved)
@@ -244,15 +294,18 @@ def _with_long_step(
 
     Stops that run alone keep the step of the scenario: longer ones are checked in lanes only.
     """
-    longer = (*settings(plan, number), f"loop.step_s={plan.head[STEP]!r}")
-    found = scenario.load(plan.head["scenario"], "", longer, files=files)
+    settings, faults = changes(plan, number)
+    longer = (*settings, f"loop.step_s={plan.head[STEP]!r}")
+    found = _load(plan, longer, faults, files)
     return found if stops_in_lanes.fits(found) else resolve(plan, number, files)
 
 
-def settings(plan: Plan, number: int) -> tuple[str, ...]:
-    """Return the values that run `number` changes, in the form of `--set`."""
-    values = plan.points[number - plan.first]
-    return tuple(f"{key}={json.dumps(value)}" for key, value in zip(plan.axes, values, strict=True))
+def changes(plan: Plan, number: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what run `number` changes: texts in the form of `--set`, and of `--fault`."""
+    values = dict(zip(plan.axes, plan.points[number - plan.first], strict=True))
+    if plan.applied is not None:
+        return plan.applied.changes(values)
+    return tuple(f"{key}={json.dumps(value)}" for key, value in values.items()), ()
 
 
 def command(plan: Plan, number: int) -> str:
@@ -260,15 +313,14 @@ def command(plan: Plan, number: int) -> str:
     unit = plan.head["unit"]
     unit_command = unit_choice.command_of(unit)
     if unit_command:
-        given = (plan.head["scenario"], unit_command, settings(plan, number))
+        given = (plan.head["scenario"], unit_command, *changes(plan, number))
         return shlex.join(["rollerrig", "run", *bench_runs.words_of(*given)])
     pacing = "free"
     if unit not in _NAMED_UNITS:
         unit = "external"
         pacing = "lockstep"
     words = ["rollerrig", "run", plan.head["scenario"], "--pacing", pacing, "--wsp", unit]
-    for setting in settings(plan, number):
-        words += ["--set", setting]
+    words += bench_runs.options_of(*changes(plan, number))
     # a user pastes it into a shell, so what is in the plan must not become another command
     return shlex.join(words)
 
@@ -299,7 +351,7 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
             done = bench_runs.run(
                 plan.head["scenario"],
                 unit_command,
-                settings(plan, number),
+                *changes(plan, number),
                 columns=speed_steps.CHANNELS if plan.steps is not None else (),
             )
             row["error"] = done.error
@@ -414,6 +466,11 @@ def _fill(row: Row, found: Row) -> None:
 
 def empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
     """Return the row of a run without results; the order of the keys is that of the columns."""
+    row: Row = {"run": number}
+    if plan.strata:
+        stratum = plan.stratum_of(number)
+        found = plan.strata[stratum]
+        row |= {STRATUM: stratum, WEIGHT: found.probability / found.runs}
     results = (
         *("stopped", "ended", "valid", "invalid_because", "warnings"),
         *figures.BY_NAME,
@@ -421,7 +478,7 @@ def empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
         *(plan.steps.columns if plan.steps else ()),
     )
     inputs = dict(zip(plan.axes, point, strict=True))
-    return {"run": number, **inputs, **dict.fromkeys(results)}
+    return row | inputs | dict.fromkeys(results)
 
 
 def summarize(finished: stops_in_lanes.Finished, unit: str) -> Row:
@@ -480,6 +537,8 @@ def _manifest(plan: Plan, found: str) -> dict[str, Any]:
         "runs": len(plan.points),
         "sources": plan.sources,
         "etcs": plan.steps._asdict() if plan.steps else None,
+        "components": plan.applied.as_json() if plan.applied else None,
+        "strata": [found._asdict() for found in plan.strata],
     }
 
 
@@ -516,7 +575,7 @@ def fingerprint(plan: Plan) -> str:
     head = dict(plan.head)
     # how many rows are kept changes no row
     rows_up_to = head.pop("rows_up_to")
-    # the scenario, with the files that it names, and the parameters of the reference unit
+    # the scenarios, with the files that they name, and the parameters of the reference unit
     first = resolve(plan, plan.first)
     unit = logic.load(first["wsp_config"]) if plan.head["unit"] == "reference" else None
     of_plan: list[Any] = [
@@ -524,15 +583,41 @@ def fingerprint(plan: Plan) -> str:
         plan.axes,
         design.identity(plan.points),
         columns,
-        scenario.digest(first),
+        [scenario.digest(first), *_digests_of_names(plan)],
         unit,
     ]
+    if plan.applied is not None:
+        of_plan += [plan.applied.as_json(), plan.strata]
     if plan.steps is not None:
         of_plan.append(plan.steps)
     if plan.is_large:
         of_plan.append(rows_up_to)
     identity = json.dumps(of_plan, sort_keys=True)
     return hashlib.sha256(identity.encode()).hexdigest()[:16]
+
+
+def _digests_of_names(plan: Plan) -> list[str]:
+    """Return a hash of the first run with each text among the varied values, which may name a file.
+
+    A run whose scenario is refused has none; its row reports why.
+    """
+    if plan.is_large:
+        return []
+    components = plan.applied.failures if plan.applied else ()
+    columns = {failure.column for failure in components}
+    seen: set[tuple[str, str]] = set()
+    found = []
+    for number, point in enumerate(plan.points, start=plan.first):
+        pairs = zip(plan.axes, point, strict=True)
+        texts = {pair for pair in pairs if isinstance(pair[1], str) and pair[0] not in columns}
+        if texts <= seen:
+            continue
+        seen |= texts
+        try:
+            found.append(scenario.digest(resolve(plan, number)))
+        except ConfigError:
+            continue
+    return found
 
 
 def _fingerprint(mark: Path, out: Path) -> Any:
@@ -598,6 +683,7 @@ def _schema(row: Row) -> pa.Schema:
     """Return the types of all columns; a column may be empty in the rows of one chunk."""
     fixed = {
         "run": pa.int64(),
+        STRATUM: pa.int64(),
         "stopped": pa.bool_(),
         "valid": pa.bool_(),
         "vents": pa.int64(),

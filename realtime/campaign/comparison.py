@@ -23,6 +23,7 @@ import pyarrow as pa
 from rollerrig.configs import table, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.campaign import campaign, design, large, outcome, speed_steps, stopping
+from rollerrig.realtime.campaign.components import applied as applied_of
 from rollerrig.realtime.campaign.statistics import differences, draws
 
 # compared figures; of all of them less is better. The first one is judged by itself.
@@ -31,6 +32,7 @@ FIGURES = (
     "braking_time_s",
     "sliding_max_m_s",
     "longest_lock_s",
+    "longest_deep_slide_s",
     "dissipated_energy_J",
     "vents",
     "air_consumption_NL",
@@ -150,6 +152,12 @@ def read(folder: Path) -> Side:
     if not isinstance(content, dict) or not isinstance(content.get("head"), dict):
         raise ConfigError(f"{mark}: is not of a campaign; repeat the campaign in a new folder")
     head = table.read(campaign.ROWS, content["head"], f"{mark} head")
+    if head["design"] == design.STRATIFIED:
+        raise ConfigError(
+            f"{folder}: the runs of a {design.STRATIFIED} design have different weights, so two such "
+            f'campaigns are not compared run by run; set design = "{design.INDEPENDENT}", or compare '
+            "the quantiles of both reports"
+        )
     axes = content.get("axes")
     planned = content.get("runs")
     if not isinstance(axes, list) or not isinstance(planned, int):
@@ -157,7 +165,8 @@ def read(folder: Path) -> Side:
     steps = None
     if content.get("etcs") is not None:
         steps = speed_steps.read(content["etcs"], f"{mark} etcs")
-    plan = campaign.Plan(head, tuple(map(str, axes)), (), steps=steps)
+    applied = applied_of.from_json(content.get("components"), f"{mark} components")
+    plan = campaign.Plan(head, tuple(map(str, axes)), (), steps=steps, applied=applied)
 
     kept = None
     if plan.is_large:

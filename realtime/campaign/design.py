@@ -1,7 +1,8 @@
 """The points of a campaign: how the values of all runs are combined or drawn.
 
 A plan varies values in two tables. `[vary]` has lists (for a matrix) or ranges with equal chances.
-`[inputs]` has distributions with sources (`statistics.laws`), correlated by `[[correlation]]`.
+`[inputs]` has distributions with sources (`statistics.laws`), correlated by `[[correlation]]`; an
+input may have a value for each brake unit. `[failures]` has components that can have failed.
 """
 
 import itertools
@@ -15,19 +16,31 @@ from scipy.stats import qmc
 
 from rollerrig.configs import table
 from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.campaign import drawn_rows
+from rollerrig.realtime.campaign.components import applied as applied_of
+from rollerrig.realtime.campaign.components import failures as failures_of
+from rollerrig.realtime.campaign.components import train as trains
 from rollerrig.realtime.campaign.drawn_rows import DrawnRows
-from rollerrig.realtime.campaign.statistics import drivers, laws
+from rollerrig.realtime.campaign.statistics import drivers, laws, stratified
+from rollerrig.realtime.campaign.statistics import strata as strata_of
 
 MATRIX = "matrix"
 SALTELLI = "saltelli"  # blocks of runs for Sobol indices
-INDEPENDENT = "random"  # the only design whose runs are independent draws
-DESIGNS = (MATRIX, "sobol", "halton", "latin_hypercube", INDEPENDENT, SALTELLI)
+INDEPENDENT = "random"  # the only design whose runs are independent draws of equal weight
+STRATIFIED = "stratified"  # independent draws in strata of exact probabilities
+DESIGNS = (MATRIX, "sobol", "halton", "latin_hypercube", INDEPENDENT, SALTELLI, STRATIFIED)
+# designs whose runs are a sample of the stops, so that failures have their probability
+SAMPLES = (INDEPENDENT, STRATIFIED)
 # keys of a range in [vary]
 RANGE = (
     table.number("low", None, -1e300, 1e300, "-"),
     table.number("high", None, -1e300, 1e300, "-"),
     table.flag("log", False, "spread evenly in the logarithm"),
 )
+# keys of [brake] that each unit may have for itself: the factors of the brake torque
+_OF_UNITS = ("pad_friction", "efficiency", "lever_ratio", "cylinder_area_m2", "disc_radius_m")
+# keys that decide which components a vehicle has
+_OF_VEHICLE = ("vehicle_set", "vehicle.axles", "vehicle.bogies_per_body", "brake.discs")
 _RANGE_SOURCE = "the range of the plan, with equal chances; no source"
 
 
@@ -39,26 +52,42 @@ class Points(NamedTuple):
     sources: (input, law, source) of each input that is drawn from a law.
     ranges: of each input that is drawn: its lowest and highest value, `log` if it is even in the
     logarithm, and its law in words.
+    strata: of a stratified design, one after another in the order of the runs.
+    applied: what inputs of single units and failures do to a run; None without them.
     """
 
     axes: tuple[str, ...]
     rows: Sequence[tuple[Any, ...]]
     sources: tuple[tuple[str, str, str], ...]
     ranges: tuple[dict[str, Any], ...] = ()
+    strata: tuple[strata_of.Stratum, ...] = ()
+    applied: applied_of.Applied | None = None
 
 
 def points(
-    vary: Any, inputs: Any, correlations: Any, head: Mapping[str, Any], path: Path
+    vary: Any,
+    inputs: Any,
+    correlations: Any,
+    head: Mapping[str, Any],
+    path: Path,
+    failures: Any = None,
+    base: Mapping[str, Any] | None = None,
 ) -> Points:
     """Return the runs of a plan from its tables. Raises ConfigError.
 
     `head` has design, runs, seed and rows_up_to: the rows of a random design with more runs are
-    drawn when they are needed.
+    drawn when they are needed. `base` is the resolved scenario of the plan, which plans with
+    failures or inputs of single units need (`needs_vehicle`).
     """
     for name, given in (("vary", vary), ("inputs", inputs)):
         if not isinstance(given, dict):
             raise ConfigError(f"{path} [{name}]: must be a table of values to vary")
-    if not vary and not inputs:
+    if failures and head["design"] not in SAMPLES:
+        raise ConfigError(
+            f"{path} [failures]: a {head['design']} design is no sample, so failures have no "
+            f'probability in it; set design = "{STRATIFIED}", or "{INDEPENDENT}"'
+        )
+    if not vary and not inputs and not failures:
         raise ConfigError(
             f"{path}: [vary] and [inputs] are empty, so no value is varied; write, for example, "
             '"adhesion.mu_cd" = [0.03, 0.06] or { low = 0.03, high = 0.1 } in [vary]'
@@ -74,7 +103,15 @@ def points(
                 f' set design = "{INDEPENDENT}"'
             )
         return Points(tuple(vary), tuple(_matrix(vary, path)), ())
-    return _drawn(vary, inputs, correlations, head, path)
+    return _drawn(vary, inputs, correlations, head, path, failures, base)
+
+
+def needs_vehicle(inputs: Any, failures: Any) -> bool:
+    """Return whether a plan has failures, or inputs of single units of its vehicle."""
+    if failures:
+        return True
+    entries = inputs.values() if isinstance(inputs, dict) else ()
+    return any(isinstance(given, dict) and laws.PER in given for given in entries)
 
 
 def _matrix(vary: Mapping[str, Any], path: Path) -> list[tuple[Any, ...]]:
@@ -94,25 +131,67 @@ def _drawn(
     correlations: Any,
     head: Mapping[str, Any],
     path: Path,
+    failures: Any,
+    base: Mapping[str, Any] | None,
 ) -> Points:
     """Return the runs of a design that draws values."""
     design = head["design"]
-    all_laws = [_range(key, given, design, path) for key, given in vary.items()]
-    all_laws += [laws.read(key, given, f"{path} [inputs] {key}") for key, given in inputs.items()]
+    of_units = {key: given for key, given in inputs.items() if needs_vehicle({key: given}, None)}
+    shared = [_range(key, given, design, path) for key, given in vary.items()]
+    for key, given in inputs.items():
+        if key not in of_units:
+            _check_shared(key, given, path)
+            shared.append(laws.read(key, given, f"{path} [inputs] {key}"))
+    shared_axes = tuple(law.name for law in shared)
+    matrix = laws.read_correlation(correlations, shared_axes, f"{path} [[correlation]]")
+    all_laws = list(shared)
+    sources = [(law.name, law.text, law.source) for law in shared]
+
+    applied = None
+    rarest = failures_of.RAREST.default
+    if base is not None:
+        _check_same_vehicle((*vary, *inputs), path)
+        train = trains.of(base)
+        unit_inputs = []
+        for key, given in of_units.items():
+            unit_input = _unit_input(key, given, train, base, path)
+            law, of_input, text = _unit_law(key, given, unit_input, train, path)
+            all_laws += [
+                law._replace(name=name, elasticity=law.elasticity / len(unit_input.units))
+                for name in unit_input.axes
+            ]
+            matrix = _block(matrix, of_input)
+            sources.append((key, f"{law.text}; {text}", law.source))
+            unit_inputs.append(unit_input)
+        components, rarest = failures_of.read(failures or {}, train, path)
+        sources += [(found.column, found.law, found.source) for found in components]
+        factors = tuple(base["brake"]["axle_factors"]) or (1.0,) * train.axles
+        applied = applied_of.Applied(train.discs, factors, tuple(unit_inputs), components)
+    components = applied.failures if applied else ()
     axes = tuple(law.name for law in all_laws)
-    matrix = laws.read_correlation(correlations, axes, f"{path} [[correlation]]")
-    if design == SALTELLI and correlations:
+    if design == SALTELLI and not np.array_equal(matrix, np.eye(len(matrix))):
         raise ConfigError(
             f"{path}: Sobol indices are for independent inputs, so a {SALTELLI} design has no "
             f'[[correlation]]; remove it, or set design = "{INDEPENDENT}"'
         )
     rows: Sequence[tuple[Any, ...]]
+    in_strata: tuple[strata_of.Stratum, ...] = ()
     if is_large(head):
-        identity = [vary, inputs, correlations]
-        rows = DrawnRows(head["runs"], head["seed"], all_laws, matrix, identity)
+        identity = [vary, inputs, correlations, failures]
+        rows = DrawnRows(head["runs"], head["seed"], all_laws, matrix, identity, components)
+    elif design == STRATIFIED:
+        _check_keeps_rows(head, path)
+        stops = _stratified(all_laws, matrix, components, head, rarest, path)
+        in_strata = stops.strata
+        columns = _columns(all_laws, stops.shares)
+        for place, failure in enumerate(components):
+            columns.append([failures_of.shown(failed[place], failure) for failed in stops.failed])
+        rows = tuple(zip(*columns, strict=True))
     else:
-        shares = laws.correlated(_unit_cube(head, len(axes), path), matrix)
-        columns = [law.at(shares[:, place]).tolist() for place, law in enumerate(all_laws)]
+        number = drawn_rows.components(components)
+        cube = _unit_cube(head, len(axes) + number, path)
+        columns = _columns(all_laws, laws.correlated(cube[:, : len(axes)], matrix))
+        columns += drawn_rows.failure_columns(cube[:, len(axes) :], components)
         rows = tuple(zip(*columns, strict=True))
     ranges = []
     ends = extremes(rows, axes)
@@ -124,11 +203,130 @@ def _drawn(
         is_log = law.name in vary and bool(vary[law.name].get("log"))
         ranges.append({"low": low, "high": high, "log": is_log, "law": law.text})
     return Points(
-        axes,
+        (*axes, *(failure.column for failure in components)),
         rows,
-        tuple((law.name, law.text, law.source) for law in all_laws),
+        tuple(sources),
         tuple(ranges),
+        in_strata,
+        applied,
     )
+
+
+def _columns(all_laws: Sequence[laws.Law], shares: np.ndarray) -> list[list[Any]]:
+    """Return the values of each law at its shares (runs, laws)."""
+    return [law.at(shares[:, place]).tolist() for place, law in enumerate(all_laws)]
+
+
+# --- inputs of single units, and failures ---
+
+
+def _check_shared(key: str, given: Any, path: Path) -> None:
+    """Raise ConfigError for a correlation of units in an input that the whole train shares."""
+    further = [name for name in laws.UNIT_KEYS if isinstance(given, dict) and name in given]
+    if further:
+        raise ConfigError(
+            f"{path} [inputs] {key}: {further[0]} is for inputs of single units; add per = "
+            f'"{trains.DISC}", or another unit, or remove it'
+        )
+
+
+def _check_same_vehicle(keys: Sequence[str], path: Path) -> None:
+    """Raise ConfigError if a plan with components varies how many of them there are."""
+    for key in keys:
+        if key in _OF_VEHICLE:
+            raise ConfigError(
+                f"{path}: {key} varies, and [failures] and inputs with per need one vehicle; make a "
+                "plan for each"
+            )
+
+
+def _unit_input(
+    key: str, given: Mapping[str, Any], train: trains.Train, base: Mapping[str, Any], path: Path
+) -> applied_of.UnitInput:
+    """Return an input that each unit has for itself."""
+    at = f"{path} [inputs] {key}"
+    section, _, name = key.partition(".")
+    if section != "brake" or name not in _OF_UNITS:
+        allowed = ", ".join(f"brake.{known}" for known in _OF_UNITS)
+        raise ConfigError(
+            f"{at}: per: allowed for the factors of the brake torque: {allowed}; remove per, or vary "
+            "one of these"
+        )
+    kinds = trains.UNITS[:-1]
+    per = table.check(table.choice(laws.PER, "", kinds, ""), given[laws.PER], at)
+    return applied_of.UnitInput(key, base["brake"][name], train.units(per))
+
+
+def _unit_law(
+    key: str,
+    given: Mapping[str, Any],
+    unit_input: applied_of.UnitInput,
+    train: trains.Train,
+    path: Path,
+) -> tuple[laws.Law, np.ndarray, str]:
+    """Return the law of a unit, the correlations of all units, and both in words."""
+    at = f"{path} [inputs] {key}"
+    law = laws.read(key, given, at)
+    in_car, between_cars = (
+        table.check(row, given.get(row.name, row.default), at)
+        for row in (laws.IN_CAR, laws.BETWEEN_CARS)
+    )
+    if between_cars > in_car:
+        raise ConfigError(
+            f"{at}: correlation_between_cars = {between_cars:g} is above correlation_in_car = "
+            f"{in_car:g}; units of one car are at least as alike as those of two"
+        )
+    cars = train.units(trains.CAR)
+    car_of_disc = {disc: number for number, car in enumerate(cars) for disc in car}
+    matrix = laws.of_units(
+        [car_of_disc[unit[0]] for unit in unit_input.units], in_car, between_cars
+    )
+    text = (
+        f"for each of {len(unit_input.units)} x {given[laws.PER]}; rank correlation {in_car:g} in a "
+        f"car, {between_cars:g} between cars"
+    )
+    return law, matrix, text
+
+
+def _block(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return a matrix of two independent blocks."""
+    size = len(first) + len(second)
+    found = np.zeros((size, size))
+    found[: len(first), : len(first)] = first
+    found[len(first) :, len(first) :] = second
+    return found
+
+
+def _check_keeps_rows(head: Mapping[str, Any], path: Path) -> None:
+    """Raise ConfigError for a stratified design of more runs than those that keep their rows."""
+    if head["runs"] > head["rows_up_to"]:
+        raise ConfigError(
+            f"{path}: runs = {head['runs']}: a {STRATIFIED} design keeps the row of each run; allowed "
+            f"are up to rows_up_to = {head['rows_up_to']}"
+        )
+
+
+def _stratified(
+    all_laws: Sequence[laws.Law],
+    matrix: np.ndarray,
+    components: Sequence[failures_of.Failure],
+    head: Mapping[str, Any],
+    rarest: float,
+    path: Path,
+) -> stratified.Stops:
+    """Return the stops of a stratified design."""
+    try:
+        return stratified.draw(
+            all_laws,
+            matrix,
+            kinds=[failure.kind for failure in components],
+            names=[failure.name for failure in components],
+            runs=head["runs"],
+            seed=head["seed"],
+            rarest=rarest,
+        )
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
 
 
 def is_large(head: Mapping[str, Any]) -> bool:
@@ -190,7 +388,8 @@ def _unit_cube(head: Mapping[str, Any], dimensions: int, path: Path) -> np.ndarr
 def extremes(rows: Sequence[tuple[Any, ...]], axes: Sequence[str]) -> dict[str, tuple[int, int]]:
     """Return, for each numeric input, the runs with its least and its greatest value."""
     if isinstance(rows, DrawnRows):
-        return dict(zip(axes, rows.extremes, strict=True))
+        # the columns of failures have no numbers
+        return dict(zip(axes, rows.extremes, strict=False))
     found = {}
     for place, axis in enumerate(axes):
         column = [row[place] for row in rows]

@@ -11,29 +11,38 @@ from typing import Any, overload
 
 import numpy as np
 
-from rollerrig.realtime.campaign.statistics import laws
+from rollerrig.realtime.campaign.components import failures as failures_of
+from rollerrig.realtime.campaign.statistics import failing, laws
 
 BLOCK = 4096  # runs
 # blocks in memory: chunks are drawn in their order, and some again
 _BLOCKS_KEPT = 4
 
-Row = tuple[float, ...]
+Row = tuple[Any, ...]
 
 
 class DrawnRows(Sequence[Row]):
     """The values of all runs, in the order of the laws; the memory does not grow with the runs.
 
+    Behind them come the texts of the failed components of each kind.
     identity: what decides the values, for the fingerprint of a plan.
     """
 
     def __init__(
-        self, runs: int, seed: int, all_laws: Sequence[laws.Law], matrix: np.ndarray, identity: Any
+        self,
+        runs: int,
+        seed: int,
+        all_laws: Sequence[laws.Law],
+        matrix: np.ndarray,
+        identity: Any,
+        failures: Sequence[failures_of.Failure] = (),
     ) -> None:
         self.identity = identity
         self._runs = runs
         self._seed = seed
         self._laws = tuple(all_laws)
         self._matrix = matrix
+        self._failures = tuple(failures)
         self._block: Callable[[int], tuple[Row, ...]] = lru_cache(_BLOCKS_KEPT)(self._drawn_block)
 
     def __len__(self) -> int:
@@ -58,17 +67,20 @@ class DrawnRows(Sequence[Row]):
 
     def _drawn_block(self, block: int) -> tuple[Row, ...]:
         """Return the values of the runs of a block."""
-        shares = self._shares(block)
+        shares, of_failures = self._shares(block)
         columns = [law.at(shares[:, place]).tolist() for place, law in enumerate(self._laws)]
+        columns += failure_columns(of_failures, self._failures)
         return tuple(zip(*columns, strict=True))
 
-    def _shares(self, block: int) -> np.ndarray:
-        """Return the shares of the laws (runs of the block, laws) [W1]."""
-        dimensions = len(self._laws)
+    def _shares(self, block: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the shares of the laws (runs of the block, laws), and of the components [W1]."""
+        dimensions = len(self._laws) + components(self._failures)
         generator = np.random.default_rng(self._seed)
         generator.bit_generator.advance(block * BLOCK * dimensions)  # type: ignore[attr-defined]
         count = min(BLOCK, self._runs - block * BLOCK)
-        return laws.correlated(generator.random((count, dimensions)), self._matrix)
+        drawn = generator.random((count, dimensions))
+        inputs = len(self._laws)
+        return laws.correlated(drawn[:, :inputs], self._matrix), drawn[:, inputs:]
 
     @cached_property
     def extremes(self) -> list[tuple[int, int]]:
@@ -82,7 +94,7 @@ class DrawnRows(Sequence[Row]):
         least_run = np.zeros(dimensions, dtype=np.int64)
         greatest_run = np.zeros(dimensions, dtype=np.int64)
         for begin in range(0, self._runs, BLOCK):
-            shares = self._shares(begin // BLOCK)
+            shares, _ = self._shares(begin // BLOCK)
             for place in range(dimensions):
                 column = shares[:, place]
                 low, high = int(column.argmin()), int(column.argmax())
@@ -93,3 +105,24 @@ class DrawnRows(Sequence[Row]):
                     greatest[place] = column[high]
                     greatest_run[place] = begin + high
         return list(zip(least_run.tolist(), greatest_run.tolist(), strict=True))
+
+
+def components(failures: Sequence[failures_of.Failure]) -> int:
+    """Return the number of all components that can fail: each needs a random number in each run."""
+    return sum(failure.kind.places for failure in failures)
+
+
+def failure_columns(shares: np.ndarray, failures: Sequence[failures_of.Failure]) -> list[list[str]]:
+    """Return a column of texts for each kind of component.
+
+    shares: even random numbers (runs, components).
+    """
+    columns = []
+    begin = 0
+    for failure in failures:
+        end = begin + failure.kind.places
+        failed = failing.from_shares(shares[:, begin:end], failure.kind)
+        rows = [tuple(np.flatnonzero(row).tolist()) for row in failed]
+        columns.append([failures_of.shown(row, failure) for row in rows])
+        begin = end
+    return columns

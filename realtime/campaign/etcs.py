@@ -18,11 +18,12 @@ from rollerrig.realtime.campaign import (
     campaign,
     design,
     large,
+    outcome,
     speed_steps,
     stopping,
     stops_in_lanes,
 )
-from rollerrig.realtime.campaign.statistics import corrections, draws
+from rollerrig.realtime.campaign.statistics import corrections, draws, strata
 
 NOT_A_CERTIFICATE = (
     "Not a certificate: these numbers show what this model did over the laws of its inputs. They "
@@ -42,6 +43,13 @@ ASSUMPTIONS = (
     "it.",
     "Every run that does not leave a step of speed before its end counts as a deceleration of 0.",
 )
+# of a stratified campaign, in the place of the assumption on extrapolation
+_IN_STRATA = (
+    "Stops are drawn in strata of exact probabilities, so no level is extrapolated. Estimates are "
+    "unbiased probabilities of a weaker brake. Bounds assume that the strength of the brake, by its "
+    "inputs, decides which stops with the same failures are the weakest."
+)
+_EXTRAPOLATED = ASSUMPTIONS[3]
 
 
 class Step(NamedTuple):
@@ -50,7 +58,7 @@ class Step(NamedTuple):
     weakness: the order statistics of the negative decelerations.
     """
 
-    weakness: draws.Draws
+    weakness: draws.Draws | strata.Sample
     moments: draws.Moments
 
     @property
@@ -96,13 +104,17 @@ def sample(folder: Path) -> Sample:
         )
     steps = speed_steps.read(given, f"{folder / 'plan.json'} etcs")
     head = content.get("head", {})
-    if head.get("design") != design.INDEPENDENT:
+    if head.get("design") not in design.SAMPLES:
         raise ConfigError(
             f"{folder}: a {head.get('design')} design is no sample of independent draws, and the "
-            f'levels need one; set design = "{design.INDEPENDENT}" in the plan and run it again'
+            f'levels need one; set design = "{design.INDEPENDENT}" or "{design.STRATIFIED}" in the '
+            "plan and run it again"
         )
-    found = _of_large(folder, steps) if large.is_in(folder) else _of_rows(folder, steps)
-    by_step, runs, left_out = found
+    of_plan = strata.from_json(content.get("strata", []), str(folder / "plan.json"))
+    is_large = large.is_in(folder)
+    by_step, runs, left_out = (
+        _of_large(folder, steps) if is_large else _of_rows(folder, steps, of_plan)
+    )
     if runs != content.get("runs"):
         raise ConfigError(
             f"{folder}: has {runs} of {content.get('runs')} runs; repeat its 'rollerrig campaign' to "
@@ -120,16 +132,31 @@ def sample(folder: Path) -> Sample:
     )
 
 
-def _of_rows(folder: Path, steps: speed_steps.Steps) -> tuple[list[Step], int, int]:
+def _of_rows(
+    folder: Path, steps: speed_steps.Steps, of_plan: tuple[strata.Stratum, ...]
+) -> tuple[list[Step], int, int]:
     """Return the decelerations of each step, the number of runs, and of those left out."""
     table = campaign.result(folder)
     counts, _ = stopping.counted(table)
     by_step = []
     for column in steps.columns:
-        values_m_s2 = table[column].to_numpy().astype(float)[counts]
-        values_m_s2 = values_m_s2[np.isfinite(values_m_s2)]
-        by_step.append(Step(draws.of(-values_m_s2), draws.moments(values_m_s2)))
+        values_m_s2 = table[column].to_numpy().astype(float)
+        known = counts & np.isfinite(values_m_s2)
+        weakness = outcome.sample(table, known, -values_m_s2[known], of_plan)
+        if isinstance(weakness, strata.Sample):
+            by_step.append(Step(weakness, _moments(weakness)))
+        else:
+            by_step.append(Step(weakness, draws.moments(values_m_s2[known])))
     return by_step, table.num_rows, int((~counts).sum())
+
+
+def _moments(weakness: strata.Sample) -> draws.Moments:
+    """Return moments of decelerations in strata with the variance of the mean that they have."""
+    if not weakness.size:
+        return draws.Moments()
+    mean, variance = weakness.mean()
+    number = weakness.size
+    return draws.Moments(number, -mean, variance * number * (number - 1))
 
 
 def _of_large(folder: Path, steps: speed_steps.Steps) -> tuple[list[Step], int, int]:
@@ -219,9 +246,12 @@ def table(
                 "kwet_rst": _wet(wet_ratio),
             }
         )
+    assumptions = list(ASSUMPTIONS)
+    if dry.head["design"] == design.STRATIFIED:
+        assumptions[assumptions.index(_EXTRAPOLATED)] = _IN_STRATA
     return {
         "notice": NOT_A_CERTIFICATE,
-        "assumptions": list(ASSUMPTIONS),
+        "assumptions": assumptions,
         "confidence": confidence,
         "m_nvavadh": available_adhesion,
         "dry": _origin(dry),
@@ -250,6 +280,7 @@ def _level(
         "low": _number(found.low),
         "high": _number(found.high),
         "bound": _number(found.bound),
+        "probability_error": _number(found.error),
         "method": found.method,
         "reason": found.reason or None,
         "a_safe_m_s2": safe_m_s2,

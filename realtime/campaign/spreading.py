@@ -5,6 +5,7 @@ chunks per worker behind it. The memory therefore does not grow with the campaig
 chunks in their order holds back at most a window of them.
 """
 
+import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -18,6 +19,11 @@ WINDOW = 8
 # after worker processes have died so often without any chunk that was done in between, a campaign
 # stops with an error
 DEATHS = 4
+
+# a cluster without any worker is reported after this time, and again at this interval
+REPORT_AFTER_S = 2.0
+REPORT_EVERY_S = 60.0
+_LOOK_EVERY_S = 0.02
 
 # returns a function and its arguments, whose call does a chunk
 Work = Callable[[int], tuple[Any, ...]]
@@ -78,11 +84,18 @@ def on_this_machine(work: Work, chunks: Sequence[int], workers: int) -> Iterator
     )
 
 
-def on_a_cluster(work: Work, chunks: Sequence[int], address: str) -> Iterator[tuple[int, Any]]:
+def _silent(message: str) -> None:
+    """Report nothing."""
+
+
+def on_a_cluster(
+    work: Work, chunks: Sequence[int], address: str, report: Callable[[str], None] = _silent
+) -> Iterator[tuple[int, Any]]:
     """Do chunks on a Dask cluster; yield each with its result when it is done.
 
-    The work of a worker that dies goes to another worker. Raises ConfigError without Dask or a
-    scheduler, and RollerrigError if the cluster fails.
+    The work of a worker that dies goes to another worker. `report` gets a sentence while no worker
+    is connected. Raises ConfigError without Dask or a scheduler, or if a worker cannot load
+    rollerrig, and RollerrigError if the cluster fails.
     """
     try:
         from distributed import CancelledError, Client, KilledWorker
@@ -112,19 +125,53 @@ def on_a_cluster(work: Work, chunks: Sequence[int], address: str) -> Iterator[tu
                 new.append(future)
             return new
 
+        watch = _Watch(client, address, report)
         try:
             all_completed = completed(begin(), with_results=True)
-            for future, result in all_completed:
+            while window.left:
+                while not all_completed.has_ready():
+                    watch.look()
+                future, result = next(all_completed)
                 chunk = futures.pop(future)
                 del window.left[chunk]
                 yield chunk, result
                 future.release()
                 all_completed.update(begin())
+        except ImportError as error:
+            raise ConfigError(
+                f"--scheduler {address}: a worker cannot load what it needs ({error}); install the same "
+                "version of rollerrig on all machines, and repeat the command"
+            ) from None
         except (KilledWorker, CommClosedError, CancelledError, OSError) as error:
             raise RollerrigError(
                 f"--scheduler {address}: the cluster failed ({error}); finished chunks are kept: "
                 "repeat the command to continue"
             ) from None
+
+
+class _Watch:
+    """Waits for the results of a cluster, and reports while no worker is connected."""
+
+    def __init__(self, client: Any, address: str, report: Callable[[str], None]) -> None:
+        self._client = client
+        self._address = address
+        self._report = report
+        self._report_at_s = time.monotonic() + REPORT_AFTER_S
+
+    def look(self) -> None:
+        """Wait a moment; report a cluster without workers if that is due."""
+        time.sleep(_LOOK_EVERY_S)
+        now_s = time.monotonic()
+        if now_s < self._report_at_s:
+            return
+        if self._client.nthreads():
+            self._report_at_s = now_s + REPORT_AFTER_S
+            return
+        self._report_at_s = now_s + REPORT_EVERY_S
+        self._report(
+            f"no worker is connected to {self._address}, so nothing is computed; start one with "
+            f"'dask worker {self._address}' (Ctrl-C stops, and finished chunks are kept)"
+        )
 
 
 def _threads(client: Any) -> int:

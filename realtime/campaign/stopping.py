@@ -22,11 +22,13 @@ import pyarrow as pa
 from scipy import stats
 
 from rollerrig.realtime.campaign import campaign, design
-from rollerrig.realtime.campaign.statistics import draws, quantiles, tail
+from rollerrig.realtime.campaign.statistics import draws, quantiles, strata, tail
 from rollerrig.realtime.campaign.statistics import drivers as drivers_of
 
 CONFIDENCE = quantiles.CONFIDENCE  # of the upper bounds
 QUANTILES = (0.5, 0.9, 0.95, 0.99)
+# of a stratified design, whose strata reach them
+RARE_QUANTILES = (*QUANTILES, 0.999, 1.0 - 1e-4, 1.0 - 1e-5, 1.0 - 1e-6)
 TAIL = 0.1  # share of the runs that are the longest stops
 EXCEEDED = (1e-3, 1e-4, 1e-5)  # shares of the runs, for extrapolation
 FEWEST = 8  # runs: the page shows no statistics of fewer
@@ -59,14 +61,17 @@ def distances(table: pa.Table) -> draws.Draws:
     return draws.of(counted(table)[1])
 
 
-def bounds(distance_m: draws.Draws) -> list[dict[str, Any]]:
-    """Return estimate and upper bound for each of QUANTILES.
+def bounds(distance_m: draws.Draws | strata.Sample) -> list[dict[str, Any]]:
+    """Return estimate and upper bound for each of QUANTILES, or RARE_QUANTILES of strata.
 
     None instead of a number: there are too few runs, or the value is beyond all runs that stopped.
-    Empty if no run counts.
+    Empty if no run counts. Strata have no rank; instead they have the standard error of the
+    probability of a longer stop.
     """
     if not distance_m.size:
         return []
+    if isinstance(distance_m, strata.Sample):
+        return [_in_strata(distance_m, quantile) for quantile in RARE_QUANTILES]
     found = []
     for quantile in QUANTILES:
         bound = quantiles.upper_bound(distance_m, quantile, CONFIDENCE)
@@ -81,6 +86,19 @@ def bounds(distance_m: draws.Draws) -> list[dict[str, Any]]:
             }
         )
     return found
+
+
+def _in_strata(distance_m: strata.Sample, quantile: float) -> dict[str, Any]:
+    found = distance_m.bounded(1.0 - quantile, CONFIDENCE)
+    return {
+        "quantile": quantile,
+        "rank": None,
+        "needs": None,
+        "confidence": CONFIDENCE,
+        "estimate_m": _finite(found.estimate),
+        "bound_m": _finite(found.bound),
+        "probability_error": _finite(found.error),
+    }
 
 
 def _finite(value: float) -> float | None:
@@ -125,9 +143,12 @@ class Extrapolation(NamedTuple):
     stability: list[tail.Stability]
 
 
-def extrapolation(plan: campaign.Plan, distance_m: draws.Draws) -> Extrapolation:
+def extrapolation(plan: campaign.Plan, distance_m: draws.Draws | strata.Sample) -> Extrapolation:
     """Return the stopping distances that few runs exceed [S3]."""
     name = plan.head["design"]
+    if isinstance(distance_m, strata.Sample):
+        reason = "the strata of this design reach rare stops, and the table above has them"
+        return Extrapolation(None, reason, [], [])
     if name != design.INDEPENDENT:
         reason = (
             f"a {name} design is no sample of independent draws; "
@@ -142,7 +163,7 @@ def extrapolation(plan: campaign.Plan, distance_m: draws.Draws) -> Extrapolation
     return Extrapolation(law, "", values, tail.stability(distance_m, EXCEEDED[-1]))
 
 
-def extrapolated(plan: campaign.Plan, distance_m: draws.Draws) -> dict[str, Any]:
+def extrapolated(plan: campaign.Plan, distance_m: draws.Draws | strata.Sample) -> dict[str, Any]:
     """Return the extrapolation [S3] as numbers for programs; None instead of a missing number."""
     found = extrapolation(plan, distance_m)
     if found.law is None:

@@ -100,6 +100,7 @@ def call(options: argparse.Namespace) -> int:
     with interruption.Interruption():
         _run_chunks(options, plan, out)
 
+    output.print_message("all runs are done; the report follows")
     found = outcome.read(plan, out)
     campaign.write_deviation(plan, out, *found.again)
     report = campaign_report.write(plan, found, out, options.worst, options.pdf, about)
@@ -187,7 +188,7 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
     def describe() -> str:
         # before the first result the workers may still compile, and report that
         task = bar.tasks[0]
-        return f"{task.completed:.0f} of {run_count} runs" if task.visible else ""
+        return f"{task.completed:.0f} of {run_count} {task.description}" if task.visible else ""
 
     # the last chunk may have fewer runs than the others
     chunks_done = len(plan.chunks) - len(chunks_to_do)
@@ -206,6 +207,9 @@ def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:
             to_do = sum(len(stops) for stops in again.values())
             bar.update(task, completed=run_count - to_do)
             if again:
+                bar.update(
+                    task, description="runs: the longest stops again, with the step of the scenario"
+                )
                 for chunk, rows in _finished(options, campaign.work_again(again), list(again)):
                     campaign.write_again(out, chunk, rows)
                     bar.update(task, advance=len(rows), visible=True)
@@ -225,5 +229,5 @@ def _finished(
     from rollerrig.realtime.campaign import spreading
 
     if options.scheduler:
-        return spreading.on_a_cluster(work, chunks, options.scheduler)
+        return spreading.on_a_cluster(work, chunks, options.scheduler, output.print_message)
     return spreading.on_this_machine(work, chunks, options.workers or cores.allowed())

@@ -74,6 +74,12 @@ FIGURES = (
         "sliding_max_m_s", "largest sliding", "m/s", lambda s: max(_axles(s, "sliding_max_m_s"))
     ),
     Figure("longest_lock_s", "longest lock", "s", lambda s: max(_axles(s, "longest_lock_s"))),
+    Figure(
+        "longest_deep_slide_s",
+        "longest deep slide",
+        "s",
+        lambda s: max(_axles(s, "longest_deep_slide_s")),
+    ),
     Figure("adhesion_mean", "mean adhesion", "", lambda s: _mean(s, "adhesion_mean"), better=1),
     Figure(
         "dissipated_energy_J",
@@ -90,6 +96,15 @@ FIGURES = (
     Figure("tracking_rms_m_s", "tracking error, rms", "m/s", lambda s: s["tracking"]["rms_m_s"]),
 )
 BY_NAME = {figure.name: figure for figure in FIGURES}
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return a number for a table: some digits, a whole number whole, and never an exponent."""
+    if value == 0.0 or not math.isfinite(value):
+        return f"{value:g}"
+    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    text = f"{value:.{decimals}f}"
+    return text.rstrip("0").rstrip(".") if "." in text else text
 
 
 def spread(summaries: Sequence[Summary]) -> list[dict[str, Any]]:

@@ -113,7 +113,10 @@ def of(
         "braking_time_s": braking_time_s,
         "braking_distance_m": braking_distance_m,
         "stopped": stopped,
-        "axles": [_axle(channel, axle, stop) for axle in range(1, kind.axles + 1)],
+        "axles": [
+            _axle(channel, axle, stop, scenario.get("rig", {}).get("lock_above_m_s"))
+            for axle in range(1, kind.axles + 1)
+        ],
         "wsp": _counted(
             counters, "wsp", {**_wsp(kind, channel, stop), "unit": counters.get("unit")}
         ),
@@ -147,14 +150,19 @@ def _digest(scenario: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def _axle(channel: Channel, axle: int, stop: slice) -> dict[str, Any]:
-    """Return the part of the summary on one axle."""
+def _axle(channel: Channel, axle: int, stop: slice, above_m_s: float | None) -> dict[str, Any]:
+    """Return the part of the summary on one axle; deep slides count above a speed, if known."""
     sliding = channel(f"sliding_{axle}_m_s")[stop]
+    deep_slide_s = None
+    if above_m_s is not None and not np.isnan(sliding).any():
+        deep = braking.is_deep(sliding, channel("vehicle_speed_m_s")[stop], above_m_s)
+        deep_slide_s = braking.longest_stretch_s(channel("time_s")[stop], deep)
     return {
         "sliding_mean_m_s": _statistic(np.mean, sliding),
         "sliding_std_m_s": _statistic(np.std, sliding),
         "sliding_max_m_s": _statistic(np.max, sliding),
         "longest_lock_s": _last(channel(f"longest_lock_{axle}_s")[stop]),
+        "longest_deep_slide_s": deep_slide_s,
         "wheel_flat_m": _last(channel(f"flat_length_{axle}_m")),
         "dissipated_energy_J": _span(channel(f"sliding_work_{axle}_J")[stop]),
         "adhesion_mean": _statistic(np.mean, channel(f"adhesion_{axle}")[stop]),

@@ -17,16 +17,17 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.campaign.outcome import QUANTILES, Outcome
-from rollerrig.realtime.campaign.statistics import draws
+from rollerrig.realtime.campaign.statistics import draws, strata
 from rollerrig.realtime.record import figures, played
 from rollerrig.realtime.reports import page, pdf
-from rollerrig.realtime.reports.statistics import tail
+from rollerrig.realtime.reports.statistics import failures, tail
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER
 
 HEAD = ("figure", *(f"{100 * q:g} %" for q in QUANTILES))
@@ -130,7 +131,7 @@ def step(plan: campaign.Plan, outcome: Outcome) -> str:
 
 def cells(outcome: Outcome) -> list[list[str]]:
     """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
-    rows = [[name, *(f"{value:.4g}" for value in values)] for name, values in outcome.quantiles]
+    rows = [[name, *map(figures.number, values)] for name, values in outcome.quantiles]
     empty = [""] * (len(QUANTILES) - 1)
     rows.append(["not valid (runs, left out)", str(outcome.not_valid), *empty])
     return rows
@@ -196,8 +197,12 @@ def input_title(key: str) -> str:
 def _range_rows(plan: campaign.Plan) -> list[tuple[str, ...]]:
     """Return, for each input, its key, what it is, the lowest and highest value, and how drawn."""
     rows: list[tuple[str, ...]] = []
+    components = failure_columns(plan)
     for at, key in enumerate(plan.axes):
-        if plan.ranges:
+        if key in components:
+            # the part on failures has them
+            continue
+        if at < len(plan.ranges):
             span = plan.ranges[at]
             spread = span["law"]
             low, high = _input(span["low"]), _input(span["high"])
@@ -221,7 +226,7 @@ def _page(
     # stable: the stopping distance first, then in the order of the table
     differing.sort(key=lambda name: name != DISTANCES[0])
     constant = [
-        f"{_title(name)} {figures.BY_NAME[name].scale * values[0]:.4g}"
+        f"{_title(name)} {figures.number(figures.BY_NAME[name].scale * values[0])}"
         for name, values in all_quantiles
         if values[0] == values[-1]
     ]
@@ -239,6 +244,7 @@ def _page(
         ),
         *_kept(outcome),
         *_stopping(plan, outcome),
+        *failures.parts(plan, outcome),
         page.element("h2", "What was varied"),
         page.table(_RANGES_HEAD, _range_rows(plan)),
         page.element("h2", f"Worst {_title(figure)}"),
@@ -309,7 +315,7 @@ def _title(name: str) -> str:
 
 def read(name: str, value: float | None) -> str:
     """Return a figure for a reader: four digits in its unit; "not stopped" if the run has none."""
-    return "not stopped" if value is None else f"{figures.BY_NAME[name].scale * value:.4g}"
+    return "not stopped" if value is None else figures.number(figures.BY_NAME[name].scale * value)
 
 
 def read_with_unit(name: str, value: float | None) -> str:
@@ -320,12 +326,21 @@ def read_with_unit(name: str, value: float | None) -> str:
 
 
 def _input(value: Any) -> str:
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    if isinstance(value, float):
+        return figures.number(value)
+    return "none" if value == "" else str(value)
 
 
 def _varied(plan: campaign.Plan, table: pa.Table) -> list[str]:
     """Return the inputs that have more than one value."""
-    return [key for key in plan.axes if len(table[key].unique()) > 1]
+    components = failure_columns(plan)
+    keys = [key for key in plan.axes if key not in components]
+    return [key for key in keys if len(table[key].unique()) > 1]
+
+
+def failure_columns(plan: campaign.Plan) -> set[str]:
+    """Return the columns that have the failed components of a run."""
+    return {failure.column for failure in plan.applied.failures} if plan.applied else set()
 
 
 def _pair(table: pa.Table, varied: Sequence[str], figure: str) -> tuple[str, str] | None:
@@ -394,7 +409,7 @@ def _draw_map(
 def _drawn_range(plan: campaign.Plan, key: str) -> tuple[float, float]:
     """Return the lowest and the highest value that a plan gives a numeric input."""
     at = plan.axes.index(key)
-    if plan.ranges:
+    if at < len(plan.ranges):
         return plan.ranges[at]["low"], plan.ranges[at]["high"]
     values = [point[at] for point in plan.points]
     return min(values), max(values)
@@ -402,7 +417,8 @@ def _drawn_range(plan: campaign.Plan, key: str) -> tuple[float, float]:
 
 def _is_logarithmic(plan: campaign.Plan, key: str) -> bool:
     """Return whether an input is spread evenly in its logarithm."""
-    return bool(plan.ranges) and bool(plan.ranges[plan.axes.index(key)]["log"])
+    at = plan.axes.index(key)
+    return at < len(plan.ranges) and bool(plan.ranges[at]["log"])
 
 
 def _wrapped(name: str, width: int = 24) -> str:
@@ -452,6 +468,8 @@ def _stopping(plan: campaign.Plan, outcome: Outcome) -> list[page.Markup]:
         return []
 
     confidence = f"{100 * stopping.CONFIDENCE:g} %"
+    if isinstance(distance_m, strata.Sample):
+        return _stopping_in_strata(outcome, distance_m, confidence)
     correlated = outcome.rows.num_rows if not outcome.has_all_rows else distance_m.size
     noise = _NORMAL_95 / math.sqrt(max(correlated - 1, 1))
     drivers = [
@@ -482,6 +500,46 @@ def _stopping(plan: campaign.Plan, outcome: Outcome) -> list[page.Markup]:
         page.paragraph(
             f"Without any dependence a correlation of {correlated} runs is within {noise:.2f} of 0 in "
             "19 of 20 campaigns."
+        ),
+        page.picture(partial(_draw_exceedance, outcome=outcome), (11.0, 3.6)),
+    ]
+
+
+def _stopping_in_strata(
+    outcome: Outcome, distance_m: strata.Sample, confidence: str
+) -> list[page.Markup]:
+    """Return the part about the stopping distance of a stratified design."""
+    rows = []
+    for bound in stopping.bounds(distance_m):
+        share = 1.0 - bound["quantile"]
+        error = bound["probability_error"]
+        rows.append(
+            (
+                failures.percent(bound["quantile"]),
+                _metres(bound["estimate_m"]),
+                "-" if error is None else f"{100 * error / share:.1f} %",
+                "needs more runs" if bound["bound_m"] is None else _metres(bound["bound_m"]),
+            )
+        )
+    return [
+        page.element("h2", "Stopping distance"),
+        page.paragraph("It counts from the first brake demand to standstill."),
+        page.paragraph(
+            f"{distance_m.size} runs in {len(distance_m.strata)} strata; each run counts by the "
+            f"probability of its stratum. {outcome.not_stopped} runs had not stopped at the end of "
+            f"their time and count as longer than any other. {outcome.uncounted} more failed or are "
+            "not valid and do not count. This is not a certificate: it shows what this plant did with "
+            "the laws and failures of this plan.",
+            kind="note",
+        ),
+        page.table(
+            (
+                "quantile",
+                "estimate, m",
+                "relative standard error of the probability of a longer stop",
+                f"bound with a confidence of {confidence}, m",
+            ),
+            rows,
         ),
         page.picture(partial(_draw_exceedance, outcome=outcome), (11.0, 3.6)),
     ]
@@ -521,6 +579,9 @@ def _draw_exceedance(drawn: Figure, outcome: Outcome) -> None:
     distance_m = outcome.distance_m
     _, counted_m = stopping.counted(outcome.rows)
     counts, exceeded = drawn.subplots(1, 2)
+    if isinstance(distance_m, strata.Sample):
+        _draw_strata(counts, exceeded, distance_m)
+        return
     counts.hist(counted_m[np.isfinite(counted_m)], bins=40)
     counts.set(xlabel="stopping distance, m", ylabel="runs")
 
@@ -537,3 +598,22 @@ def _draw_exceedance(drawn: Figure, outcome: Outcome) -> None:
         ylim=(0.5 / distance_m.size, 1.1),
     )
     page.plain_logarithm(exceeded.yaxis)
+
+
+def _draw_strata(counts: Axes, exceeded: Axes, distance_m: strata.Sample) -> None:
+    """Draw the same for runs with weights."""
+    values_m, above = distance_m.curve()
+    finite = np.isfinite(values_m)
+    counts.hist(values_m[finite], bins=40, weights=distance_m.weights[finite])
+    counts.set(xlabel="stopping distance, m", ylabel="share of all stops")
+    known = finite & (above > 0.0)
+    exceeded.step(values_m[known], above[known], where="pre")
+    for bound in stopping.bounds(distance_m):
+        if bound["bound_m"] is not None:
+            exceeded.plot(bound["bound_m"], 1.0 - bound["quantile"], "v", color=page.VERMILION)
+    exceeded.set(
+        xlabel="stopping distance, m (triangles: bounds)",
+        ylabel="probability of a longer stop",
+        yscale="log",
+        ylim=(1e-10, 1.1),
+    )

@@ -450,6 +450,50 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_result_as_this_machine(pla
         assert from_cluster.equals(pq.read_table(local / name))
 
 
+def test_a_cluster_without_workers_is_reported_and_computes_when_one_has_joined(
+    plan_file, tmp_path, monkeypatch
+):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(spreading, "REPORT_AFTER_S", 0.2)
+    plan = campaign.load(plan_file())
+    scheduler, address = start_scheduler()
+    processes = [scheduler]
+    messages = []
+
+    def report(message):
+        messages.append(message)
+        processes.append(start_worker(address))
+
+    try:
+        done = dict(spreading.on_a_cluster(campaign.work(plan), [0, 1], address, report))
+    finally:
+        for process in processes:
+            process.kill()
+            process.wait()
+    assert sorted(done) == [0, 1]
+    assert messages == [
+        f"no worker is connected to {address}, so nothing is computed; start one with 'dask worker "
+        f"{address}' (Ctrl-C stops, and finished chunks are kept)"
+    ]
+
+
+def test_a_page_has_one_definition_of_a_quantile_and_no_exponents(plan_file, tmp_path):
+    """A quantile is the value of a run, so counts are whole numbers."""
+    plan = campaign.load(plan_file(design="random", vary=RANGES))
+    run_serially(plan, tmp_path / "out")
+    found = outcome.read(plan, tmp_path / "out")
+    bounds = {bound["quantile"]: bound for bound in stopping.bounds(found.distance_m)}
+    (shown,) = [values for name, values in found.quantiles if name == "braking_distance_m"]
+    for quantile, value in zip(outcome.QUANTILES, shown, strict=True):
+        if quantile in bounds:
+            assert bounds[quantile]["estimate_m"] == value
+    for name, values in found.quantiles:
+        column = content(tmp_path / "out")[name]
+        assert set(values) <= set(column)
+    for row in report.cells(found):
+        assert not any("e+" in cell or "e-" in cell for cell in row[1:])
+
+
 def start_scheduler() -> tuple[subprocess.Popen, str]:
     """Start a Dask scheduler; return its process and its address when it listens."""
     with socket.socket() as probe:

@@ -16,7 +16,11 @@ from rollerrig.wsp_interface import signals
 
 TABLE = signals.table(COACH)
 COLUMNS = TABLE.columns
-SCENARIO = {"title": "a stop", "loop": {"tick_hz": 1000, "step_s": 1e-4, "record_hz": 100}}
+SCENARIO = {
+    "title": "a stop",
+    "loop": {"tick_hz": 1000, "step_s": 1e-4, "record_hz": 100},
+    "rig": {"lock_above_m_s": 3.0},
+}
 COUNTERS = {
     "version": "9.9",
     "config_hash": "abc",
@@ -106,6 +110,7 @@ def test_a_summary_has_the_keys_that_users_rely_on(stop):
             "sliding_std_m_s",
             "sliding_max_m_s",
             "longest_lock_s",
+            "longest_deep_slide_s",
             "dissipated_energy_J",
             "adhesion_mean",
             "vents",
@@ -267,6 +272,9 @@ def test_every_figure_of_a_stop_is_read_from_its_summary(stop):
     locked_axle = result["axles"][0]
     assert values["longest_lock_s"] > 0.0
     assert values["longest_lock_s"] == locked_axle["longest_lock_s"]
+
+    # a lock is a part of a deep slide
+    assert values["longest_deep_slide_s"] >= values["longest_lock_s"] - 0.02
 
     energy_J = sum(axle["dissipated_energy_J"] for axle in result["axles"])
     assert values["dissipated_energy_J"] == pytest.approx(energy_J)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from rolling import FILL, FULL_BRAKE_PA, HOLD, LEAVES, VENT, Rig
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.rig import brake, params
 from rollerrig.rig import state as states
 
@@ -137,15 +138,31 @@ def test_a_demand_that_falls_below_the_cylinder_uses_no_air(charged):
 
 def test_the_discs_hold_nothing_below_the_spring_and_rise_in_proportion_above():
     constants = Rig(30.0).params.brake
-    assert brake.capacity(BRAKE["spring_pressure_Pa"], constants) == 0.0
-    assert brake.capacity(0.0, constants) == 0.0
+    gain_Nm_Pa, spring_Pa = constants.torque_Nm_Pa[0], constants.spring_pressure_Pa
+    assert brake.torque_at(BRAKE["spring_pressure_Pa"], gain_Nm_Pa, spring_Pa) == 0.0
+    assert brake.torque_at(0.0, gain_Nm_Pa, spring_Pa) == 0.0
     # two pads a disc, two discs a wheelset, friction 0.35 at 0.247 m
     force_N = BRAKE["cylinder_area_m2"] * 1e5 * BRAKE["lever_ratio"] * BRAKE["efficiency"]
     torque_Nm = force_N * 2 * 0.35 * 0.247 * 2
     for bar in (1, 2, 3):
         pressure_Pa = BRAKE["spring_pressure_Pa"] + bar * 1e5
-        capacity_Nm = brake.capacity(pressure_Pa, constants)
+        capacity_Nm = brake.torque_at(pressure_Pa, gain_Nm_Pa, spring_Pa)
         assert capacity_Nm == pytest.approx(bar * torque_Nm, rel=1e-12)
+
+
+def test_each_axle_brakes_with_its_factor_and_an_isolated_one_rolls_freely():
+    factors = [1.0, 0.5, 0.0, 1.2]
+    rig = Rig(20.0, brake={"axle_factors": factors})
+    run = rig.roll(8.0, demand_Pa=FULL_BRAKE_PA)
+    torque_Nm = run.brake_torque[-1]
+    whole_Nm = Rig(20.0).roll(8.0, demand_Pa=FULL_BRAKE_PA).brake_torque[-1][0]
+    assert torque_Nm == pytest.approx(np.array(factors) * whole_Nm, rel=1e-9)
+    assert run.wheel_speed[-1][2] > 0.0
+
+
+def test_factors_of_another_number_of_axles_are_refused():
+    with pytest.raises(ConfigError, match="axle_factors has 3 numbers, and the vehicle has 4"):
+        Rig(20.0, brake={"axle_factors": [1.0, 1.0, 0.5]})
 
 
 def test_the_brake_never_drives_a_wheel_nor_turns_it_back():

@@ -110,7 +110,12 @@ def recorded(**mechanisms: float) -> preparation.Design:
     )
 
     # the recorded torque and load are those of the base model
-    capacity = np.vectorize(lambda pressure_Pa: brake.capacity(pressure_Pa, rig.params.brake))
+    constants = rig.params.brake
+    capacity = np.vectorize(
+        lambda pressure_Pa: brake.torque_at(
+            pressure_Pa, constants.torque_Nm_Pa[0], constants.spring_pressure_Pa
+        )
+    )
     torque_Nm = capacity(history.cylinder_pressure[::every])
     felt_m_s2 = history.felt_acceleration[::every]
     load_N = np.empty((felt_m_s2.size, 4))

@@ -23,6 +23,7 @@ PAGES = (
     "howto_compare.md",
     "howto_sequence.md",
     "howto_campaign.md",
+    "howto_kdry.md",
     "howto_robot_ci.md",
 )
 # commands of the README that are not run here, and why

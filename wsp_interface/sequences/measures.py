@@ -34,14 +34,15 @@ from typing import Any
 import numpy as np
 
 from rollerrig.configs.vehicle import (
+    brake_factors,
     brake_torque_Nm_Pa,
     running_resistance,
     track_gradient,
     weighed_share,
 )
+from rollerrig.wsp_interface import braking
 from rollerrig.wsp_interface.sequences.record import NAN, Record
 
-DEEP_SLIP = 0.5  # share of the vehicle's speed by which a wheelset slides deeply
 SEGMENT_S = 10.0  # of [M2]
 REFERENCE_ABOVE_M_S = 5.0  # below this speed the unit's reference speed is not judged
 # energies of [M3] that count as 1
@@ -57,7 +58,7 @@ def brake_force_N(record: Record, pressure_Pa: float | np.ndarray) -> Any:
     """Return the force at the rim of all wheelsets at a cylinder pressure."""
     brake = record.scenario["brake"]
     return (
-        record.kind.axles
+        sum(brake_factors(record.scenario))
         * brake_torque_Nm_Pa(brake)
         / record.scenario["vehicle"]["wheel_radius_m"]
         * np.maximum(0.0, np.asarray(pressure_Pa) - brake["spring_pressure_Pa"])
@@ -192,24 +193,10 @@ def mean_of_worst_m_s(sliding_m_s: np.ndarray) -> float:
     return float(sliding_m_s.mean(axis=1).max())
 
 
-def longest_stretch_s(time_s: np.ndarray, is_true: np.ndarray) -> float:
-    """Return the longest time without a break for which a condition, shape (n,), holds."""
-    longest_s = 0.0
-    begin_s = NAN
-    for now_s, holds in zip(time_s.tolist(), is_true.tolist(), strict=True):
-        if not holds:
-            begin_s = NAN
-            continue
-        if math.isnan(begin_s):
-            begin_s = now_s
-        longest_s = max(longest_s, now_s - begin_s)
-    return longest_s
-
-
 def _longest_s(record: Record, of_wheelsets: np.ndarray) -> float:
     """Return the longest time for which a condition of a wheelset, shape (axles, n), holds."""
     time_s = record.whole("time_s")
-    return max(longest_stretch_s(time_s, of_one) for of_one in of_wheelsets)
+    return max(braking.longest_stretch_s(time_s, of_one) for of_one in of_wheelsets)
 
 
 def _longest_lock_s(record: Record) -> float:
@@ -222,7 +209,8 @@ def _longest_lock_s(record: Record) -> float:
 def _longest_deep_slide_s(record: Record) -> float:
     """Return the longest time for which one wheelset slid deeply."""
     sliding_m_s = record.wheelsets_whole("sliding", "_m_s")
-    deep = (sliding_m_s > DEEP_SLIP * record.whole("vehicle_speed_m_s")) & record.fast
+    # which speeds count is up to the record
+    deep = braking.is_deep(sliding_m_s, record.whole("vehicle_speed_m_s"), 0.0) & record.fast
     return _longest_s(record, deep)
 
 

@@ -8,8 +8,9 @@
 [C3] Kwet_rst(V) is the ratio of the mean decelerations on wet and on dry rails. Its interval is
      exp(log(ratio) -+ q * sqrt(v_wet + v_dry)), where v = s**2 / (n * mean**2) for each sample.
 
-A quantile that the runs reach has the bounds of `quantiles`. A rarer one is extrapolated by `tail`:
-both work on the negative ratios, whose largest ones are the weakest brakes.
+A quantile that the runs reach has the bounds of `quantiles`. A rarer one is extrapolated by `tail`.
+Stops in strata reach rare levels themselves, with the bounds of `strata`. All three work on the
+negative ratios, whose largest ones are the weakest brakes.
 
 Sources: from memory, to be checked: UNISIG SUBSET-026, 3.13.2.2.9 and 3.13.6 [C1]; the levels of
 M_NVEBCL, SUBSET-026 chapter 7 [C2]; [C3] is a choice of this project (delta method).
@@ -22,11 +23,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy import stats
 
-from rollerrig.realtime.campaign.statistics import draws, quantiles, tail
+from rollerrig.realtime.campaign.statistics import draws, quantiles, strata, tail
 
 LEVELS = tuple(range(10))  # M_NVEBCL
 BY_RANK = "rank"  # the runs reach the level
 BY_TAIL = "generalised Pareto"
+BY_STRATA = "strata"
 NO_METHOD = "none"
 
 
@@ -35,7 +37,8 @@ class Correction(NamedTuple):
 
     estimate: NaN if there is none; then `reason` states why.
     low, high: two-sided interval. bound: one-sided lower bound, the safe value.
-    method: BY_RANK, BY_TAIL or NO_METHOD.
+    method: BY_RANK, BY_TAIL, BY_STRATA or NO_METHOD.
+    error: standard error of the probability of a weaker brake than the estimate; NaN if unknown.
     """
 
     level: int
@@ -45,6 +48,7 @@ class Correction(NamedTuple):
     bound: float
     method: str
     reason: str = ""
+    error: float = math.nan
 
 
 class Ratio(NamedTuple):
@@ -61,12 +65,17 @@ def failing_share(level: int) -> float:
 
 
 def corrections(
-    ratios: np.ndarray | draws.Draws, confidence: float = 0.95, levels: Sequence[int] = LEVELS
+    ratios: np.ndarray | draws.Draws | strata.Sample,
+    confidence: float = 0.95,
+    levels: Sequence[int] = LEVELS,
 ) -> list[Correction]:
     """Return Kdry_rst for each level from the ratios (n,) of one step [C2]; n > 0.
 
-    Draws are those of the negative ratios, because the weakest brakes are their largest values.
+    Draws and strata are those of the negative ratios, because the weakest brakes are their largest
+    values.
     """
+    if isinstance(ratios, strata.Sample):
+        return [_in_strata(ratios, level, confidence) for level in levels]
     weakness = ratios if isinstance(ratios, draws.Draws) else draws.of(-ratios)
     law: tail.Tail | None = None
     reason = ""
@@ -106,6 +115,27 @@ def _correction(
         high=max(-value.low, 0.0),
         bound=max(-value.bound, 0.0),
         method=BY_TAIL,
+    )
+
+
+def _in_strata(weakness: strata.Sample, level: int, confidence: float) -> Correction:
+    """Return Kdry_rst for one level from the strata of negative ratios."""
+    found = weakness.bounded(failing_share(level), confidence)
+    if not math.isfinite(found.estimate):
+        nothing = (math.nan,) * 4
+        reason = "runs without a deceleration are more probable than this level"
+        return Correction(level, *nothing, method=NO_METHOD, reason=reason)
+    reason = "" if math.isfinite(found.bound) else "too few runs for a bound at this level"
+    return Correction(
+        level,
+        # a brake does not accelerate the train
+        estimate=max(-found.estimate, 0.0),
+        low=max(-found.high, 0.0) if math.isfinite(found.high) else math.nan,
+        high=max(-found.low, 0.0) if math.isfinite(found.low) else math.nan,
+        bound=max(-found.bound, 0.0) if math.isfinite(found.bound) else math.nan,
+        method=BY_STRATA,
+        reason=reason,
+        error=found.error,
     )
 
 

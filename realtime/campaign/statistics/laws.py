@@ -5,6 +5,11 @@
 [L2] Correlated inputs: standard normal numbers z with the correlation matrix R, and s = Phi(z). The
      law of each input stays as it is. For a rank correlation rho of two inputs (Spearman), the
      entry of R is 2 * sin(pi / 6 * rho).
+[L3] An input of single units, such as discs, has an entry of R for two units of one car, and
+     another one for two units of different cars.
+[L4] The strength of a brake rises with the normal number z of an input by about
+     e / 2 * log(x(1) / x(-1)), where x(z) is the value of the input and e the elasticity of the
+     deceleration: its relative change over that of the input.
 
 Sources: Nelsen 2006 [L2]; Kruskal 1958 for the entry of R.
 """
@@ -25,6 +30,25 @@ SOURCE = "source"
 LIMITS = ("low", "high")
 # keys of an entry of [[correlation]]
 CORRELATION_KEYS = ("inputs", "rank_correlation", "source")
+# further keys of an input
+ELASTICITY = table.number(
+    "elasticity", 0.0, -10.0, 10.0, "relative change of the deceleration over that of the input"
+)
+IN_CAR = table.number("correlation_in_car", 0.0, 0.0, 0.999, "rank correlation of two units")
+BETWEEN_CARS = table.number(
+    "correlation_between_cars", 0.0, 0.0, 0.999, "rank correlation of two units of two cars"
+)
+PER = "per"
+UNIT_KEYS = (PER, IN_CAR.name, BETWEEN_CARS.name)
+# the elasticities of keys of which the mean deceleration of a dry stop is a product or a quotient
+_ELASTICITIES = {
+    "vehicle.mass_kg": -1.0,
+    "brake.cylinder_area_m2": 1.0,
+    "brake.lever_ratio": 1.0,
+    "brake.efficiency": 1.0,
+    "brake.pad_friction": 1.0,
+    "brake.disc_radius_m": 1.0,
+}
 # the ends of the unit interval, where many laws are infinite
 _LEAST_SHARE = 1e-12
 
@@ -37,6 +61,7 @@ class Law(NamedTuple):
     low_share, high_share: F(low) and F(high) of [L1].
     text: the law in words.
     source: where the law is from.
+    elasticity: of the deceleration [L4]; a wrong one costs precision and biases nothing.
     """
 
     name: str
@@ -45,6 +70,17 @@ class Law(NamedTuple):
     high_share: float
     text: str
     source: str
+    elasticity: float = 0.0
+
+    @property
+    def strength(self) -> float:
+        """How the logarithm of the deceleration changes with the normal number z [L4]."""
+        if not self.elasticity:
+            return 0.0
+        weak, strong = self.at(stats.norm.cdf([-1.0, 1.0]))
+        if not 0.0 < weak < strong < math.inf:
+            return 0.0
+        return float(0.5 * self.elasticity * math.log(strong / weak))
 
     def at(self, shares: np.ndarray) -> np.ndarray:
         """Return the values at shares between 0 and 1 [L1]."""
@@ -96,7 +132,9 @@ def read(name: str, given: Any, where: str) -> Law:
         )
     keys = {key: given[key] for key in (*parameters, *LIMITS) if key in given}
     words = [distribution.name, *(f"{key} = {value:g}" for key, value in keys.items())]
-    return Law(name, frozen, low_share, high_share, ", ".join(words), source)
+    row = ELASTICITY._replace(default=_ELASTICITIES.get(name, 0.0))
+    elasticity = table.check(row, given.get(row.name, row.default), where)
+    return Law(name, frozen, low_share, high_share, ", ".join(words), source, elasticity)
 
 
 def _distribution(name: Any, where: str) -> Any:
@@ -118,7 +156,8 @@ def _distribution(name: Any, where: str) -> Any:
 def _parameters(distribution: Any, given: Mapping[str, Any], where: str) -> dict[str, float]:
     """Return the parameters of a distribution by the names of `scipy.stats`."""
     shapes = distribution.shapes.split(", ") if distribution.shapes else []
-    allowed = [DISTRIBUTION, SOURCE, *LIMITS, *shapes, "loc", "scale"]
+    further = (ELASTICITY.name, *UNIT_KEYS)
+    allowed = [DISTRIBUTION, SOURCE, *LIMITS, *shapes, "loc", "scale", *further]
     table.known(given, allowed, lambda key: where)
     missing = [shape for shape in shapes if shape not in given]
     if missing:
@@ -158,15 +197,33 @@ def read_correlation(entries: Any, inputs: Sequence[str], where: str) -> np.ndar
         correlation = table.check(row, entry.get("rank_correlation"), at)
         if matrix[first, second] != 0.0:
             raise ConfigError(f"{at}: the pair {entry['inputs']} occurs twice; keep one entry")
-        matrix[first, second] = matrix[second, first] = 2.0 * math.sin(math.pi / 6.0 * correlation)
-    least = float(np.linalg.eigvalsh(matrix)[0]) if len(inputs) else 1.0
+        matrix[first, second] = matrix[second, first] = _entry(correlation)
+    _check_possible(matrix, where)
+    return matrix
+
+
+def _entry(rank_correlation: float) -> float:
+    """Return the entry of R for a rank correlation [L2]."""
+    return 2.0 * math.sin(math.pi / 6.0 * rank_correlation)
+
+
+def of_units(cars: Sequence[int], in_car: float, between_cars: float) -> np.ndarray:
+    """Return the matrix R of the units of one input, (n, n); `cars` has the car of each [L3]."""
+    car = np.asarray(cars)
+    matrix = np.where(car[:, None] == car[None, :], _entry(in_car), _entry(between_cars))
+    np.fill_diagonal(matrix, 1.0)
+    return matrix
+
+
+def _check_possible(matrix: np.ndarray, where: str) -> None:
+    """Raise ConfigError unless a law has this matrix R."""
+    least = float(np.linalg.eigvalsh(matrix)[0]) if len(matrix) else 1.0
     if least <= 1e-9:
         raise ConfigError(
             f"{where}: no law has all these correlations together (the least eigenvalue of their "
             f"matrix is {least:.3g}, it must be above 0); make them smaller, or state the "
             "correlations of the other pairs as well"
         )
-    return matrix
 
 
 def _pair(names_of_pair: Any, inputs: Collection[str], where: str) -> tuple[int, int]:

@@ -339,12 +339,13 @@ def _title(name: str) -> str:
 
 def _quantile(figure: Compared, side: int, place: int) -> str:
     values: Sequence[float] = figure.quantiles[side]
-    return f"{figures.BY_NAME[figure.name].scale * values[place]:.4g}" if values else "-"
+    return figures.number(figures.BY_NAME[figure.name].scale * values[place]) if values else "-"
 
 
 def _signed(name: str, value: float) -> str:
     scaled = figures.BY_NAME[name].scale * value
-    return "0" if not scaled else f"{scaled:+.3g}"
+    sign = "+" if scaled > 0.0 else ""
+    return f"{sign}{figures.number(scaled, digits=3)}"
 
 
 def _interval(figure: Compared) -> str:

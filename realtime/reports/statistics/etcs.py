@@ -154,7 +154,9 @@ def _campaign(name: str, origin: Mapping[str, Any]) -> list[page.Markup]:
 
 
 def _level_row(step: Mapping[str, Any], level: Mapping[str, Any]) -> tuple[str, ...]:
-    method = level["method"] if level["reason"] is None else f"none: {level['reason']}"
+    method = level["method"]
+    if level["reason"] is not None:
+        method = f"{method}: {level['reason']}"
     safe_m_s2 = level["a_safe_m_s2"]
     return (
         _step(step),
@@ -184,6 +186,10 @@ def _near(value: float | None) -> str:
     return "-" if value is None else f"{value:.{_DIGITS}f}"
 
 
+def _or(value: float | None, other: float) -> float:
+    return other if value is None else value
+
+
 def _draw(drawn: Figure, table: Table) -> None:
     """Draw the bounds of Kdry_rst against the level, a line for each step with its intervals."""
     plot = drawn.subplots()
@@ -193,8 +199,8 @@ def _draw(drawn: Figure, table: Table) -> None:
         colour = page.RUNS[place % len(page.RUNS)]
         bounds = [level["bound"] for level in known]
         plot.plot(levels, bounds, "o-", color=colour, label=f"{_step(step)} km/h")
-        low = [level["low"] for level in known]
-        high = [level["high"] for level in known]
+        low = [_or(level["low"], level["bound"]) for level in known]
+        high = [_or(level["high"], level["estimate"]) for level in known]
         plot.fill_between(levels, low, high, color=colour, alpha=0.15)
     plot.set(
         xlabel="confidence level M_NVEBCL",

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.campaign import campaign, design, stopping
 from rollerrig.realtime.campaign.outcome import Outcome
-from rollerrig.realtime.campaign.statistics import draws, drivers, tail
+from rollerrig.realtime.campaign.statistics import draws, drivers, strata, tail
 from rollerrig.realtime.reports import page
 
 # shares that the curve of the law is drawn for
@@ -22,7 +22,10 @@ def parts(plan: campaign.Plan, outcome: Outcome) -> list[page.Markup]:
     """Return the part of the page; it is empty for a matrix, which is not a sample."""
     if plan.head["design"] == design.MATRIX:
         return []
-    return [*_inputs(plan), *_indices(plan, outcome.rows), *_tail(plan, outcome.distance_m)]
+    found = [*_inputs(plan), *_indices(plan, outcome.rows)]
+    if not isinstance(outcome.distance_m, strata.Sample):
+        found += _tail(plan, outcome.distance_m)
+    return found
 
 
 def _inputs(plan: campaign.Plan) -> list[page.Markup]:

@@ -232,3 +232,66 @@ def test_a_folder_that_no_campaign_has_made_is_refused_with_the_command_that_mak
     message = " ".join(capsys.readouterr().err.split())
     assert "no result folder of a campaign" in message
     assert "rollerrig campaign etcs_dry --out" in message
+
+
+# --- for OSRD ---
+
+TRAIN = """
+gamma_service_m_s2 = 0.9
+gamma_normal_service_m_s2 = 0.7
+k_n_pos_m_s2 = 0.0
+k_n_neg_m_s2 = 0.0
+t_traction_cut_off_s = 1.0
+t_bs1_s = 3.0
+t_bs2_s = 3.0
+t_be_s = 4.0
+"""
+# fields of EtcsBrakeParams in editoast/schemas/src/rolling_stock/etcs_brake_params.rs of OSRD,
+# commit 67ad641e23cf: unknown and missing ones are refused there
+CURVES = {
+    *("gamma_emergency", "gamma_service", "gamma_normal_service"),
+    *("k_dry", "k_wet", "k_n_pos", "k_n_neg"),
+}
+TIMES = {"t_traction_cut_off", "t_bs1", "t_bs2", "t_be"}
+
+
+def test_osrd_json_keeps_the_rules_that_osrd_checks_and_has_the_bounds_of_the_level(
+    plan, tmp_path, capsys
+):
+    dry = folder(plan, tmp_path)
+    wet = folder(plan, tmp_path, "wet")
+    train = tmp_path / "train.toml"
+    train.write_text(TRAIN)
+    words = ["etcs", str(dry), str(wet), "--out", str(tmp_path / "out"), "--format", "osrd"]
+    assert cli.main([*words, "--train", str(train), "--ebcl", "0", "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    found = json.loads((tmp_path / "out" / "osrd.json").read_text())
+    assert set(found) == CURVES | TIMES
+    for name in CURVES:
+        curve = found[name]
+        assert set(curve) == {"boundaries", "values"}
+        assert len(curve["values"]) == len(curve["boundaries"]) + 1
+        assert curve["boundaries"] == sorted(set(curve["boundaries"]))
+        assert min(curve["values"] + curve["boundaries"]) >= 0.0
+    for name in ("k_dry", "k_wet"):
+        assert found[name]["boundaries"] == found["gamma_emergency"]["boundaries"]
+        assert max(found[name]["values"]) <= 1.0
+    # steps of 0 to 5 and 5 to 10 km/h: the boundary between them, in m/s
+    assert found["k_dry"]["boundaries"] == [pytest.approx(5 / 3.6)]
+    steps = table["steps"]
+    assert found["gamma_emergency"]["values"] == [step["nominal_m_s2"] for step in steps]
+    assert found["k_dry"]["values"] == [min(step["kdry_rst"][0]["bound"], 1.0) for step in steps]
+    assert found["t_be"] == 4.0
+
+    for changed, message in (
+        (["--train", str(train), "--ebcl", "9"], "no bound of Kdry_rst at this level"),
+        (["--train", str(train), "--ebcl", "10"], "allowed are 0 to 9"),
+        ([], "--format osrd needs --train FILE"),
+    ):
+        assert cli.main([*words, *changed]) == 2
+        assert message in capsys.readouterr().err
+    train.write_text(TRAIN.replace("t_be_s = 4.0", ""))
+    assert cli.main([*words, "--train", str(train)]) == 2
+    assert "t_be_s is missing; OSRD needs it" in capsys.readouterr().err
+    assert cli.main(["etcs", str(dry), "--train", str(train)]) == 2
+    assert "--train is for --format osrd" in capsys.readouterr().err

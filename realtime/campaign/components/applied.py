@@ -1,0 +1,139 @@
+"""What the inputs of single brake units and the failures of a run change in its scenario.
+
+[K1] The brake torque of an axle is that of its scenario times the mean of the factors of its discs.
+     The factor of a disc is the product of its inputs, each relative to the value of the scenario,
+     and of 1 - loses for each failed component to whose unit it belongs.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from rollerrig.configs.errors import ConfigError
+from rollerrig.realtime.campaign.components import failures as failures_of
+from rollerrig.realtime.campaign.components import train as trains
+
+FACTORS = "brake.axle_factors"
+
+
+class UnitInput(NamedTuple):
+    """An input that each brake unit has for itself.
+
+    key: of the scenario. nominal: its value there. units: the discs of each unit.
+    """
+
+    key: str
+    nominal: float
+    units: tuple[trains.Discs, ...]
+
+    @property
+    def axes(self) -> tuple[str, ...]:
+        """The names of the inputs of its units."""
+        return tuple(axis(self.key, number) for number in range(1, len(self.units) + 1))
+
+
+def axis(key: str, unit: int) -> str:
+    """Return the name of an input of one unit, counted from 1."""
+    return f"{key}[{unit}]"
+
+
+class Applied(NamedTuple):
+    """How the values of a run act on its scenario.
+
+    discs: on each axle. factors: [brake] axle_factors of the scenario.
+    """
+
+    discs: int
+    factors: tuple[float, ...]
+    inputs: tuple[UnitInput, ...]
+    failures: tuple[failures_of.Failure, ...]
+
+    def changes(self, values: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return what a run changes: texts in the form of `--set` and of `--fault`.
+
+        values: of all columns of the plan.
+        """
+        replaced: dict[str, Any] = {}
+        faults: list[str] = []
+        by_disc = [1.0] * (self.discs * len(self.factors))
+        special: set[str] = set()
+        for given in self.inputs:
+            for name, unit in zip(given.axes, given.units, strict=True):
+                special.add(name)
+                for disc in unit:
+                    by_disc[disc] *= values[name] / given.nominal
+        for failure in self.failures:
+            special.add(failure.column)
+            for place in failures_of.failed(values[failure.column]):
+                effect = failure.effects[place]
+                faults += [text for text in effect.faults if text not in faults]
+                replaced |= effect.values
+                if effect.loses:
+                    for disc in effect.discs:
+                        by_disc[disc] *= 1.0 - effect.loses
+        settings = {key: value for key, value in values.items() if key not in special}
+        settings |= replaced
+        if any(factor != 1.0 for factor in by_disc):
+            settings[FACTORS] = [
+                self.factors[axle]
+                * math.fsum(by_disc[axle * self.discs : (axle + 1) * self.discs])
+                / self.discs
+                for axle in range(len(self.factors))
+            ]
+        return tuple(f"{key}={json.dumps(value)}" for key, value in settings.items()), tuple(faults)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return all of it as plain data, for the file of a plan."""
+        return {
+            "discs": self.discs,
+            "factors": self.factors,
+            "inputs": [list(given) for given in self.inputs],
+            "failures": [
+                {
+                    "name": failure.name,
+                    "kind": list(failure.kind),
+                    "law": failure.law,
+                    "source": failure.source,
+                    "effects": {
+                        str(unit): list(effect) for unit, effect in failure.effects.items()
+                    },
+                }
+                for failure in self.failures
+            ],
+        }
+
+
+def from_json(content: Any, where: str) -> Applied | None:
+    """Return what `as_json` has written; None for none. Raises ConfigError."""
+    if content is None:
+        return None
+    try:
+        return Applied(
+            int(content["discs"]),
+            tuple(map(float, content["factors"])),
+            tuple(
+                UnitInput(str(key), float(nominal), tuple(map(tuple, units)))
+                for key, nominal, units in content["inputs"]
+            ),
+            tuple(_failure(given) for given in content["failures"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigError(
+            f"{where}: is not of a campaign of this version ({error!r}); repeat the campaign in a new "
+            "folder"
+        ) from None
+
+
+def _failure(given: Mapping[str, Any]) -> failures_of.Failure:
+    effects = {}
+    for unit, (discs, loses, faults, values) in given["effects"].items():
+        effects[int(unit)] = failures_of.Effect(tuple(discs), loses, tuple(faults), dict(values))
+    places, probability, most = given["kind"]
+    return failures_of.Failure(
+        given["name"],
+        failures_of.failing.Kind(places, probability, most),
+        effects,
+        given["law"],
+        given["source"],
+    )
