@@ -147,6 +147,11 @@ def note_sentence(note: Note) -> str:
                 f"with {causes} in the model a large remainder is left along {remainder}: the "
                 "cause, or its form, is not in the library"
             )
+        case NoteCode.INTERVAL_HOLDS_NOTHING:
+            return (
+                f"the 95 % interval of {causes} holds 0, although it would fit the runs better: not "
+                "reported as a cause"
+            )
         case NoteCode.IMMATERIAL:
             return (
                 f"{causes} is significant but immaterial: it changes the braking force by "

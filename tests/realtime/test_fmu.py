@@ -1,5 +1,5 @@
-"""A WSP unit that is an FMU: rules of an earlier reference unit in C, compiled for FMI 2 and 3, brake the coach
-over the bus.
+"""A WSP unit that is an FMU: rules of an earlier reference unit in C, compiled for FMI 2 and 3,
+brake the coach over the bus.
 """
 
 import json

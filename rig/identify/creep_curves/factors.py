@@ -12,12 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import t as student
 
 from rollerrig.rig.identify.creep_curves import conditions, shape
 from rollerrig.rig.identify.creep_curves.conditions import Condition, Prepared
+from rollerrig.rig.identify.statistics.interval import Estimate
 
-# A factor is reported if by chance it were as large in one of so many sets of data.
+# A factor is reported if by chance any factor were as large in one of so many sets of data.
 ALPHA = 0.001
 # A smaller change over the range of the data is not reported.
 LEAST_EFFECT = 0.01
@@ -106,7 +106,9 @@ def fit(all_points: Prepared) -> Factors:
             continue
         places = [k for k, name in enumerate(names) if name == c.name]
         partners = [name for name, others in together.items() if c.name in others]
-        effect = _effect(in_fit, estimate.beta[places], errors[places], freedom, partners)
+        effect = _effect(
+            in_fit, estimate.beta[places], errors[places], freedom, partners, tests=len(names)
+        )
         if not effect.is_reported and effect.smallest > MOST_UNSEEN:
             why_not = f"not even a change by a factor of {1.0 + effect.smallest:.2g} would be seen"
             effect = _unknown(c, why_not)
@@ -173,12 +175,17 @@ def _estimate(prepared: Prepared, basis: np.ndarray, fitted: list[Condition]) ->
 
 
 def _effect(
-    c: Condition, beta: np.ndarray, errors: np.ndarray, freedom: int, partners: list[str]
+    c: Condition,
+    beta: np.ndarray,
+    errors: np.ndarray,
+    freedom: int,
+    partners: list[str],
+    tests: int,
 ) -> Effect:
-    """Return the effect of a condition from its coefficients and their errors."""
-    tests = beta.size
-    limit = float(student.ppf(1.0 - ALPHA / (2.0 * tests), freedom))
-    wide = float(student.ppf(0.975, freedom))
+    """Return the effect of a condition from its coefficients and their errors.
+
+    `tests` is the number of coefficients of all conditions, which share ALPHA.
+    """
     if c.name == conditions.SERIES:
         span = 1.0
         k = int(np.argmax(np.abs(beta) / np.maximum(errors, 1e-12)))
@@ -188,20 +195,20 @@ def _effect(
         span = float(np.ptp(c.columns))
         k = 0
         series = {}
-    size = math.expm1(span * float(beta[k]))
-    is_significant = abs(float(beta[k])) > limit * float(errors[k])
+    estimate = Estimate(span * float(beta[k]), span * float(errors[k]), freedom)
+    size = math.expm1(estimate.value)
+    low, high = estimate.interval()
+    # at this size four of five sets of data show the effect
+    shown = estimate.smallest(ALPHA, tests) + _POWER_DEVIATIONS * estimate.error
     return Effect(
         name=c.name,
         judged=True,
         why_not="",
         size=size,
-        low=math.expm1(span * float(beta[k] - wide * errors[k])),
-        high=math.expm1(span * float(beta[k] + wide * errors[k])),
-        smallest=max(
-            math.expm1(min(span * (limit + _POWER_DEVIATIONS) * float(errors[k]), 20.0)),
-            LEAST_EFFECT,
-        ),
-        is_reported=is_significant and abs(size) >= LEAST_EFFECT,
+        low=math.expm1(low),
+        high=math.expm1(high),
+        smallest=max(math.expm1(min(shown, 20.0)), LEAST_EFFECT),
+        is_reported=estimate.is_finding(ALPHA, tests) and abs(size) >= LEAST_EFFECT,
         exponent=float(beta[k]),
         series=series,
         together_with=partners,

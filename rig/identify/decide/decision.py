@@ -24,6 +24,7 @@ from rollerrig.rig.identify.decide import (
     choice,
     coherence,
     empirical,
+    estimates,
     evidence,
     fitting,
     gain,
@@ -131,6 +132,10 @@ def explain_braking_runs(
             search.causes, search.remainder, measured_gain, contradicted
         )
         notes += more_notes
+        unclear = [f.cause.name for f in search.causes if not estimates.excludes_nothing(f)]
+        if unclear and verdict in (Verdict.EXPLAINED, Verdict.PARTLY):
+            verdict = Verdict.UNEXPLAINED
+            notes.append(Note(NoteCode.INTERVAL_HOLDS_NOTHING, causes=tuple(unclear)))
         if verdict == Verdict.CONSISTENT:
             goodness.check_fit(design, base)
         base_checks.check_order(data, [found.cause.name for found in search.causes])

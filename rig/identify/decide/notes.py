@@ -27,6 +27,8 @@ class NoteCode(Enum):
     OTHER_PLACES = "cause.other_places"
     # a torque that wheels and vehicle feel differently: it is not reported
     OTHER_FORCE = "cause.other_force"
+    # the interval of this cause holds nothing: it is not reported
+    INTERVAL_HOLDS_NOTHING = "cause.interval_holds_nothing"
     # two causes of the same force leave a remainder: they are not reported
     TWO_FORCES = "causes.two_forces"
     # this cause changes the torque by less than its declared calibration: it is not reported
