@@ -45,6 +45,8 @@ RUN = (
     number("mu_cd", -1.0, 1e-4, 1.0, "estimated where not given"),
     number("mass_kg", -1.0, 1000.0, 200000.0, "kg"),
     # where drives hold the speed, the wheels brake no mass, so there is no force balance
+    choice("date", "", (), "year-month-day; the report compares runs of different dates"),
+    choice("rig", "", (), "rig, vehicle or equipment; the report compares runs of different rigs"),
     flag("held", False, "drives held the speed of the surface: no force balance of a vehicle"),
 )
 # The keys of the table [accuracy]. Each value is one standard deviation. The default -1 means "not
@@ -443,6 +445,8 @@ def _run(
         torque_Nm=torque_Nm,
         position_m=position_m,
         surface_m_s=surface_m_s,
+        date=entry["date"],
+        rig=entry["rig"],
     )
     return _ReadRun(run, path, entry["initial_speed_m_s"], pressure_Pa)
 

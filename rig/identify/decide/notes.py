@@ -40,6 +40,8 @@ class NoteCode(Enum):
     INSIDE_CALIBRATION = "causes.inside_calibration"
     # a radius and a brake torque of one wheelset are what a wrong scale of its speed sensor shows
     SPEED_SCALE = "causes.speed_scale"
+    # nothing is significant in the fitted runs together, and runs differ from the others
+    RUNS_DIFFER = "runs.differ"
     # the reported causes leave a small remainder
     SMALL_REMAINDER = "remainder.small"
 
