@@ -108,7 +108,7 @@ def without_law(data: Dataset, seed: int = 0) -> Shown:
         raise ConfigError(
             f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; a creep_curve is required here"
         )
-    prepared = conditions.prepare(data.curve)
+    prepared = conditions.prepare(data.curve, data.accuracy)
     groups, varying_within = _groups(prepared)
     smooth = shape.fit(
         prepared.creepage,
@@ -147,7 +147,8 @@ def _groups(prepared: Prepared) -> tuple[np.ndarray, list[str]]:
 
     Small groups share one curve, and all conditions vary within it.
     """
-    varying = [c for c in prepared.conditions if c.varies]
+    # what may be noise belongs to the scatter of the points
+    varying = [c for c in prepared.conditions if c.varies and not c.may_be_noise]
     together = conditions.going_together(prepared)
     for number in np.unique(prepared.group):
         creepage = prepared.creepage[prepared.group == number]
