@@ -53,6 +53,7 @@ _ROWS = (
     (Unit("deg/s", ROTATION, math.pi / 180.0), "°/s deg_s grad/s"),
     (Unit("m", LENGTH, 1.0), "meter metre meters metres"),
     (Unit("km", LENGTH, 1000.0), "kilometer kilometre"),
+    (Unit("mi", LENGTH, 1609.344), "mile miles"),
     (Unit("cm", LENGTH, 1e-2), ""),
     (Unit("mm", LENGTH, 1e-3), ""),
     (Unit("N", FORCE, 1.0), "newton"),
