@@ -38,7 +38,7 @@ FLOORS = {
         "identify",
     ),
     "rig/identify": (
-        "files",
+        "files statistics",
         "data",
         "base replay train_recorder",
         "causes",

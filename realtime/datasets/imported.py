@@ -17,7 +17,7 @@ from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.rig.identify.data import dataset, mdf
-from rollerrig.rig.identify.files import channels, stamps, tables, units
+from rollerrig.rig.identify.files import channels, stamps, tables, units, words
 from rollerrig.rig.identify.files.channels import Source
 from rollerrig.rig.identify.files.proposal import Content, Proposal
 from rollerrig.rig.identify.files.tables import Table
@@ -117,6 +117,8 @@ def describe_run(file: File, found: Proposal) -> Run:
     if time_s[0] > _FIRST_DATE_S and "spreadsheet" not in "".join(read_stamps.notes):
         first = datetime.datetime.fromtimestamp(float(time_s[0]), datetime.UTC)
         date = first.date().isoformat()
+    if not date:
+        date = _date_of_column(file.table)
     return Run(
         name=file.path.name,
         step_s=float(np.median(np.diff(time_s))),
@@ -124,6 +126,16 @@ def describe_run(file: File, found: Proposal) -> Run:
         date=date,
         notes=read_stamps.notes,
     )
+
+
+def _date_of_column(table: Table) -> str:
+    """Return the first date of a column of dates beside the stamps, year-month-day; "" for none."""
+    for name in table.names:
+        found = words.meaning(words.column(name, ""))
+        if found is not None and found.quantity == words.DATE:
+            texts = [str(text) for text in table.data[name].slice(0, 1).to_pylist() if text]
+            return stamps.date_of(texts[0]) if texts else ""
+    return ""
 
 
 def write(

@@ -18,6 +18,7 @@ from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.pictures.panel import Panel, Series
 from rollerrig.realtime.reports.hints.sizes import place_in_words
 from rollerrig.realtime.reports.page import BASE, EXTENDED, GREY, INK, MEASURED
+from rollerrig.rig.identify.base.by_run import Quantity
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.causes.courses import covariate, of_axle, vehicle_samples
 from rollerrig.rig.identify.data.preparation import Design
@@ -25,7 +26,9 @@ from rollerrig.rig.identify.decide import gain
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.identify.decide.gain import RunGain
+from rollerrig.rig.identify.decide.side_by_side import SideBySide
 from rollerrig.rig.identify.decide.thresholds import BLOCK_S, SLOWEST_M_S
+from rollerrig.rig.identify.statistics.interval import Estimate
 from rollerrig.rig.mechanisms.mechanism import COVARIATES, TORQUE, VEHICLE, arguments
 from rollerrig.rig.mechanisms.table import BY_NAME
 
@@ -39,6 +42,20 @@ BAR_PITCH = 0.38
 BLOCKS_OF_WHEEL = 10_000  # more than a run has
 # measured adhesion is drawn for both models where they read it this far apart
 LEAST_APART = 0.001
+
+# half of a 95 % interval of a normal distribution, in standard errors
+DEVIATIONS_OF_95 = Estimate(0.0, 1.0).half_width()
+# axis titles of what is measured of each run
+QUANTITY_TITLES = {
+    Quantity.TORQUE: "torque over lost momentum",
+    Quantity.LOAD: "loads over weight",
+    Quantity.LOAD_OF_AXLE: "share of all loads",
+    Quantity.ROLLING: "rolling wheelsets over vehicle",
+    Quantity.ROLLING_OF_AXLE: "rolling over other wheelsets",
+    Quantity.TO_FRONT: "load moved to the front",
+    Quantity.FRICTION: "ln of friction while sliding",
+    Quantity.NOISE: "ln of noise",
+}
 
 # axis titles of covariates
 _TITLES = {c.name: f"{c.word.replace('_', ' ')}, {c.unit}" for c in COVARIATES if c.word} | {
@@ -334,3 +351,65 @@ def gains(axes: Axes, by_run: dict[str, RunGain], metric: str) -> None:
     axes.invert_yaxis()
     axes.set_xlabel(metric.replace("_", " "))
     axes.legend()
+
+
+# --- runs side by side ---
+
+
+def runs(figure: Figure, compared: SideBySide) -> None:
+    """Draw the size of the nearest cause, and quantities, of each run with 95 % intervals.
+
+    Runs that differ have another colour. Quantities that differ come first.
+    """
+    shown = _rows_to_show(compared)
+    places = np.arange(len(compared.runs))
+    apart = set(compared.apart[0].runs) if compared.apart else set()
+    is_apart = np.array([name in apart for name in compared.runs])
+    for axes, row in zip(figure.subplots(1, len(shown), squeeze=False)[0], shown, strict=True):
+        half = DEVIATIONS_OF_95 * row.errors
+        for chosen, colour, label in (
+            (~is_apart, BASE, "runs"),
+            (is_apart, EXTENDED, "runs that differ"),
+        ):
+            if chosen.any():
+                axes.errorbar(
+                    row.sizes[chosen],
+                    places[chosen],
+                    xerr=half[chosen],
+                    fmt="o",
+                    color=colour,
+                    label=label,
+                )
+        axes.set_yticks(places, compared.runs)
+        axes.invert_yaxis()
+        axes.set_xlabel(row.title)
+    if is_apart.any():
+        figure.axes[0].legend()
+
+
+class _Row(NamedTuple):
+    """A quantity of each run, shape (runs,)."""
+
+    title: str
+    sizes: np.ndarray
+    errors: np.ndarray
+
+
+def _rows_to_show(compared: SideBySide) -> list[_Row]:
+    """Return the nearest cause, then quantities that differ, then others, at most MOST_PANELS."""
+    rows = []
+    if compared.cause is not None:
+        name = compared.cause.cause.name
+        first = BY_NAME[name].parameters[0]
+        rows.append(_Row(f"{first.name} of {name}", compared.cause.sizes, compared.cause.errors))
+    differing = {
+        (one.quantity, one.channel) for apart in compared.apart for one in apart.differences
+    }
+    ordered = sorted(
+        compared.quantities, key=lambda one: (one.quantity, one.channel) not in differing
+    )
+    for one in ordered:
+        if np.isfinite(one.sizes).any():
+            title = f"{QUANTITY_TITLES[one.quantity]} {one.channel}".strip()
+            rows.append(_Row(title, one.sizes, one.errors))
+    return rows[:MOST_PANELS]

@@ -14,6 +14,7 @@ from rollerrig.realtime.pictures.panel import Panel
 from rollerrig.realtime.reports import cause_pictures as pictures
 from rollerrig.realtime.reports import cause_sentences as sentences
 from rollerrig.realtime.reports import page as html
+from rollerrig.realtime.reports.hints import runs
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.decide import estimates, gain, simulate, stopping
@@ -33,6 +34,7 @@ EMPIRICAL = "empirical"
 _CAUSE_SIZE = (7.5, 3.8)
 _STRETCH_SIZE = (11.0, 5.0)
 _GAIN_SIZE = (7.5, 2.6)
+_RUNS_SIZE = (11.0, 3.4)
 
 
 # --- report.json ---
@@ -68,6 +70,7 @@ def as_json(diagnosis: Diagnosis) -> dict[str, Any]:
             "before": [_score_test(test) for test in diagnosis.score_tests],
             "behind": [_score_test(test) for test in diagnosis.remainder],
         },
+        "runs": runs.as_json(diagnosis.side_by_side),
         "immaterial": [_immaterial(note) for note in sentences.immaterial_notes(diagnosis)],
         "notes": sentences.notes(diagnosis),
         "elapsed_s": round(diagnosis.elapsed_s, 1),
@@ -151,6 +154,8 @@ def _noise_floor(diagnosis: Diagnosis) -> float:
 def _unknown(diagnosis: Diagnosis) -> dict[str, Any]:
     """Return the entry on what no cause explains."""
     formula = diagnosis.formula
+    if sentences.only_runs_differ(diagnosis):
+        return {"formula": None, "against": ["run"], "heldout_gain": None}
     if formula is None:
         return {
             "formula": None,
@@ -275,6 +280,11 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
 
     parts.append(html.element("h2", "Where it shows"))
     parts.append(html.picture(partial(pictures.draw, panels=where)))
+
+    compared = diagnosis.side_by_side
+    if compared.runs:
+        parts.append(html.element("h2", "Runs side by side"))
+        parts.append(html.picture(partial(pictures.runs, compared=compared), _RUNS_SIZE))
 
     if of_causes:
         parts.append(html.element("h2", "The cause" if len(of_causes) == 1 else "The causes"))

@@ -6,7 +6,8 @@ The words for causes come from the table of mechanisms.
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from rollerrig.realtime.reports.hints import first_screen, sizes
+from rollerrig.realtime.reports.hints import first_screen, runs, sizes
+from rollerrig.realtime.reports.hints.sizes import number
 from rollerrig.rig.identify.decide import decision, estimates, evidence, thresholds
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.coherence import Contradicted, Contradiction
@@ -36,12 +37,6 @@ UNKNOWN_SHAPES = {
 
 
 # --- words and numbers ---
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, if possible without an exponent."""
-    rounded = float(f"{value:.{digits}g}")
-    return f"{rounded:g}"
 
 
 def unit(name: str) -> str:
@@ -116,6 +111,11 @@ def notes(diagnosis: Diagnosis) -> list[str]:
     return [*diagnosis.data.warnings, *(note_sentence(note) for note in diagnosis.notes)]
 
 
+def only_runs_differ(diagnosis: Diagnosis) -> bool:
+    """Return whether a diagnosis is unexplained only because runs differ from the others."""
+    return any(note.code is NoteCode.RUNS_DIFFER for note in diagnosis.notes)
+
+
 def immaterial_notes(diagnosis: Diagnosis) -> list[Note]:
     """Return the notes on what is significant and inside the declared calibration."""
     return [note for note in diagnosis.notes if note.allowed > 0.0]
@@ -147,6 +147,11 @@ def note_sentence(note: Note) -> str:
                 f"with {causes} in the model a large remainder is left along {remainder}: the "
                 "cause, or its form, is not in the library"
             )
+        case NoteCode.INTERVAL_HOLDS_NOTHING:
+            return (
+                f"the 95 % interval of {causes} holds 0, although it would fit the runs better: not "
+                "reported as a cause"
+            )
         case NoteCode.IMMATERIAL:
             return (
                 f"{causes} is significant but immaterial: it changes the braking force by "
@@ -173,6 +178,8 @@ def note_sentence(note: Note) -> str:
                 "wrong, and the brake acts at the stated radius. Measure the radius of this "
                 "wheelset: if it is the stated one, correct its sensor, and both causes go"
             )
+        case NoteCode.RUNS_DIFFER:
+            return "the runs differ from each other, so the base model is not consistent with all of them"
         case NoteCode.SMALL_REMAINDER:
             return f"a small remainder is left along {remainder}"
 
@@ -325,7 +332,12 @@ def story(diagnosis: Diagnosis) -> list[str]:
             f"A remainder is left along {', '.join(left.against)}: {left.share:.0%} of the evidence. "
             "No further cause of the library explains it."
         )
-    if diagnosis.verdict == Verdict.UNEXPLAINED:
+    if only_runs_differ(diagnosis):
+        lines.append(
+            "Nothing is statistically significant in the fitted runs together "
+            f"(p = {diagnosis.p_value:.2g}), but the runs differ: no model is right for all of them."
+        )
+    elif diagnosis.verdict == Verdict.UNEXPLAINED:
         lines.append(
             "The base model is wrong, and no mechanism of the library explains the error. The error "
             f"depends most significantly on {', '.join(worst)}."
@@ -337,6 +349,7 @@ def story(diagnosis: Diagnosis) -> list[str]:
             lines.append("No formula was found that improves the runs that were never fitted.")
         else:
             lines.append(f"Empirical: {formula_text(diagnosis.formula)}.")
+    lines += runs.story(diagnosis.side_by_side)
     screen = [
         first_screen.how_sure(diagnosis),
         first_screen.cost(diagnosis),

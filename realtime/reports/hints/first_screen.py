@@ -3,11 +3,12 @@
 The verdict and the causes come before them.
 """
 
-from rollerrig.realtime.reports.hints import sizes, suspects
+from rollerrig.realtime.reports.hints import runs, sizes, suspects
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.decide import decision, evidence, stopping, thresholds
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.evidence import ScoreTest
+from rollerrig.rig.identify.decide.notes import NoteCode
 
 MOST_SUSPECTS = 3
 MOST_NAMES = 6
@@ -30,6 +31,8 @@ def p_in_words(p_value: float) -> str:
 def how_sure(diagnosis: Diagnosis) -> str:
     """Return how sure the verdict is."""
     p_value = p_in_words(diagnosis.p_value)
+    if any(note.code is NoteCode.RUNS_DIFFER for note in diagnosis.notes):
+        return "How sure: in about 2 % of fault-free datasets some runs would differ as much by chance."
     if diagnosis.verdict == Verdict.CONSISTENT and any(note.allowed for note in diagnosis.notes):
         return (
             f"How sure: something differs from the base model ({p_value}), but a brake within its "
@@ -78,7 +81,13 @@ def not_judged(diagnosis: Diagnosis) -> str:
 
 
 def what_next(diagnosis: Diagnosis, worst: list[str]) -> list[str]:
-    """Return what to measure next. `worst` are the covariates along which the base is wrong."""
+    """Return what to measure next. `worst` are the covariates along which the base is wrong.
+
+    Runs that differ come before suspects, which are those of all runs alike.
+    """
+    differing = runs.what_next(diagnosis.side_by_side)
+    if differing and not diagnosis.causes:
+        return [differing]
     if diagnosis.verdict == Verdict.CONSISTENT:
         weak = _hardest_to_see(diagnosis)
         if not weak:

@@ -132,7 +132,7 @@ def wheels(figure: Figure, account: Account) -> None:
             axes.errorbar(
                 at,
                 -100.0 * wheel.radius,
-                100.0 * wheel.error * wheel.quantile,
+                100.0 * wheel.half_width,
                 color=RUNS[k % len(RUNS)],
                 marker="o",
                 label=name if g == 0 else "_",

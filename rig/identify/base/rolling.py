@@ -14,6 +14,7 @@ from scipy.ndimage import uniform_filter1d
 from rollerrig.rig.identify.base.findings import Code, Finding
 from rollerrig.rig.identify.data.preparation import samples_before_braking
 from rollerrig.rig.identify.data.runs import Dataset, Run
+from rollerrig.rig.identify.statistics import groups
 
 # Largest deviation of the ratio that all wheelsets share. It is below 0.0002 on 105 sets of three
 # generators. Chosen between this and the 0.015 that made every score overflow.
@@ -29,6 +30,11 @@ LARGEST_LEAD = 0.015
 # Least deviation of the radius of one wheelset that is a start for its fit. Chosen: smaller ones
 # are found from the linearised replay; the sets of three generators hide at most 0.16 %.
 LEAST_ODD_RADIUS = 0.005
+
+# Standard error of the ratio of one run: below 0.0002 on 105 sets of three generators.
+BY_RUN_ERROR = 0.0003
+# probability that fault-free runs are parted by chance
+_ALPHA = 0.001
 
 LEAST_ROLLING_S = 0.3
 LEAST_SPEED_M_S = 5.0
@@ -108,6 +114,30 @@ def surface_speed(run: Run) -> np.ndarray:
     return np.repeat(run.speed_m_s[:, None], run.axles, axis=1)
 
 
+def by_run(data: Dataset) -> np.ndarray:
+    """Return the rolling ratios of each run (runs, axles); NaN if its brake is never released."""
+    ratios = []
+    for run in data.runs:
+        found = measure(data._replace(runs=[run]))
+        if found is None or not found.is_released:
+            ratios.append(np.full(data.axles, np.nan))
+        else:
+            ratios.append(found.ratio)
+    return np.array(ratios)
+
+
+def _of_runs(data: Dataset, finding: Finding) -> Finding:
+    """Return a finding on all wheelsets, with the runs that show it if the other runs do not."""
+    ratios = np.median(by_run(data), axis=1)
+    found = groups.find(ratios, np.full(ratios.size, BY_RUN_ERROR), _ALPHA, tests=1)
+    if found is None:
+        return finding
+    parts = (found.apart, found.others)
+    wrong = max(parts, key=lambda places: abs(np.mean(ratios[list(places)]) - 1.0))
+    names = tuple(data.runs[k].name for k in wrong)
+    return finding._replace(measured=float(np.mean(ratios[list(wrong)])), runs=names)
+
+
 def check(data: Dataset) -> list[Finding]:
     """Return findings on the radius, the scale of one wheelset, and a slow reference."""
     rolling = measure(data)
@@ -130,9 +160,8 @@ def check(data: Dataset) -> list[Finding]:
         )
     have_one_sign = np.all(deviation > 0.0) or np.all(deviation < 0.0)
     if not odd.size and have_one_sign and np.abs(deviation).min() > common:
-        findings.append(
-            Finding(Code.RADIUS, measured=float(np.median(rolling.ratio)), allowed=common)
-        )
+        measured = float(np.median(rolling.ratio))
+        findings.append(_of_runs(data, Finding(Code.RADIUS, measured, allowed=common)))
 
     lead = rolling.largest - np.maximum(rolling.ratio, 1.0)
     ahead = np.flatnonzero(lead > LARGEST_LEAD)

@@ -24,11 +24,26 @@ def _list(names: Sequence[str]) -> str:
 
 def _of_runs(finding: Finding) -> str:
     """Return the runs that show a finding, with the preposition."""
-    return f"in run {_list(finding.runs)} " if finding.runs else ""
+    if not finding.runs:
+        return ""
+    return f"in {'run' if len(finding.runs) == 1 else 'runs'} {_list(finding.runs)} "
+
+
+def _these(finding: Finding) -> str:
+    """Return how to refer to the runs of a finding again."""
+    return "this run" if len(finding.runs) == 1 else "these runs"
 
 
 def _radius(finding: Finding) -> str:
     speed = "fast" if finding.measured > 1.0 else "slow"
+    if finding.runs:
+        return (
+            f"{_of_runs(finding)}all wheelsets roll {100.0 * abs(finding.measured - 1.0):.2g} % too "
+            f"{speed} for the vehicle's speed while no brake acts ({100.0 * finding.allowed:.2g} % is "
+            f"allowed), and in the other runs they do not: {_these(finding)} may be of another vehicle, "
+            "have other wheels, or another scale of vehicle_speed_m_s; correct it, or leave "
+            f"{_these(finding)} out"
+        )
     return (
         f"all wheelsets roll {100.0 * abs(finding.measured - 1.0):.2g} % too {speed} for the "
         f"vehicle's speed while no brake acts ({100.0 * finding.allowed:.2g} % is allowed): "
@@ -63,6 +78,12 @@ def _loads(finding: Finding) -> str:
 
 
 def _torque_unit(finding: Finding) -> str:
+    if finding.runs:
+        return (
+            f"{_of_runs(finding)}brake_torque accounts for {finding.measured:.3g} of the momentum for "
+            f"which it accounts in the other runs, as {finding.detail} taken for N m: convert the "
+            f"torque of {_these(finding)} to N m"
+        )
     return (
         f"brake_torque accounts for {finding.measured:.3g} of the momentum that the vehicle loses, "
         f"which is the share of {finding.detail}: convert it to N m"
@@ -81,6 +102,14 @@ def _torque_share(finding: Finding) -> str:
 
 
 def _torque_not_acting(finding: Finding) -> str:
+    if finding.runs:
+        return (
+            f"{_of_runs(finding)}brake_torque accounts for {finding.measured:.3g} of the momentum for "
+            "which it accounts in the other runs (the shares of all runs, "
+            f"{finding.detail}, may differ by {100.0 * finding.allowed:.2g} %): does another brake act in "
+            f"{_these(finding)}, is the torque there another sensor's or the commanded one, or is it "
+            "another vehicle? correct the torque, or leave these runs out"
+        )
     return (
         f"brake_torque accounts for {finding.detail} of the momentum that the vehicle loses, depending "
         "on the run (the shares may differ by "

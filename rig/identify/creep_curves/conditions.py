@@ -7,9 +7,18 @@ Adhesion is taken as a curve of creepage times one factor for each condition tha
 A column of X is load, speed or pressure over its median, less 1, or the logarithm of that ratio,
 whichever fits better; the temperature less its median in 10 K; or 1 for the points of a series, or
 of traction where braking was measured, too.
+
+A sensor has noise, so a column has it too. Of few levels it is the scatter within them. Else it is
+what successive points of the file differ by:
+
+    [K2] noise^2 = sum (x_(i+1) - x_i)^2 / (2 (n - 1))          von Neumann
+
+Values that jump from point to point show no noise apart from their spread. Then only a declared
+noise distinguishes both. Source of [K2]: von Neumann, Annals of Mathematical Statistics 12 (1941)
+367-395.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +47,9 @@ TEMPERATURE_STEP_K = 10.0
 MOST_LEVELS = 8
 WIDEST_LEVEL = 0.1
 
+# part of the spread of a column that is no noise, below which the condition is not judged
+LEAST_RELIABILITY = 0.5
+
 # share of the variance of a column that other columns explain, above which they go together: a
 # variance inflation of 10 (Kutner and others, Applied Linear Statistical Models (2005), section
 # 10.5). Then a wrong form of the curve looks like an effect of the condition.
@@ -53,11 +65,20 @@ class Condition(NamedTuple):
     columns: np.ndarray  # no columns where the condition does not vary
     is_levels: bool  # whether the values are few levels
     other_columns: np.ndarray | None = None  # another form of the columns; None: there is none
+    noise: float = 0.0  # standard deviation of the sensor's noise in the column [K2]
 
     @property
     def varies(self) -> bool:
         """Whether the condition differs between points."""
         return self.columns.shape[1] > 0
+
+    @property
+    def may_be_noise(self) -> bool:
+        """Whether the spread of the column is mostly the noise of its sensor."""
+        if not self.varies or self.noise == 0.0:
+            return False
+        spread = float(np.var(self.columns[:, 0]))
+        return self.noise**2 > (1.0 - LEAST_RELIABILITY) * spread
 
     def chosen(self, points: np.ndarray) -> "Condition":
         """Return the condition of some points, by a mask (n,)."""
@@ -116,8 +137,12 @@ class Prepared(NamedTuple):
         )
 
 
-def prepare(curve: Curve) -> Prepared:
-    """Return the points sorted by creepage, with their conditions and groups."""
+def prepare(curve: Curve, accuracy: Mapping[str, float] | None = None) -> Prepared:
+    """Return the points sorted by creepage, with their conditions and groups.
+
+    `accuracy` has the declared noise, by the names of `dataset.ACCURACY`; values below 0 are not
+    declared.
+    """
     order = np.argsort(np.abs(curve.creepage), kind="stable")
     points = curve.chosen(order)
     sign = np.where(points.creepage < 0.0, -1.0, 1.0)
@@ -131,6 +156,8 @@ def prepare(curve: Curve) -> Prepared:
         conditions.append(_temperature(points.temperature_K))
     if points.pressure_Pa is not None:
         conditions.append(_ratio(PRESSURE, "Pa", points.pressure_Pa))
+    declared = _declared_noise(points, accuracy or {})
+    conditions = [_with_noise(one, order, declared.get(one.name)) for one in conditions]
     return Prepared(
         curve=points,
         creepage=np.abs(points.creepage),
@@ -139,6 +166,36 @@ def prepare(curve: Curve) -> Prepared:
         conditions=tuple(conditions),
         group=_groups(conditions, order.size),
     )
+
+
+def _declared_noise(points: Curve, accuracy: Mapping[str, float]) -> dict[str, float]:
+    """Return the declared noise of the columns of load and speed, by their names."""
+    declared = {}
+    load = accuracy.get("load_fraction", -1.0)
+    if load >= 0.0:
+        declared[LOAD] = load
+    speed_m_s = accuracy.get("speed_m_s", -1.0)
+    middle_m_s = float(np.median(points.speed_m_s))
+    if speed_m_s >= 0.0 and middle_m_s > 0.0:
+        declared[SPEED] = speed_m_s / middle_m_s
+    return declared
+
+
+def _with_noise(condition: Condition, order: np.ndarray, declared: float | None) -> Condition:
+    """Return a condition with the noise of its column; `order` (n,) are the places in the file."""
+    if not condition.varies or condition.name in (SERIES, DIRECTION):
+        return condition
+    if declared is not None:
+        return condition._replace(noise=declared)
+    column = condition.columns[:, 0]
+    number = levels(column)
+    if number is not None:
+        means = np.bincount(number, column) / np.bincount(number)
+        freedom = max(column.size - means.size, 1)
+        within = float(np.sum((column - means[number]) ** 2))
+        return condition._replace(noise=float(np.sqrt(within / freedom)))
+    in_file = column[np.argsort(order)]
+    return condition._replace(noise=float(np.sqrt(0.5 * np.mean(np.diff(in_file) ** 2))))
 
 
 def _series(values: np.ndarray) -> Condition:

@@ -3,8 +3,18 @@
 All points share one smooth curve of creepage, and each condition that varies multiplies it [K1].
 Conditions change friction, which is the level at large creepage, more than the slope at small
 creepage. So only the points at large creepage are used where these are enough.
+
+The column of a condition has the noise of its sensor. Of the spread that no other column explains,
+a part R is no noise. Noise makes an exponent smaller, and noise of the load, by which the force
+was divided, adds -1 times its part:
+
+    [K3] b = R beta, or b = R (1 + beta) - 1 where the load is the divisor             Fuller 1.1.6
+
+Whether the adhesion was computed with the measured load is not known, so both belong to the
+interval. A condition whose spread is mostly noise is not judged.
+
 Errors of the factors allow for points whose scatter differs (White, Econometrica 48 (1980) 817-838)
-and for errors that neighbours share.
+and for errors that neighbours share. Source of [K3]: Fuller, Measurement Error Models (1987).
 """
 
 import math
@@ -12,12 +22,12 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.stats import t as student
 
 from rollerrig.rig.identify.creep_curves import conditions, shape
 from rollerrig.rig.identify.creep_curves.conditions import Condition, Prepared
+from rollerrig.rig.identify.statistics.interval import Estimate
 
-# A factor is reported if by chance it were as large in one of so many sets of data.
+# A factor is reported if by chance any factor were as large in one of so many sets of data.
 ALPHA = 0.001
 # A smaller change over the range of the data is not reported.
 LEAST_EFFECT = 0.01
@@ -105,8 +115,15 @@ def fit(all_points: Prepared) -> Factors:
             effects.append(_not_judged(c, together, freedom, len(names)))
             continue
         places = [k for k, name in enumerate(names) if name == c.name]
+        reliability = _reliability(in_fit, prepared, basis, fitted)
+        if reliability < conditions.LEAST_RELIABILITY:
+            effects.append(_unknown(c, _why_noise(in_fit)))
+            continue
         partners = [name for name, others in together.items() if c.name in others]
-        effect = _effect(in_fit, estimate.beta[places], errors[places], freedom, partners)
+        beta, beta_errors = _without_noise(
+            in_fit, estimate.beta[places], errors[places], reliability
+        )
+        effect = _effect(in_fit, beta, beta_errors, freedom, partners, tests=len(names))
         if not effect.is_reported and effect.smallest > MOST_UNSEEN:
             why_not = f"not even a change by a factor of {1.0 + effect.smallest:.2g} would be seen"
             effect = _unknown(c, why_not)
@@ -123,6 +140,54 @@ class _Estimate(NamedTuple):
     beta: np.ndarray
     errors: np.ndarray
     squares: float
+
+
+def _reliability(
+    c: Condition, prepared: Prepared, basis: np.ndarray, fitted: list[Condition]
+) -> float:
+    """Return the part of the spread of a condition's column that is no noise [K3], 0 to 1.
+
+    Only the spread that the curve and the other conditions do not explain counts.
+    """
+    if c.noise == 0.0:
+        return 1.0
+    others = [other.columns for other in fitted if other.name != c.name]
+    explaining = np.column_stack([basis, *others])
+    column = c.columns[:, 0]
+    left = column - explaining @ np.linalg.lstsq(explaining, column, rcond=None)[0]
+    freedom = max(column.size - explaining.shape[1], 1)
+    variance = float(left @ left) / freedom
+    return max(1.0 - c.noise**2 / max(variance, 1e-30), 0.0)
+
+
+def _without_noise(
+    c: Condition, beta: np.ndarray, errors: np.ndarray, reliability: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return exponents and their errors without the effect of noise in the column [K3]."""
+    beta = beta / reliability
+    errors = errors / reliability
+    if c.name == conditions.LOAD:
+        # half of what a noisy divisor adds, and the other half as an error
+        half = 0.5 * (1.0 - reliability) / reliability
+        beta = beta + half
+        errors = np.hypot(errors, half)
+    return beta, errors
+
+
+def _why_noise(c: Condition) -> str:
+    """Return why a condition whose spread is its noise is not judged."""
+    scatter = f"{100.0 * c.noise:.2g} %"
+    remedy = "measure at some set values"
+    if c.name == conditions.TEMPERATURE:
+        scatter = f"{conditions.TEMPERATURE_STEP_K * c.noise:.2g} K"
+    if c.name == conditions.LOAD:
+        remedy += ", or declare its noise (load_fraction in [accuracy])"
+    if c.name == conditions.SPEED:
+        remedy += ", or declare its noise (speed_m_s in [accuracy])"
+    return (
+        f"the {c.name} scatters by {scatter} from point to point, which is its whole spread, so it "
+        f"may be the noise of its sensor: {remedy}"
+    )
 
 
 def _at_large_creepage(prepared: Prepared) -> np.ndarray:
@@ -173,12 +238,17 @@ def _estimate(prepared: Prepared, basis: np.ndarray, fitted: list[Condition]) ->
 
 
 def _effect(
-    c: Condition, beta: np.ndarray, errors: np.ndarray, freedom: int, partners: list[str]
+    c: Condition,
+    beta: np.ndarray,
+    errors: np.ndarray,
+    freedom: int,
+    partners: list[str],
+    tests: int,
 ) -> Effect:
-    """Return the effect of a condition from its coefficients and their errors."""
-    tests = beta.size
-    limit = float(student.ppf(1.0 - ALPHA / (2.0 * tests), freedom))
-    wide = float(student.ppf(0.975, freedom))
+    """Return the effect of a condition from its coefficients and their errors.
+
+    `tests` is the number of coefficients of all conditions, which share ALPHA.
+    """
     if c.name == conditions.SERIES:
         span = 1.0
         k = int(np.argmax(np.abs(beta) / np.maximum(errors, 1e-12)))
@@ -188,20 +258,20 @@ def _effect(
         span = float(np.ptp(c.columns))
         k = 0
         series = {}
-    size = math.expm1(span * float(beta[k]))
-    is_significant = abs(float(beta[k])) > limit * float(errors[k])
+    estimate = Estimate(span * float(beta[k]), span * float(errors[k]), freedom)
+    size = math.expm1(estimate.value)
+    low, high = estimate.interval()
+    # at this size four of five sets of data show the effect
+    shown = estimate.smallest(ALPHA, tests) + _POWER_DEVIATIONS * estimate.error
     return Effect(
         name=c.name,
         judged=True,
         why_not="",
         size=size,
-        low=math.expm1(span * float(beta[k] - wide * errors[k])),
-        high=math.expm1(span * float(beta[k] + wide * errors[k])),
-        smallest=max(
-            math.expm1(min(span * (limit + _POWER_DEVIATIONS) * float(errors[k]), 20.0)),
-            LEAST_EFFECT,
-        ),
-        is_reported=is_significant and abs(size) >= LEAST_EFFECT,
+        low=math.expm1(low),
+        high=math.expm1(high),
+        smallest=max(math.expm1(min(shown, 20.0)), LEAST_EFFECT),
+        is_reported=estimate.is_finding(ALPHA, tests) and abs(size) >= LEAST_EFFECT,
         exponent=float(beta[k]),
         series=series,
         together_with=partners,

@@ -18,11 +18,11 @@ from rollerrig.rig.identify.creep_curves.laws import Law
 from rollerrig.rig.identify.creep_curves.shape import Fall, Group, Shape
 from rollerrig.rig.identify.data.parameters import patch_of
 from rollerrig.rig.identify.data.runs import Dataset
+from rollerrig.rig.identify.statistics import interval
 
 FALLING_FRICTION = "falling_friction"
 
-# A fall is reported if by chance it were as large in one of 500 sets of data,
-FALL_ALPHA = shape.FALL_ALPHA
+# A fall is reported if its interval excludes 0,
 # if it is at least this share of the maximum,
 LEAST_FALL = 0.01
 # and if so many points are beyond the maximum.
@@ -108,7 +108,7 @@ def without_law(data: Dataset, seed: int = 0) -> Shown:
         raise ConfigError(
             f"{data.folder / 'dataset.toml'}: kind is '{data.kind}'; a creep_curve is required here"
         )
-    prepared = conditions.prepare(data.curve)
+    prepared = conditions.prepare(data.curve, data.accuracy)
     groups, varying_within = _groups(prepared)
     smooth = shape.fit(
         prepared.creepage,
@@ -121,8 +121,8 @@ def without_law(data: Dataset, seed: int = 0) -> Shown:
     why_not = _why_no_fall_is_judged(prepared, smooth)
     falls = (
         not why_not
-        and fall.p_value <= FALL_ALPHA
-        and fall.low > 0.0
+        # the interval holds 0 unless the test by simulations rejects it
+        and interval.excludes(fall.low, fall.high)
         and fall.size >= LEAST_FALL
         and fall.points_beyond >= LEAST_POINTS_BEYOND
     )
@@ -147,7 +147,8 @@ def _groups(prepared: Prepared) -> tuple[np.ndarray, list[str]]:
 
     Small groups share one curve, and all conditions vary within it.
     """
-    varying = [c for c in prepared.conditions if c.varies]
+    # what may be noise belongs to the scatter of the points
+    varying = [c for c in prepared.conditions if c.varies and not c.may_be_noise]
     together = conditions.going_together(prepared)
     for number in np.unique(prepared.group):
         creepage = prepared.creepage[prepared.group == number]

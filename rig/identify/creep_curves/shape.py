@@ -31,6 +31,8 @@ from scipy.interpolate import BSpline
 from scipy.optimize import isotonic_regression
 from scipy.signal import lfilter
 
+from rollerrig.rig.identify.statistics import simulated_test
+
 # Groups with fewer points or fewer creepages share one curve.
 LEAST_GROUP_POINTS = 16
 LEAST_GROUP_CREEPAGES = 5
@@ -59,8 +61,8 @@ _PARABOLA_COEFFICIENTS = 3
 
 # A fall is significant if by chance T were as large in one of 500 sets of data.
 FALL_ALPHA = 0.002
-# Replicates of the test; fewer if so many of them were by chance as large (Besag and Clifford,
-# Biometrika 78 (1991) 301-304). Replicates of intervals, and of the smallest fall that is seen.
+# Replicates of the test; fewer if so many of them were by chance as large (`simulated_test`).
+# Replicates of intervals, and of the smallest fall that is seen.
 REPLICATES = 999
 LEAST_REPLICATES = 199
 ENOUGH_BY_CHANCE = 10
@@ -106,7 +108,7 @@ class Fall(NamedTuple):
 
     p_value: float
     size: float  # share of the maximum that is lost at the end, mean over the curves
-    low: float  # 95 % interval
+    low: float  # 95 % interval; 0 is in it unless the test [H1] rejects that nothing falls
     high: float
     smallest: float  # fall that these data would have shown
     peak_creepage: float
@@ -404,18 +406,13 @@ def fall(shape: Shape, adhesion: np.ndarray, seed: int) -> Fall:
         error = shape.errors(rng)
         return [part.averaging @ error[part.points] for part in shape.groups]
 
-    varied_statistics: list[float] = []
-    by_chance = 0
-    is_stopped = False
-    while len(varied_statistics) < REPLICATES and not is_stopped:
+    def by_chance() -> float:
         again = [n + e for n, e in zip(never, drawn_means(), strict=True)]
-        varied_statistics.append(_statistic(shape.groups, again))
-        by_chance += varied_statistics[-1] >= statistic
-        has_enough = by_chance >= ENOUGH_BY_CHANCE
-        is_stopped = has_enough and len(varied_statistics) >= LEAST_REPLICATES
-    replicates = len(varied_statistics)
-    p_value = by_chance / replicates if is_stopped else (1 + by_chance) / (1 + replicates)
-    critical = float(np.quantile(varied_statistics, 1.0 - FALL_ALPHA))
+        return _statistic(shape.groups, again)
+
+    tested = simulated_test.p_value(
+        statistic, by_chance, REPLICATES, LEAST_REPLICATES, ENOUGH_BY_CHANCE
+    )
     drawn = [drawn_means() for _ in range(SMALLEST_REPLICATES)]
 
     measured = _falls_and_rises(shape.groups, curves)
@@ -434,12 +431,16 @@ def fall(shape: Shape, adhesion: np.ndarray, seed: int) -> Fall:
     other = _falls_and_rises(shape.other_groups, other_curves)
     by_knots = abs(other.fall - measured.fall)
     rise_by_knots = abs(other.rise - measured.rise)
+    low = 2.0 * measured.fall - float(np.percentile(falls, 97.5)) - by_knots
+    if tested.p_value > FALL_ALPHA:
+        # no fall is what the test [H1] does not reject: it belongs to the interval
+        low = min(low, 0.0)
     return Fall(
-        p_value=p_value,
+        p_value=tested.p_value,
         size=measured.fall,
-        low=2.0 * measured.fall - float(np.percentile(falls, 97.5)) - by_knots,
+        low=low,
         high=2.0 * measured.fall - float(np.percentile(falls, 2.5)) + by_knots,
-        smallest=_smallest_fall(shape.groups, never, drawn, critical),
+        smallest=_smallest_fall(shape.groups, never, drawn, tested.critical(FALL_ALPHA)),
         peak_creepage=measured.peak_creepage,
         points_beyond=measured.beyond,
         points_before=measured.before,

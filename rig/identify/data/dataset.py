@@ -31,6 +31,12 @@ HEAD = (
     number("sample_time_s", 0.01, 1e-4, 0.1, "s"),
     choice("separator", "auto", tables.SEPARATORS, "of a CSV; auto: found in the file"),
     choice("decimal", "auto", tables.DECIMALS, "of a CSV; auto: found in the file"),
+    choice(
+        "stamps",
+        "recorded",
+        ("recorded", "even"),
+        "even: samples are sample_time_s apart although their stamps are late",
+    ),
     choice("file", "", (), "the file of a creep curve"),
     choice("title", "", (), "a sentence"),
     choice("source", "", (), "where the data is from"),
@@ -45,6 +51,8 @@ RUN = (
     number("mu_cd", -1.0, 1e-4, 1.0, "estimated where not given"),
     number("mass_kg", -1.0, 1000.0, 200000.0, "kg"),
     # where drives hold the speed, the wheels brake no mass, so there is no force balance
+    choice("date", "", (), "year-month-day; the report compares runs of different dates"),
+    choice("rig", "", (), "rig, vehicle or equipment; the report compares runs of different rigs"),
     flag("held", False, "drives held the speed of the surface: no force balance of a vehicle"),
 )
 # The keys of the table [accuracy]. Each value is one standard deviation. The default -1 means "not
@@ -154,6 +162,7 @@ def load(folder: Path | str) -> Dataset:
         sources=_read_sources(toml_tables.get("channels", {}), keys, f"{path} [channels]"),
         radius_m=sections["vehicle"]["wheel_radius_m"],
         axles=dataset.axles,
+        are_even=head["stamps"] == "even",
     )
     if head["kind"] == "creep_curve":
         return dataset._replace(curve=_creep_curve(dataset, head, toml_tables, reading))
@@ -292,12 +301,14 @@ class _Reading(NamedTuple):
     sources: of the channels in [channels], by key.
     radius_m: of the wheels, for wheel speeds that are given in m/s or km/h.
     axles: of the vehicle.
+    are_even: the samples are even although their stamps are late.
     """
 
     form: dict[str, Any]
     sources: dict[str, Source]
     radius_m: float
     axles: int
+    are_even: bool
 
     def column(self, key: str) -> str:
         """Return the name of the column of a channel."""
@@ -327,6 +338,7 @@ class _DataFile(NamedTuple):
                 return stamps.time_s
             return stamps.time_s - stamps.time_s[0]
 
+        self._check_is_there(source.column)
         values = channels.values(self.path, self.table, source.column)
         self._check_finite(source.column, values)
         key_unit = _key_unit(key)
@@ -340,9 +352,31 @@ class _DataFile(NamedTuple):
         keys = columns_of_axles(quantity, unit, self.reading.axles)
         return np.column_stack([self.channel(key) for key in keys])
 
+    def _check_is_there(self, column: str) -> None:
+        """Raise ConfigError if there is no column with this name.
+
+        A column that is another channel already is no suggestion.
+        """
+        if column in self.table.names:
+            return
+        keys = ("time_s", *channels_of(self.reading.axles), *CURVE_CHANNELS)
+        used = {self.reading.column(key) for key in keys}
+        free = [name for name in self.table.names if name not in used]
+        meant = [f"did you mean '{name}'? " for name in table.similar(column, free)[:1]]
+        raise ConfigError(
+            f"{self.path}: column '{column}' is missing; {''.join(meant)}give the channel, "
+            "name its column in dataset.toml as `column` in [channels], or leave this run out of "
+            f"dataset.toml. The file has: {', '.join(sorted(self.table.names))}"
+        )
+
     def _check_finite(self, column: str, values: np.ndarray) -> None:
         """Raise ConfigError if a value is not a finite number."""
         bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size and bad.size == values.size:
+            raise ConfigError(
+                f"{self.path}: column '{column}' has no number in any of its {bad.size} rows; give the "
+                "channel, or leave this run out of dataset.toml"
+            )
         if bad.size:
             raise ConfigError(
                 f"{self.path}: column '{column}' is not a finite number in {bad.size} rows, the "
@@ -421,6 +455,12 @@ def _run(
 
     # the first missing column is reported, in the order of the documents
     time_s = file.channel("time_s")
+    if reading.are_even:
+        late_s = quality.lateness_s(time_s, dataset.sample_time_s)
+        time_s = quality.even_stamps(time_s, path, dataset.sample_time_s)
+        dataset.warnings.append(
+            f"{path.name}: stamps that are up to {late_s or 0.0:.2g} s late were replaced by even ones"
+        )
     speed_m_s = file.channel("vehicle_speed_m_s")
     wheel_speed_rad_s = file.of_axles("wheel_speed", "rad_s")
     load_N = file.of_axles("wheel_load", "N")
@@ -443,6 +483,8 @@ def _run(
         torque_Nm=torque_Nm,
         position_m=position_m,
         surface_m_s=surface_m_s,
+        date=entry["date"],
+        rig=entry["rig"],
     )
     return _ReadRun(run, path, entry["initial_speed_m_s"], pressure_Pa)
 

@@ -28,6 +28,9 @@ LARGEST_STEP = 1.5  # a longer step is a gap
 LARGEST_UNEVENNESS = 0.15  # of a step against the typical one
 MOST_UNEVEN_STEPS = 0.01  # share of the samples
 LARGEST_DRIFT = 0.003  # of the mean step
+# Largest shift of the earliest stamps of a stretch of so many samples, as a share of sample_time_s
+STAMPS_PER_STRETCH = 100
+LARGEST_SHIFT = 0.5
 
 SPEEDS_M_S = (1.0, 150.0)  # the largest speed of a run must lie between these
 MOST_REPEATED_SAMPLES = 0.4  # share of a wheel speed's samples that equal the one before
@@ -47,6 +50,48 @@ def check_run(run: Run, path: Path, dataset: Dataset, initial_speed_m_s: float) 
     units.check(run, path, vehicle, dataset.warnings)
     _check_sliding(run, path, vehicle, dataset.warnings)
     _check_held(run, path, dataset.warnings)
+
+
+def lateness_s(time_s: np.ndarray, sample_time_s: float) -> float | None:
+    """Return by how much stamps of even samples are late at most, s; None if rows are missing.
+
+    Stamps of a computer are late by what it takes to read a sample, and never early. A row that is
+    missing shifts the earliest stamps of all later stretches by a whole sample.
+    """
+    late_s = time_s - sample_time_s * np.arange(time_s.size)
+    stretches = np.array_split(late_s, max(time_s.size // STAMPS_PER_STRETCH, 2))
+    earliest_s = np.array([part.min() for part in stretches])
+    if np.ptp(earliest_s) > LARGEST_SHIFT * sample_time_s:
+        return None
+    return float(np.max(late_s - earliest_s.min()))
+
+
+def even_stamps(time_s: np.ndarray, path: Path, sample_time_s: float) -> np.ndarray:
+    """Return the stamps of even samples whose recorded stamps are late.
+
+    Raises ConfigError if rows are missing.
+    """
+    if lateness_s(time_s, sample_time_s) is None:
+        raise ConfigError(
+            f'{path}: stamps = "even", but rows are missing: {time_s.size} rows last '
+            f"{time_s[-1] - time_s[0]:.4g} s, and sample_time_s = {sample_time_s:g}; split the run where "
+            "rows are missing, or correct sample_time_s"
+        )
+    late_s = time_s - sample_time_s * np.arange(time_s.size)
+    return float(late_s.min()) + sample_time_s * np.arange(time_s.size)
+
+
+def _check_late(run: Run, path: Path, sample_time_s: float) -> None:
+    """Raise ConfigError if the stamps are late and the samples are even."""
+    late_s = lateness_s(run.time_s, sample_time_s)
+    if late_s is not None:
+        n = run.time_s.size
+        raise ConfigError(
+            f"{path}: time_s is not even: stamps are up to {late_s:.2g} s late, but no row is missing, "
+            f"since {n} rows of {sample_time_s:g} s are the duration. If the samples were taken by an even "
+            'clock, write stamps = "even" at the top of dataset.toml, and do not resample them; if they '
+            "were taken at these stamps, resample with a low-pass filter, not by straight lines"
+        )
 
 
 def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
@@ -78,13 +123,15 @@ def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
         )
 
     gaps = np.flatnonzero(steps_s > LARGEST_STEP * sample_time_s)
+    uneven = np.flatnonzero(np.abs(steps_s - typical_s) > LARGEST_UNEVENNESS * sample_time_s)
+    if gaps.size or uneven.size > MOST_UNEVEN_STEPS * n:
+        _check_late(run, path, sample_time_s)
     if gaps.size:
         raise ConfigError(
             f"{path}: {gaps.size} gaps, the first of {steps_s[gaps[0]]:.4g} s after "
             f"t = {run.time_s[gaps[0]]:.4g} s; split the run there or resample it"
         )
 
-    uneven = np.flatnonzero(np.abs(steps_s - typical_s) > LARGEST_UNEVENNESS * sample_time_s)
     if uneven.size > MOST_UNEVEN_STEPS * n:
         raise ConfigError(
             f"{path}: time_s is not even: steps are {steps_s.min():.4g} to {steps_s.max():.4g} s, but "

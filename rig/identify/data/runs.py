@@ -24,6 +24,8 @@ class Run(NamedTuple):
     torque_Nm: np.ndarray
     position_m: np.ndarray | None  # None: not measured
     surface_m_s: np.ndarray | None  # roller surface speed on a rig, (n, axles); None: on a track
+    date: str = ""  # year-month-day; "": not given
+    rig: str = ""  # name of the rig, the vehicle or the equipment; "": not given
 
     @property
     def axles(self) -> int:

@@ -24,11 +24,13 @@ from rollerrig.rig.identify.decide import (
     choice,
     coherence,
     empirical,
+    estimates,
     evidence,
     fitting,
     gain,
     goodness,
     null_simulations,
+    side_by_side,
     stopping,
     thresholds,
 )
@@ -39,6 +41,7 @@ from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.gain import Gain
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
 from rollerrig.rig.identify.decide.null_simulations import Workspace
+from rollerrig.rig.identify.decide.side_by_side import SideBySide
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 
@@ -72,6 +75,7 @@ class Diagnosis(NamedTuple):
     notes: list[Note]
     formula: EmpiricalFormula | None  # for what no cause explains
     elapsed_s: float
+    side_by_side: SideBySide = side_by_side.NOTHING  # all runs, fitted or not
 
 
 class _Search(NamedTuple):
@@ -131,9 +135,19 @@ def explain_braking_runs(
             search.causes, search.remainder, measured_gain, contradicted
         )
         notes += more_notes
+        unclear = [f.cause.name for f in search.causes if not estimates.excludes_nothing(f)]
+        if unclear and verdict in (Verdict.EXPLAINED, Verdict.PARTLY):
+            verdict = Verdict.UNEXPLAINED
+            notes.append(Note(NoteCode.INTERVAL_HOLDS_NOTHING, causes=tuple(unclear)))
         if verdict == Verdict.CONSISTENT:
             goodness.check_fit(design, base)
         base_checks.check_order(data, [found.cause.name for found in search.causes])
+
+        side = side_by_side.compare(workspace, search.explanation, search.score_tests)
+        only_runs_differ = verdict == Verdict.CONSISTENT and side.contradicts_one_model
+        if only_runs_differ:
+            verdict = Verdict.UNEXPLAINED
+            notes.append(Note(NoteCode.RUNS_DIFFER))
 
         final = search.explanation
         causes = search.causes
@@ -145,7 +159,7 @@ def explain_braking_runs(
             measured_gain = None
 
         formula = None
-        if verdict == Verdict.UNEXPLAINED:
+        if verdict == Verdict.UNEXPLAINED and not only_runs_differ:
             progress("formula", 0.0)
             smooth = _smooth_functions(search.score_tests)
             formula = empirical.find(design, held_out, search.smoother_base, smooth, seed)
@@ -171,6 +185,7 @@ def explain_braking_runs(
         notes=notes,
         formula=formula,
         elapsed_s=time.monotonic() - began_s,
+        side_by_side=side,
     )
 
 

@@ -6,9 +6,8 @@ from typing import NamedTuple
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.causes.columns import PLACE_BIN_M, TIME_BIN_S
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
+from rollerrig.rig.identify.statistics import interval
 from rollerrig.rig.mechanisms.table import BY_NAME
-
-DEVIATIONS_OF_95 = 1.96  # half of a 95 % interval of a normal distribution
 
 
 class Estimate(NamedTuple):
@@ -30,17 +29,19 @@ def parameters(identified: IdentifiedCause) -> dict[str, Estimate]:
     estimates = {}
     for k, (row, value) in enumerate(zip(rows.values(), identified.unbiased.values, strict=False)):
         deviation = identified.deviation[min(k, len(identified.deviation) - 1)]
-        estimates[row.name] = Estimate(
-            value=value,
-            low=value - DEVIATIONS_OF_95 * deviation,
-            high=value + DEVIATIONS_OF_95 * deviation,
-            unit=row.source,
-        )
+        low, high = interval.Estimate(value, deviation).interval()
+        estimates[row.name] = Estimate(value, low, high, unit=row.source)
     for name, value in cause.shape.items():
         low, high = _interval_of_shape(cause.name, name, value)
         unit = rows[name].source if name in rows else "s"
         estimates[name] = Estimate(value, low, high, unit)
     return estimates
+
+
+def excludes_nothing(identified: IdentifiedCause) -> bool:
+    """Return whether the interval of the size of a cause, its first parameter, excludes 0."""
+    size = next(iter(parameters(identified).values()))
+    return interval.excludes(size.low, size.high)
 
 
 def _interval_of_shape(cause: str, name: str, value: float) -> tuple[float, float]:
@@ -68,7 +69,7 @@ def _amplitude_and_phase(identified: IdentifiedCause) -> dict[str, Estimate]:
     # noise adds to the squares of both coefficients
     square = sum(v * v for v in values) / runs - 2.0 * deviation * deviation
     amplitude = math.sqrt(max(square, 0.0))
-    wide = DEVIATIONS_OF_95 * deviation / math.sqrt(runs)
+    wide = interval.Estimate(amplitude, deviation / math.sqrt(runs)).half_width()
     return {
         "amplitude": Estimate(amplitude, max(amplitude - wide, 0.0), amplitude + wide, "-"),
         "phase_rad": Estimate(math.atan2(-values[1], values[0]), -math.pi, math.pi, "rad"),

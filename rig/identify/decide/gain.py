@@ -29,6 +29,7 @@ from rollerrig.rig.identify.decide.thresholds import (
 )
 from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.identify.replay.sensitivity import Inputs
+from rollerrig.rig.identify.statistics import resampling
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
@@ -268,8 +269,7 @@ def _interval(
     blocks = np.array(sums)
 
     rng = np.random.default_rng(seed)
-    chosen = rng.integers(0, len(blocks), (DRAWS, len(blocks)))
-    total = blocks[chosen].sum(axis=1)
+    total = resampling.drawn(len(blocks), rng, DRAWS) @ blocks
     before = np.maximum(total[:, 0], 1e-30)
     low, high = np.quantile(1.0 - np.sqrt(total[:, 1] / before), QUANTILES)
     return float(low), float(high)

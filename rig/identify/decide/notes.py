@@ -27,6 +27,8 @@ class NoteCode(Enum):
     OTHER_PLACES = "cause.other_places"
     # a torque that wheels and vehicle feel differently: it is not reported
     OTHER_FORCE = "cause.other_force"
+    # the interval of this cause holds nothing: it is not reported
+    INTERVAL_HOLDS_NOTHING = "cause.interval_holds_nothing"
     # two causes of the same force leave a remainder: they are not reported
     TWO_FORCES = "causes.two_forces"
     # this cause changes the torque by less than its declared calibration: it is not reported
@@ -38,6 +40,8 @@ class NoteCode(Enum):
     INSIDE_CALIBRATION = "causes.inside_calibration"
     # a radius and a brake torque of one wheelset are what a wrong scale of its speed sensor shows
     SPEED_SCALE = "causes.speed_scale"
+    # nothing is significant in the fitted runs together, and runs differ from the others
+    RUNS_DIFFER = "runs.differ"
     # the reported causes leave a small remainder
     SMALL_REMAINDER = "remainder.small"
 

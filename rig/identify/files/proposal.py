@@ -58,6 +58,7 @@ _KEYS = {
 _REASONS = {
     words.PRESSURE: "a pressure of a brake cylinder; without torques write it as brake_pressure_1_Pa in [channels]",
     words.VEHICLE_SPEED: "a speed of the vehicle, which is not used beside a reference",
+    words.DATE: "its first date is the date of the run",
     words.REFERENCE_SPEED: "a reference, which is used of recorders only",
 }
 
@@ -128,18 +129,16 @@ def propose(
     """
     mapped = mapped or {}
     names = [content.name for content in contents]
-    for key, name in mapped.items():
-        if name and name not in names:
-            raise ConfigError(
-                f"--map {key}={name}: there is no column '{name}'{nearest(name, names)}"
-            )
+    mapped = {key: _with_its_unit(key, name, names) for key, name in mapped.items()}
     meanings = {}
     for content in contents:
         found = words.meaning(words.column(content.name, content.unit))
-        if found is None and content.is_stamp:
+        if content.is_stamp and (found is None or found.quantity == words.DATE):
             found = Meaning(words.STAMPS, 0)
         if found:
             meanings[content.name] = found
+    renumbered = _numbered_apart(meanings)
+    meanings |= renumbered
     kind = kind or _kind(set(meanings.values()), mapped, axles)
 
     columns = _columns(contents, meanings, kind, mapped, axles)
@@ -157,7 +156,78 @@ def propose(
             if name == columns.get("position_m"):
                 reason = "a position without a unit; give it as in --unit position_m=m"
             unused.append(Unused(name, reason))
-    return Proposal(kind, tuple(channels), tuple(unused), tuple(_remarks(kind, channels, meanings)))
+    remarks = _remarks(kind, channels, meanings, renumbered)
+    if renumbered:
+        remarks.append(
+            f"{', '.join(repr(name) for name in renumbered)} have the same number: they are numbered in "
+            "the order of the file; correct it with --map"
+        )
+    if kind == "recorder":
+        remarks += _missing_of_braking_runs(meanings, axles)
+    return Proposal(kind, tuple(channels), tuple(unused), tuple(remarks))
+
+
+def _with_its_unit(key: str, name: str, names: Sequence[str]) -> str:
+    """Return the column that a name means, which may be given without its unit.
+
+    Raises ConfigError if there is no such column, or if several columns are meant.
+    """
+    if not name or name in names:
+        return name
+    meant = [column for column in names if units.split(column).name == name]
+    if len(meant) == 1:
+        return meant[0]
+    if meant:
+        raise ConfigError(
+            f"--map {key}={name}: these columns differ only in their unit: "
+            f"{', '.join(repr(column) for column in meant)}; write one with its unit"
+        )
+    raise ConfigError(f"--map {key}={name}: there is no column '{name}'{nearest(name, names)}")
+
+
+def _numbered_apart(meanings: Mapping[str, Meaning]) -> dict[str, Meaning]:
+    """Return new numbers of columns that have the same number, and names that differ in a letter.
+
+    Only speeds of wheels and bogies count. Columns of other quantities keep their numbers.
+    """
+    renumbered: dict[str, Meaning] = {}
+    for quantity in (words.WHEEL_SPEED, words.BOGIE_SPEED):
+        names = [name for name, found in meanings.items() if found.quantity == quantity]
+        numbers = [meanings[name].number for name in names]
+        if len(set(numbers)) == len(numbers) or len(set(numbers)) > 1:
+            continue
+        if all(_differ_in_a_letter(names[0], name) for name in names[1:]):
+            for number, name in enumerate(names, start=1):
+                renumbered[name] = Meaning(quantity, number)
+    return renumbered
+
+
+def _differ_in_a_letter(name: str, other: str) -> bool:
+    """Return whether two names differ only in single letters, as VrTCU_A_A1 and VrTCU_B_A1."""
+    pairs = list(zip(words.words_of(name), words.words_of(other), strict=False))
+    if len(words.words_of(name)) != len(words.words_of(other)):
+        return False
+    return all(one == two or len(one) == len(two) == 1 for one, two in pairs)
+
+
+def _missing_of_braking_runs(meanings: Mapping[str, Meaning], axles: int) -> list[str]:
+    """Return a remark on the channels that braking runs lack, if loads or torques are there."""
+    present = set(meanings.values())
+    quantities = {found.quantity for found in present}
+    if not quantities & {words.LOAD, words.TORQUE, words.PRESSURE}:
+        return []
+    keys = _KEYS["braking_runs"]
+    missing = [] if words.VEHICLE_SPEED in quantities else [keys[words.VEHICLE_SPEED]]
+    for quantity in (words.WHEEL_SPEED, words.LOAD, words.TORQUE):
+        for axle in range(1, axles + 1):
+            if Meaning(quantity, axle) not in present:
+                missing.append(keys[quantity].format(axle))
+    if not missing:
+        return []
+    return [
+        f"for braking runs of {axles} axles these channels are missing: {', '.join(missing)}; name "
+        "their columns with --map, or give --vehicle"
+    ]
 
 
 def _kind(meanings: set[Meaning], mapped: Mapping[str, str], axles: int) -> str:
@@ -288,8 +358,16 @@ def _reason(found: Meaning | None) -> str:
     return f"recognised as {found.quantity}{number}, but not needed, or another column was chosen"
 
 
-def _remarks(kind: str, channels: Sequence[Channel], meanings: Mapping[str, Meaning]) -> list[str]:
-    """Return what the user must know before a proposal is accepted."""
+def _remarks(
+    kind: str,
+    channels: Sequence[Channel],
+    meanings: Mapping[str, Meaning],
+    renumbered: Mapping[str, Meaning],
+) -> list[str]:
+    """Return what the user must know before a proposal is accepted.
+
+    `renumbered` are columns whose numbers are not those of their names.
+    """
     remarks = []
     for channel in channels:
         found = meanings.get(channel.column)
@@ -315,7 +393,7 @@ def _remarks(kind: str, channels: Sequence[Channel], meanings: Mapping[str, Mean
             "which is that of --vehicle"
         )
     corners = {name for name in meanings if set(words.words_of(name)) & set(words.CORNERS)}
-    if corners:
+    if corners - set(renumbered):
         remarks.append(
             "corners are numbered: 1 front left, 2 front right, 3 rear left, 4 rear right"
         )

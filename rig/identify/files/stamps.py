@@ -34,6 +34,7 @@ from rollerrig.rig.identify.files import units
 # a unit of stamps -> its length in s
 UNITS = {name: unit.factor for name in units.of_quantity(units.TIME) if (unit := units.find(name))}
 DAY_S = 86400.0
+_MONTHS = 12
 SHORTEST_STEP_S = 1e-5  # samples of a vehicle are not closer, so the unit of the stamps is wrong
 _SPREADSHEET_DAYS = (20000.0, 80000.0)
 _MOST_DIFFERENCE = 0.3  # of the usual number of samples with one stamp
@@ -186,6 +187,24 @@ def holds_dates(values: pa.ChunkedArray) -> bool:
         return False
     texts = [text for text in values.to_pylist() if text]
     return bool(texts) and all(map(is_text_stamp, texts))
+
+
+def date_of(text: str) -> str:
+    """Return a date as year-month-day; "" if the text is no date, or day and month are unclear."""
+    text = text.strip()
+    first = _YEAR_FIRST.match(text)
+    if first:
+        return f"{first['y']}-{int(first['a']):02}-{int(first['b']):02}"
+    last = _YEAR_LAST.match(text)
+    if last is None:
+        return ""
+    one, two = int(last["a"]), int(last["b"])
+    year = last["y"] if len(last["y"]) > 2 else f"20{last['y']}"
+    if last["mark"] == "." or one > _MONTHS:
+        return f"{year}-{two:02}-{one:02}"
+    if two > _MONTHS:
+        return f"{year}-{one:02}-{two:02}"
+    return ""
 
 
 def numbers_or_nan(values: pa.ChunkedArray) -> np.ndarray:

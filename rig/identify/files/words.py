@@ -20,6 +20,7 @@ from rollerrig.rig.identify.files import units
 
 # what a column may be
 STAMPS = "time"
+DATE = "date"
 WHEEL_SPEED = "wheel_speed"
 BOGIE_SPEED = "bogie_speed"
 VEHICLE_SPEED = "vehicle_speed"
@@ -58,12 +59,14 @@ NOT_USED = Words(
     ),
     whole=(
         *("soll", "setpoint", "set", "max", "rate", "wind", "temp"),
-        *("lat", "lon", "lng", "std", "acc", "a", "ax", "ay"),
+        *("lat", "lon", "lng", "std"),
     ),
 )
+# letters that are an acceleration, unless a long word of a speed is in the name: "A1_Velocity"
+ACCELERATIONS = Words(inside=(), whole=("acc", "a", "ax", "ay"))
 BRAKING = Words(inside=("brake", "brems", "braking"), whole=("bc", "bcp", "bz"))
 PLACES = Words(
-    inside=("position", "distance", "strecke", "odometer", "chainage", "kilometr"),
+    inside=("position", "distance", "strecke", "odometer", "chainage", "kilometr", "miles"),
     whole=("weg", "pos", "x", "s", "dist"),
 )
 TIMES = Words(
@@ -82,6 +85,12 @@ TORQUES = Words(inside=("moment", "torque"), whole=("trq", "mbr"))
 PRESSURES = Words(inside=("druck", "pressure"), whole=("p",))
 DEMANDS = Words(inside=("demand", "anforder", "befehl", "request", "command"))
 CREEPAGES = Words(inside=("creepage", "schlupf"), whole=("creep", "slip"))
+DATES = Words(inside=(), whole=("date", "datum"))
+# letters of formulas that a unit makes a quantity: Q1 [kN], N2 [kN]
+LOAD_LETTERS = Words(inside=(), whole=("q", "n", "fn"))
+# an adhesion is also a coefficient of one of these
+COEFFICIENTS = Words(inside=("coeff", "koeff", "beiwert"))
+OF_ADHESION = Words(inside=("traction", "friction", "reib"))
 ADHESIONS = Words(
     inside=("adhesion", "kraftschluss", "reibwert", "adhaesion"), whole=("mu", "friction")
 )
@@ -109,6 +118,10 @@ _RIGHT = Words(inside=("right", "rechts"))
 _UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss"})
 
 
+# letters of the symbol of a unit at most; a longer text is a word
+_LONGEST_SYMBOL = 3
+
+
 class Meaning(NamedTuple):
     """What a column is: the quantity, and the number of the wheel or bogie, 0 if none is given."""
 
@@ -132,6 +145,10 @@ def column(name: str, unit: str) -> Column:
     ending = units.split_ending(bare)
     if ending.unit:
         return Column(ending.name, ending.unit, "end of the name")
+    known = units.find(bare)
+    if known is not None and known.quantity == units.LENGTH and len(bare) > _LONGEST_SYMBOL:
+        # a way that is named by its unit alone, as MILES
+        return Column(bare, known.name, "name")
     return Column(bare, "", "")
 
 
@@ -146,6 +163,9 @@ def meaning(named: Column) -> Meaning | None:
     words = words_of(named.name)
     if not words or NOT_USED.fit(words):
         return None
+    is_named_speed = any(part in word for part in SPEEDS.inside for word in words)
+    if ACCELERATIONS.fit(words) and not is_named_speed:
+        return None
     known = units.find(named.unit) if named.unit else None
     of_unit = known.quantity if known else ""
     quantity = _quantity(words, of_unit)
@@ -158,14 +178,19 @@ def meaning(named: Column) -> Meaning | None:
 
 def _quantity(words: list[str], of_unit: str) -> str:
     """Return the quantity of words; the quantity of the unit decides between some of them."""
+    if DATES.fit(words) and len(words) == 1:
+        return DATE
     is_speed = SPEEDS.fit(words) or of_unit in (units.SPEED, units.ROTATION)
     if CREEPAGES.fit(words):
         return CREEPAGE
-    if ADHESIONS.fit(words):
+    if ADHESIONS.fit(words) or (COEFFICIENTS.fit(words) and OF_ADHESION.fit(words)):
         return ADHESION
     if TORQUES.fit(words) and (BRAKING.fit(words) or WHEELS.fit(words)):
         return TORQUE
-    if LOADS.fit(words) or (of_unit == units.FORCE and WHEELS.fit(words)):
+    if of_unit == units.TORQUE and "m" in words:
+        return TORQUE
+    is_load = WHEELS.fit(words) or LOAD_LETTERS.fit(words)
+    if LOADS.fit(words) or (of_unit == units.FORCE and is_load):
         return LOAD
     if PRESSURES.fit(words) or of_unit == units.PRESSURE:
         return PRESSURE if BRAKING.fit(words) or "zylinder" in "".join(words) else ""
@@ -210,6 +235,7 @@ def _unit_fits(quantity: str, unit: str, of_unit: str) -> bool:
         ADHESION: (units.RATIO,),
         WHEEL_SPEED: (units.SPEED, units.ROTATION),
         DEMAND: None,
+        DATE: None,
     }.get(quantity, (units.SPEED,))
     if allowed is None or not unit:
         return True

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.identify.statistics import resampling
 from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.findings import ClockRate, Finding
@@ -49,11 +50,10 @@ _DELAYS_S = np.arange(-limit.LATEST_S, limit.LATEST_S + 0.01, _COARSE_S)
 # m/s^2. Below this change of speed a drift does not show.
 _CHANGING_M_S2 = 0.15
 
-# samples of a drift at most and at least, and blocks and samples of the bootstrap of its interval
+# samples of a drift at most and at least, and blocks of the bootstrap of its interval
 _MOST_SAMPLES = 3000
 _LEAST_CHANGING = 100
 _DRIFT_BLOCKS = 20
-_REPLICATES = 300
 
 
 def find(run: Run) -> Finding | None:
@@ -269,7 +269,7 @@ def _with_interval(series: _Series, rate: float, delay_s: float) -> _Rate:
         sums.append(np.bincount(block, errors, minlength=_DRIFT_BLOCKS))
     costs = np.array(sums)
     rng = np.random.default_rng(1)
-    drawn = rng.integers(0, _DRIFT_BLOCKS, (_REPLICATES, _DRIFT_BLOCKS))
-    least = rates[np.argmin(costs[:, drawn].sum(axis=2), axis=0)]
+    counts = resampling.drawn(_DRIFT_BLOCKS, rng)
+    least = rates[np.argmin(costs @ counts.T, axis=0)]
     low, high = np.quantile(least, (0.025, 0.975))
     return _Rate(rate, float(min(low, rate) - step), float(max(high, rate) + step))

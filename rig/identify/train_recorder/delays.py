@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.identify.statistics import interval, resampling
 from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import (
@@ -44,16 +45,20 @@ _CHANGING_M_S2 = 0.15
 # Factors that are the rivals of a delay: as far as wheel radii and speedometers deviate.
 _FACTORS = np.linspace(0.9, 1.1, 81)
 
-# samples of the bootstrap of a delay
-_REPLICATES = 300
+# samples of the bootstrap of a delay, which shows the quantiles of the family-wise level too
+_REPLICATES = 2000
 
 
 class Lag(NamedTuple):
-    """How late a channel is, with its 95 % interval, s; negative: early."""
+    """How late a channel is, with its 95 % interval, s; negative: early.
+
+    `sure_s` is the interval at the family-wise level, which decides whether a channel is late.
+    """
 
     delay_s: float
     low_s: float
     high_s: float
+    sure_s: tuple[float, float] = (0.0, 0.0)
     share_left: float = 0.0  # error that is left, over the error without a delay
     # factor of the speed that fits better than any delay, and the error that it leaves
     factor: float | None = None
@@ -62,7 +67,8 @@ class Lag(NamedTuple):
 
     def reversed(self) -> "Lag":
         """The lag of the other side of the comparison."""
-        return Lag(-self.delay_s, -self.high_s, -self.low_s, self.share_left)
+        low_s, high_s = self.sure_s
+        return Lag(-self.delay_s, -self.high_s, -self.low_s, (-high_s, -low_s), self.share_left)
 
 
 class _DelaySearch:
@@ -109,7 +115,7 @@ class _DelaySearch:
         if lag.delay_s <= 0.0:
             late, other = second, first
             lag = lag.reversed()
-        if lag.low_s > self.late_s:
+        if lag.sure_s[0] > self.late_s:
             self._decide(late, lag, other)
 
     def _compare_with_median(self) -> None:
@@ -119,7 +125,7 @@ class _DelaySearch:
             if lag is None:
                 continue
             self.lags[name] = lag
-            if lag.low_s > self.late_s or lag.high_s < -self.late_s:
+            if lag.sure_s[0] > self.late_s or lag.sure_s[1] < -self.late_s:
                 self._decide(name, lag, "")
 
     def _compare_reference(self, reference: str) -> None:
@@ -129,7 +135,7 @@ class _DelaySearch:
         if lag is None:
             return
         self.lags[reference] = lag
-        if lag.high_s < -self.late_s and len(right) == 1:
+        if lag.sure_s[1] < -self.late_s and len(right) == 1:
             # an early reference means that the only wheel is late
             self._decide(right[0], lag.reversed(), reference)
         else:
@@ -176,7 +182,7 @@ class _DelaySearch:
     def _decide(self, name: str, lag: Lag, against: str) -> None:
         """Report a lag beyond the delay that is normal for the channel; else only corrects it."""
         is_late = self._is_beyond_normal(name, lag, against)
-        is_early = lag.high_s < -self.late_s and len(self.names) > 2 and name != self.reference
+        is_early = lag.sure_s[1] < -self.late_s and len(self.names) > 2 and name != self.reference
         if (is_late or is_early) and lag.share_left < limit.LATE_SHARE:
             self.delays[name] = lag.delay_s
             self.found.append(
@@ -199,7 +205,7 @@ class _DelaySearch:
         normal_s = max(self.channels[name].delay_s, 0.0)
         if name == self.reference or against == self.reference:
             normal_s += self._creepage_s()
-        return lag.low_s > normal_s + self.late_s
+        return lag.sure_s[0] > normal_s + self.late_s
 
     def _creepage_s(self) -> float:
         """Return the delay of a reference that creepage in driving and braking looks like, s."""
@@ -306,14 +312,17 @@ def _lag(
         # the recorded speed times this factor fits, so the channel shows 1 / factor of the speed
         factor = 1.0 / float(_FACTORS[int(np.argmin(factor_cost))])
         left = float(factor_cost.min()) / max(without_delay, 1e-9)
-        return Lag(0.0, 0.0, 0.0, left, factor)
-    drawn = rng.integers(0, len(costs), (_REPLICATES, len(costs)))
-    best_s = _least_cost(costs.sum(axis=0)[None])[0]
-    low_s, high_s = np.quantile(_least_cost(costs[drawn].sum(axis=1)), (0.025, 0.975))
+        return Lag(0.0, 0.0, 0.0, share_left=left, factor=factor)
+    counts = resampling.drawn(len(costs), rng, _REPLICATES)
+    best_s = float(_least_cost(costs.sum(axis=0)[None])[0])
+    varied_s = _least_cost(counts @ costs)
+    low_s, high_s = _interval(varied_s, best_s, 1.0 - interval.REPORTED)
+    tests = sum(len(a.run.of("speed", "reference")) for a in aligned[:1])
     lag = Lag(
-        delay_s=float(best_s),
-        low_s=float(min(low_s, best_s) - _DELAY_STEP_S),
-        high_s=float(max(high_s, best_s) + _DELAY_STEP_S),
+        delay_s=best_s,
+        low_s=low_s,
+        high_s=high_s,
+        sure_s=_interval(varied_s, best_s, limit.ALPHA / max(tests, 1)),
         share_left=float(total_cost[best]) / max(without_delay, 1e-9),
     )
     widest_s = max(lag.high_s, -lag.low_s)
@@ -332,6 +341,15 @@ def _lag(
     ):
         return lag._replace(offset_m_s=rival.offset_m_s)
     return lag
+
+
+def _interval(varied_s: np.ndarray, best_s: float, alpha: float) -> tuple[float, float]:
+    """Return the interval of a delay from a bootstrap, at the level 1 - alpha.
+
+    It is a step of the search wider on both sides.
+    """
+    low_s, high_s = np.quantile(varied_s, (0.5 * alpha, 1.0 - 0.5 * alpha))
+    return float(min(low_s, best_s) - _DELAY_STEP_S), float(max(high_s, best_s) + _DELAY_STEP_S)
 
 
 class _OffsetRival(NamedTuple):

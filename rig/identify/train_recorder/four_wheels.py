@@ -13,12 +13,12 @@ correction makes the four ratios most alike.
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
+from rollerrig.rig.identify.statistics import resampling, robust_line
+from rollerrig.rig.identify.statistics.interval import Estimate
 from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, slope
-from rollerrig.rig.identify.train_recorder.sampling import robust_fit
 
 # m/s. Standard error of an offset that no amount of data removes: curves do not cancel
 # fully. Chosen.
@@ -71,19 +71,17 @@ def offset(group: list[Aligned]) -> WheelOffset | None:
     columns = np.column_stack([blocks.middle, blocks.change_m_s2, np.ones(q.size)])
     without = columns[:, :2]
     weight = np.ones(q.size)
-    fit = robust_fit(columns, q, weight)
-    fits = []
-    for part in np.array_split(np.arange(q.size), stretches):
-        kept = np.ones(q.size, bool)
-        kept[part] = False
-        fits.append(robust_fit(columns[kept], q[kept], weight[kept])[-1])
+    fit = robust_line.fit(columns, q, weight)
     size_m_s = float(fit[-1])
-    error_m_s = float(np.hypot(np.sqrt(stretches - 1.0) * np.std(fits), _SYSTEMATIC_M_S))
+    by_stretches = resampling.jackknife_errors(columns, q, weight, stretches)[-1]
+    if by_stretches == 0.0:
+        return None
+    error_m_s = float(np.hypot(by_stretches, _SYSTEMATIC_M_S))
+    estimate = Estimate(size_m_s, error_m_s, resampling.STRETCHES - 1)
 
-    quantile = float(student.ppf(1.0 - 0.5 * limit.ALPHA, stretches - 1))
     left = np.mean(np.abs(q - columns @ fit))
-    left_without = np.mean(np.abs(q - without @ robust_fit(without, q, weight)))
-    is_significant = abs(size_m_s) - limit.LEAST_OFFSET_M_S > quantile * error_m_s
+    left_without = np.mean(np.abs(q - without @ robust_line.fit(without, q, weight)))
+    is_significant = estimate.is_finding(limit.ALPHA, _SIGNS.size, limit.LEAST_OFFSET_M_S)
     if not is_significant or left > limit.OFFSET_SCATTER * left_without:
         return None
     wheel = _wheel(blocks, size_m_s)

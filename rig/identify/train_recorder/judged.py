@@ -210,7 +210,7 @@ def _delay_check(fit: Rolling) -> Check:
     smallest_s = 0.0
     for channel_name, lag in fit.delays.lags.items():
         normal_s = max(channels[channel_name].delay_s, 0.0) if channel_name in channels else 0.0
-        half_s = 0.5 * (lag.high_s - lag.low_s)
+        half_s = 0.5 * (lag.sure_s[1] - lag.sure_s[0])
         smallest_s = max(smallest_s, normal_s + limit.late_s(a.step_s) + half_s)
     reason = FEW_CHANGES if missing else ""
     return Check(name, True, smallest_s, "s", reason, (), missing)
@@ -315,7 +315,7 @@ def _offset_check(steady: list[ChannelFit], unknown: list[Finding]) -> Check:
     with_offset = [channel for channel in steady if channel.has_offset]
     if with_offset and not with_range:
         # one of four speeds, which the other three show
-        error_m_s = max(c.offset_error_m_s * c.line.quantile for c in with_offset)
+        error_m_s = max(c.offset.half_width() for c in with_offset)
         return Check("speed_offset", True, limit.LEAST_OFFSET_M_S + error_m_s, "m/s")
     if not with_range:
         lowest = min(channel.speeds_m_s[0] for channel in steady)
@@ -325,7 +325,7 @@ def _offset_check(steady: list[ChannelFit], unknown: list[Finding]) -> Check:
     if not with_visits:
         return _not_judged("speed_offset", FEW_VISITS)
     smallest = max(
-        limit.LEAST_OFFSET_M_S + channel.offset_error_m_s * channel.line.quantile
+        channel.offset.smallest(limit.ALPHA, len(steady), limit.LEAST_OFFSET_M_S)
         for channel in with_visits
     )
     return Check("speed_offset", True, smallest, "m/s")

@@ -100,6 +100,13 @@ REFERENCE_DELAY_S = 0.5
 # samples. A channel with fewer is refused.
 LEAST_SAMPLES = 100
 
+# m/s. No vehicle of a recorder is faster: 540 km/h.
+MOST_SPEED_M_S = 150.0
+
+# Codes for "not available" are above all speeds by this ratio, and at most so many. Chosen.
+FAR_RATIO = 2.0
+MOST_CODES = 4
+
 # share of the values that must be multiples of a step to make it the rounding step
 _ROUNDED_SHARE = 0.6
 _MOST_DIGITS = 3
@@ -391,6 +398,22 @@ def _channel_source(
     )
 
 
+def not_available(speed_m_s: np.ndarray) -> np.ndarray:
+    """Return which values of a speed mean that there is none (n,), such as FFFFh.
+
+    They are a few different values that no vehicle reaches, far above all others. Values of another
+    unit are as close to each other as speeds are, so they stay.
+    """
+    size = np.abs(speed_m_s)
+    above = np.isfinite(size) & (size > MOST_SPEED_M_S)
+    below = np.isfinite(size) & ~above
+    if not above.any() or not below.any():
+        return np.zeros(size.size, bool)
+    is_far = float(size[above].min()) > FAR_RATIO * float(size[below].max())
+    is_few = np.unique(size[above]).size <= MOST_CODES
+    return above if is_far and is_few else np.zeros(size.size, bool)
+
+
 def _load_channels(
     path: Path, head: Mapping[str, Any], sources: list[_ChannelSource], folder: Path
 ) -> tuple[dict[str, Channel], list[str]]:
@@ -403,9 +426,20 @@ def _load_channels(
     first_s = min(float(column.time_s.min()) for column in columns.values() if column.time_s.size)
 
     channels = {}
+    notes_of_values: list[str] = []
     for source in sources:
         column = columns[source.column]
         scale = _scale(path, source, column)
+        if source.quantity in ("speed", "reference"):
+            none = not_available(column.values * scale)
+            if none.any():
+                largest = float(np.max(np.abs(column.values[none] * scale)))
+                notes_of_values.append(
+                    f"{path.name}: {source.name} has {np.count_nonzero(none)} values of {largest:.4g} m/s, "
+                    "far from all others and from what a vehicle does: they mean 'not available', and "
+                    "are left out"
+                )
+                column = column._replace(values=np.where(none, np.nan, column.values))
         samples = np.count_nonzero(np.isfinite(column.values))
         if samples < LEAST_SAMPLES:
             raise ConfigError(
@@ -421,7 +455,7 @@ def _load_channels(
             quantum=scale * quantum(column.values),
             axle=source.axle,
         )
-    notes = list(columns[sources[0].column].notes)
+    notes = [*columns[sources[0].column].notes, *notes_of_values]
     other_units: dict[tuple[str, str], list[str]] = {}
     for source in sources:
         found = units.find(columns[source.column].unit)

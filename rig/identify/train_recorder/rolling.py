@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.rig.identify.statistics import robust_line
 from rollerrig.rig.identify.train_recorder import delays, scales
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, align, block_length_s
 from rollerrig.rig.identify.train_recorder.delays import Delays
 from rollerrig.rig.identify.train_recorder.findings import Finding
 from rollerrig.rig.identify.train_recorder.recording import Run
-from rollerrig.rig.identify.train_recorder.sampling import robust_fit
 from rollerrig.rig.identify.train_recorder.scales import Scales
 
 # samples. Fewer do not show how far a wheel is from the middle of the vehicle.
@@ -62,7 +62,7 @@ def _without_turning(a: Aligned) -> Aligned:
         known = turns & np.isfinite(speed)
         beside_m = 0.0
         if np.count_nonzero(known) >= _TURNING_SAMPLES and np.std(a.yaw_rad_s[known]) > 0.0:
-            (beside_m,) = robust_fit(
+            (beside_m,) = robust_line.fit(
                 a.yaw_rad_s[known, None], (speed - a.vehicle)[known], np.ones(known.sum())
             )
         if abs(beside_m) > _MOST_BESIDE_M:

@@ -1,4 +1,4 @@
-"""Samples of channels: stretches, values at other stamps, robust fits, changed runs."""
+"""Samples of channels: stretches, values at other stamps, changed runs."""
 
 from typing import NamedTuple
 
@@ -11,9 +11,6 @@ SPEEDS = ("speed", "reference")
 
 # m/s. A value closer to zero is a zero.
 ZERO_M_S = 1e-9
-
-# repetitions of a robust fit
-_ROBUST_STEPS = 12
 
 
 class Stretch(NamedTuple):
@@ -102,16 +99,3 @@ def of_clocks(run: Run) -> list[list[Channel]]:
     for channel in run.channels.values():
         groups.setdefault(channel.time_s.tobytes(), []).append(channel)
     return list(groups.values())
-
-
-def robust_fit(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return coefficients that minimise the weighted absolute errors, by repeated least squares."""
-    robust = np.ones(values.size)
-    coefficients = np.zeros(columns.shape[1])
-    for _ in range(_ROBUST_STEPS):
-        scaled = (weight * robust)[:, None]
-        coefficients, *_ = np.linalg.lstsq(scaled * columns, weight * robust * values, rcond=None)
-        error = np.abs(weight * (values - columns @ coefficients))
-        usual = max(float(np.median(error)), 1e-9)
-        robust = np.sqrt(np.minimum(1.0, 1.5 * usual / np.maximum(error, 1e-12)))
-    return coefficients

@@ -18,8 +18,9 @@ import itertools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import t as student
 
+from rollerrig.rig.identify.statistics import resampling, robust_line
+from rollerrig.rig.identify.statistics.interval import Estimate, freedom_of_sum
 from rollerrig.rig.identify.train_recorder import four_wheels
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import (
@@ -40,21 +41,6 @@ from rollerrig.rig.identify.train_recorder.findings import (
     WheelRadius,
 )
 from rollerrig.rig.identify.train_recorder.recording import Run
-from rollerrig.rig.identify.train_recorder.sampling import robust_fit
-
-# standard deviation of a normal distribution over its median absolute deviation
-_DEVIATION_OF_MEDIAN = 1.4826
-
-# standard error of a median over that of a mean
-_ERROR_OF_MEDIAN = 1.2533
-
-# stretches of a recording whose medians are compared, and blocks of each stretch at least
-_STRETCHES = 6
-_BLOCKS_PER_STRETCH = 2
-_LEAST_STRETCHES = 3
-
-# samples of the bootstrap of scale and offset
-_REPLICATES = 300
 
 # share of the common difference by which wheels may differ if the reference is wrong. Chosen.
 _COMMON_SPREAD = 0.25
@@ -73,14 +59,23 @@ class Wheel(NamedTuple):
     choice_error: float = 0.0
 
     @property
-    def half_width(self) -> float:
-        """Half the width of the 95 % interval."""
-        return float(np.hypot(self.error, self.choice_error)) * self.quantile
+    def estimate(self) -> Estimate:
+        """rho with its whole error. SYSTEMATIC_RADIUS is known; the other errors are not."""
+        known = min(limit.SYSTEMATIC_RADIUS, self.error)
+        estimated = float(np.sqrt(self.error**2 - known**2 + self.choice_error**2))
+        parts = [(estimated, self.freedom), (known, np.inf)]
+        error = float(np.hypot(self.error, self.choice_error))
+        return Estimate(self.radius, error, freedom_of_sum(parts))
 
     @property
-    def quantile(self) -> float:
-        """Quantile of Student's distribution for a 95 % interval."""
-        return float(student.ppf(0.975, max(min(self.blocks, _STRETCHES) - 1, 2)))
+    def freedom(self) -> int:
+        """Degrees of freedom of an error that is estimated from stretches."""
+        return max(min(self.blocks, resampling.STRETCHES) - 1, 2)
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the 95 % interval."""
+        return self.estimate.half_width()
 
 
 class _Block(NamedTuple):
@@ -121,6 +116,11 @@ class ChannelFit(NamedTuple):
     # delay of the vehicle's speed, s, that explains a significant offset as well; None if none does
     late_s: float | None = None
     normal_late_s: float = 0.0  # largest delay of the vehicle's speed that is normal
+
+    @property
+    def offset(self) -> Estimate:
+        """The offset with its error, m/s."""
+        return Estimate(self.offset_m_s, self.offset_error_m_s, self.line.freedom)
 
     @property
     def is_steady(self) -> bool:
@@ -284,7 +284,7 @@ def fit_channels(group: list[Aligned]) -> list[ChannelFit]:
             rounding[name] = max(rounding.get(name, 0.0), error)
 
     return [
-        _fit_channel(name, rows, in_motion[name], rounding[name], normal_late_s)
+        _fit_channel(name, rows, in_motion[name], rounding[name], normal_late_s, len(blocks))
         for name, rows in blocks.items()
         if len(rows) >= limit.LEAST_BLOCKS
     ]
@@ -350,6 +350,7 @@ def _fit_channel(
     in_motion: list[_Block],
     rounding: float,
     normal_late_s: float,
+    tests: int,
 ) -> ChannelFit:
     """Return the fit of one speed to its blocks [R2], which are part of those in motion.
 
@@ -368,13 +369,13 @@ def _fit_channel(
     yaw = np.array([row.yaw_rad_s for row in rows])
     if np.std(yaw) > 0.0:
         turning = np.column_stack([is_date, yaw / speed])
-        coefficients = robust_fit(turning, share, weight)
+        coefficients = robust_line.fit(turning, share, weight)
         share = share - coefficients[-1] * yaw / speed
 
     speeds = (float(np.quantile(speed, 0.05)), float(np.quantile(speed, 0.95)))
     visits = _visits(rows, speeds)
     by_late = np.array([row.change_m_s2 for row in rows]) / speed
-    fit = _fit_offset(is_date, share, speed)
+    fit = _fit_offset(is_date, share, speed, tests)
     late_s = None
     subtracted_late_s = 0.0
     offset_is_significant = _has_range(speeds, visits) and fit.is_significant
@@ -384,7 +385,7 @@ def _fit_channel(
             subtracted_late_s = late_s
     elif _has_range(speeds, visits):
         # a delay beside an offset scatters the ratio where the vehicle brakes and drives
-        beside_late = _fit_offset(is_date, share, speed, by_late)
+        beside_late = _fit_offset(is_date, share, speed, tests, by_late)
         if beside_late.is_significant and abs(beside_late.late_s) <= limit.LATEST_S:
             offset_is_significant = True
             fit = beside_late
@@ -406,15 +407,21 @@ def _fit_channel(
         of_date = level[is_date[:, k] > 0.0]
         if of_date.size < limit.LEAST_BLOCKS:
             continue
-        error = float(np.hypot(_error_of_level(of_date), rounding))
+        error = float(
+            np.hypot(
+                np.hypot(resampling.error_of_level(of_date), limit.SYSTEMATIC_RADIUS), rounding
+            )
+        )
         if has_offset:
             error = float(np.hypot(error, fit.offset_error_m_s * np.median(1.0 / speed)))
         wheels[date] = Wheel(float(np.median(of_date)), error, of_date.size, by_choice)
 
-    middle = level - is_date @ robust_fit(is_date, level, weight)
-    scatter = np.sqrt(max(_spread(middle) ** 2 - noise**2, 0.0))
+    middle = level - is_date @ robust_line.fit(is_date, level, weight)
+    scatter = np.sqrt(max(robust_line.spread(middle) ** 2 - noise**2, 0.0))
     noise_in_motion = float(np.median([row.error for row in in_motion]))
-    scatter_in_motion = np.sqrt(max(_spread(share_in_motion) ** 2 - noise_in_motion**2, 0.0))
+    scatter_in_motion = np.sqrt(
+        max(robust_line.spread(share_in_motion) ** 2 - noise_in_motion**2, 0.0)
+    )
     return ChannelFit(
         name=name,
         dates=wheels,
@@ -449,10 +456,12 @@ def _fit_offset(
     is_date: np.ndarray,
     share: np.ndarray,
     speed: np.ndarray,
+    tests: int,
     by_late: np.ndarray | None = None,
 ) -> _OffsetFit:
     """Return the fit of scales by date and one offset to the shares of blocks.
 
+    `tests` is the number of speeds whose offsets are tested.
     `by_late` is the change of the speed over the speed. With it a delay of the vehicle's speed is
     part of the fit.
     """
@@ -461,27 +470,33 @@ def _fit_offset(
     if by_late is not None:
         without = np.column_stack([is_date, by_late])
     line = np.column_stack([without, 1.0 / speed])
-    robust_line = robust_fit(line, share, weight)
-    offset = float(robust_line[-1])
-    errors = np.maximum(_bootstrap(line, share, weight), _jackknife(line, share, weight))
+    coefficients = robust_line.fit(line, share, weight)
+    offset = float(coefficients[-1])
+    errors = np.maximum(
+        resampling.bootstrap_errors(line, share, weight),
+        resampling.jackknife_errors(line, share, weight),
+    )
     offset_error = float(errors[-1])
 
-    scatter_without = _spread((share - without @ robust_fit(without, share, weight)) * speed)
-    scatter = _spread((share - line @ robust_line) * speed)
-    quantile = student.ppf(1.0 - 0.5 * limit.ALPHA, max(min(share.size, 12) - 2, 2))
+    scatter_without = robust_line.spread(
+        (share - without @ robust_line.fit(without, share, weight)) * speed
+    )
+    scatter = robust_line.spread((share - line @ coefficients) * speed)
+    freedom = max(min(share.size, resampling.STRETCHES) - 1, 2)
+    estimate = Estimate(offset, offset_error, freedom)
     is_significant = bool(
-        abs(offset) - limit.LEAST_OFFSET_M_S > quantile * offset_error
+        estimate.is_finding(limit.ALPHA, tests, limit.LEAST_OFFSET_M_S)
         and scatter < limit.OFFSET_SCATTER * scatter_without
     )
     dates = is_date.shape[1]
     return _OffsetFit(
-        ratio=float(np.median(robust_line[:dates])),
+        ratio=float(np.median(coefficients[:dates])),
         ratio_error=float(np.hypot(np.median(errors[:dates]), limit.SYSTEMATIC_RADIUS)),
         offset_m_s=offset,
         offset_error_m_s=offset_error,
         is_significant=is_significant,
         scatter=scatter,
-        late_s=0.0 if by_late is None else float(robust_line[-2]),
+        late_s=0.0 if by_late is None else float(coefficients[-2]),
     )
 
 
@@ -499,35 +514,11 @@ def _late_s(
     than RIVAL_M_S.
     """
     columns = np.column_stack([is_date, by_late])
-    robust_late = robust_fit(columns, share, np.sqrt(speed))
+    robust_late = robust_line.fit(columns, share, np.sqrt(speed))
     late_s = float(robust_late[-1])
-    scatter = _spread((share - columns @ robust_late) * speed)
+    scatter = robust_line.spread((share - columns @ robust_late) * speed)
     explains = scatter < max(scatter_of_line / limit.OFFSET_SCATTER, limit.RIVAL_M_S)
     return late_s if explains and abs(late_s) <= limit.LATEST_S else None
-
-
-def _spread(values: np.ndarray) -> float:
-    """Return half the distance of the quantiles of one standard deviation."""
-    low, high = np.quantile(values, (0.16, 0.84))
-    return 0.5 * float(high - low)
-
-
-def _error_of_level(shares: np.ndarray) -> float:
-    """Return the standard error of a median: of its blocks, of its stretches, and systematic."""
-    from_middle = np.abs(shares - np.median(shares))
-    spread = _DEVIATION_OF_MEDIAN * float(np.median(from_middle))
-    of_blocks = _ERROR_OF_MEDIAN * spread / np.sqrt(shares.size)
-
-    stretches = min(_STRETCHES, shares.size // _BLOCKS_PER_STRETCH)
-    of_stretches = 0.0
-    if stretches > 1:
-        medians = [np.median(part) for part in np.array_split(shares, stretches)]
-        of_stretches = (
-            _DEVIATION_OF_MEDIAN
-            * float(np.median(np.abs(medians - np.median(medians))))
-            / np.sqrt(stretches)
-        )
-    return float(np.hypot(max(of_blocks, of_stretches), limit.SYSTEMATIC_RADIUS))
 
 
 def _error_of_choice(
@@ -543,47 +534,6 @@ def _error_of_choice(
         return 0.0
     of_motion = float(np.average(share_in_motion[rolls], weights=speed_in_motion[rolls]))
     return 0.5 * abs(of_motion - middle)
-
-
-def _bootstrap(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the standard errors of the coefficients, by drawing pairs of successive blocks."""
-    rng = np.random.default_rng(1)
-    coefficients = robust_fit(columns, values, weight)
-    error = weight * (values - columns @ coefficients)
-    usual = max(float(np.median(np.abs(error))), 1e-9)
-    kept = np.minimum(1.0, 1.5 * usual / np.maximum(np.abs(error), 1e-12)) * weight**2
-
-    size = values.size
-    first = rng.integers(0, size, (_REPLICATES, (size + 1) // 2))
-    drawn = np.concatenate([first, (first + 1) % size], axis=1)
-    counts = np.array([np.bincount(row, minlength=size) for row in drawn])
-    normal = np.einsum("rk,ki,kj->rij", counts * kept, columns, columns, optimize=True)
-    right = np.einsum("rk,ki->ri", counts * kept * values, columns, optimize=True)
-    replicates = np.einsum("rij,rj->ri", np.linalg.pinv(normal), right)
-    # a few replicates may have no block of a date
-    return np.array([_spread(column) for column in replicates.T])
-
-
-def _jackknife(columns: np.ndarray, values: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """Return the standard errors of the coefficients, by leaving out stretches of the recording.
-
-    Neighbouring blocks share curves, slopes and tyres, which single blocks do not show. The result
-    is 0 if there are too few blocks, or if a stretch has all blocks of a date.
-    """
-    size = values.size
-    stretches = min(_STRETCHES, size // _BLOCKS_PER_STRETCH)
-    none = np.zeros(columns.shape[1])
-    if stretches < _LEAST_STRETCHES:
-        return none
-    coefficients = []
-    for part in np.array_split(np.arange(size), stretches):
-        kept = np.ones(size, bool)
-        kept[part] = False
-        if np.linalg.matrix_rank(columns[kept]) < columns.shape[1]:
-            return none
-        coefficients.append(robust_fit(columns[kept], values[kept], weight[kept]))
-    deviation = np.std(np.array(coefficients), axis=0)
-    return np.asarray(np.sqrt(stretches - 1.0) * deviation)
 
 
 # --- the reference ---
@@ -611,14 +561,14 @@ def _reference_finding(
         return None
 
     blocks = min(channel.line.blocks for channel in steady)
+    speeds_m_s = (
+        min(channel.speeds_m_s[0] for channel in steady),
+        max(channel.speeds_m_s[1] for channel in steady),
+    )
     if not all(channel.has_range for channel in steady):
-        speeds_m_s = (
-            min(channel.speeds_m_s[0] for channel in steady),
-            max(channel.speeds_m_s[1] for channel in steady),
-        )
         error = float(max(np.ptp(typical), limit.SYSTEMATIC_RADIUS))
-        quantile = Wheel(middle, error, blocks).quantile
-        return _scale_or_offset(references[0].name, middle, error * quantile, speeds_m_s)
+        half = Wheel(middle, error, blocks).half_width
+        return _scale_or_offset(references[0].name, middle, half, speeds_m_s)
 
     ratio = float(np.median([channel.line.radius for channel in steady]))
     error = max(channel.line.error for channel in steady)
@@ -626,15 +576,24 @@ def _reference_finding(
 
     # wheels read (1 + ratio) V + offset of the reference: the inverse line is that of the reference
     scale = Scale(1.0 / (1.0 + ratio) - 1.0, -offset / (1.0 + ratio))
-    quantile = Wheel(ratio, float(error), blocks).quantile
+    of_ratio = Wheel(ratio, float(error), blocks)
+    of_offset = Estimate(scale.offset_m_s, offset_error, of_ratio.freedom)
     # a small ratio is one of the radii of the wheels
     has_small_ratio = abs(ratio) < limit.COMMON_SHARE and offset_is_common
+    if has_small_ratio:
+        is_finding = of_offset.is_finding(limit.ALPHA, len(fits), limit.LEAST_OFFSET_M_S)
+    else:
+        is_finding = of_ratio.estimate.is_finding(limit.ALPHA, len(fits))
+    if not is_finding:
+        # together they differ from nothing, and either of them alone may be nothing
+        half = Wheel(middle, float(error), blocks).half_width
+        return _scale_or_offset(references[0].name, middle, half, speeds_m_s)
     finding = _line_finding(
         "speed_offset" if has_small_ratio else "speed_scale",
         references[0].name,
         scale,
-        float(error) * quantile,
-        offset_error * quantile,
+        of_ratio.half_width,
+        of_offset.half_width(),
         of_reference=True,
     )
     return finding, scale
@@ -673,10 +632,10 @@ def _offsets_or_delays(group: list[Aligned], fits: list[ChannelFit]) -> list[Fin
     if references and 2 * len(ambiguous) > len(fits):
         offset_m_s = -float(np.median([channel.offset_m_s for channel in ambiguous]))
         late_s = float(np.median([channel.late_s or 0.0 for channel in ambiguous]))
-        half_m_s = max(channel.offset_error_m_s * channel.line.quantile for channel in ambiguous)
+        half_m_s = max(channel.offset.half_width() for channel in ambiguous)
         return [_offset_or_delay(references[0], offset_m_s, half_m_s, late_s)]
     for channel in ambiguous:
-        half_m_s = channel.offset_error_m_s * channel.line.quantile
+        half_m_s = channel.offset.half_width()
         late_s = -(channel.late_s or 0.0)
         found.append(_offset_or_delay(channel.name, channel.offset_m_s, half_m_s, late_s))
     return found
@@ -741,8 +700,8 @@ def _judge(
                 "speed_offset",
                 channel.name,
                 Scale(channel.line.radius, offset_m_s),
-                channel.line.error * channel.line.quantile,
-                channel.offset_error_m_s * channel.line.quantile,
+                channel.line.half_width,
+                channel.offset.half_width(),
                 of_reference=False,
             )
         )
@@ -875,10 +834,9 @@ def is_significant(wheel: Wheel, tests: int) -> bool:
 
     The probability ALPHA of a false alarm is shared among the tests.
     """
-    return abs(wheel.radius) > smallest_radius(wheel, tests)
+    return wheel.estimate.is_finding(limit.ALPHA, tests, limit.LEAST_RADIUS)
 
 
 def smallest_radius(wheel: Wheel, tests: int) -> float:
     """Return the smallest share of the radius that these blocks would have shown."""
-    quantile = float(student.ppf(1.0 - limit.ALPHA / tests / 2.0, max(wheel.blocks - 1, 2)))
-    return limit.LEAST_RADIUS + wheel.error * quantile
+    return wheel.estimate.smallest(limit.ALPHA, tests, limit.LEAST_RADIUS)

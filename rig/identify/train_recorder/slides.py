@@ -18,14 +18,12 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2
+from rollerrig.rig.identify.statistics import robust_line
 from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
 from rollerrig.rig.identify.train_recorder.findings import Cycle, Finding, SharedPlace, Sliding
 from rollerrig.rig.identify.train_recorder.sampling import stretches
-
-# standard deviation of a normal distribution over its median absolute deviation
-_DEVIATION_OF_MEDIAN = 1.4826
 
 # m/s. Scatter of a speed: the least one, and the one that is assumed where few samples show it.
 _LEAST_SCATTER_M_S = 0.02
@@ -148,8 +146,7 @@ def scatter(a: Aligned) -> np.ndarray:
     for speed in a.speed.T:
         offset = (speed - v)[is_quiet & np.isfinite(speed) & np.isfinite(v)]
         if offset.size > _SCATTER_SAMPLES:
-            from_middle = np.abs(offset - np.median(offset))
-            deviations.append(_DEVIATION_OF_MEDIAN * float(np.median(from_middle)))
+            deviations.append(robust_line.deviation(offset))
         else:
             deviations.append(_ASSUMED_SCATTER_M_S)
     return np.maximum(deviations, _LEAST_SCATTER_M_S)

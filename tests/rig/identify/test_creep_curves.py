@@ -481,4 +481,4 @@ def test_a_sharp_bend_that_a_smooth_curve_overshoots_is_no_fall(seed):
     smooth = shape.fit(
         creepage, adhesion, np.zeros(200, dtype=int), np.empty((200, 0)), np.arange(200)
     )
-    assert shape.fall(smooth, adhesion, seed=0).p_value > judgement.FALL_ALPHA
+    assert shape.fall(smooth, adhesion, seed=0).p_value > shape.FALL_ALPHA

@@ -150,6 +150,62 @@ def test_a_gap_in_time_is_refused(copy: Path) -> None:
         dataset.load(copy)
 
 
+def with_late_stamps(time_s: np.ndarray) -> np.ndarray:
+    """Return stamps of a computer that reads even samples up to 8 ms late."""
+    rng = np.random.default_rng(1)
+    return time_s + np.minimum(rng.gamma(1.5, 0.001, time_s.size), 0.008)
+
+
+def test_late_stamps_of_even_samples_are_refused_with_a_remedy_that_keeps_them(copy: Path) -> None:
+    change_column(copy, "a2", "time_s", with_late_stamps)
+    with pytest.raises(ConfigError, match=r'stamps = "even".*do not resample'):
+        dataset.load(copy)
+
+    toml = copy / "dataset.toml"
+    toml.write_text(f'stamps = "even"\n{toml.read_text()}')
+    data = dataset.load(copy)
+    [run] = [run for run in data.runs if run.name == "a2"]
+    assert np.ptp(np.diff(run.time_s)) < 1e-9
+    assert any("replaced by even ones" in warning for warning in data.warnings)
+
+
+def test_stamps_are_not_even_where_a_row_is_missing(copy: Path) -> None:
+    def without_a_row(time_s: np.ndarray) -> np.ndarray:
+        is_later = np.arange(time_s.size) > 300
+        return with_late_stamps(time_s) + 0.01 * is_later
+
+    change_column(copy, "a2", "time_s", without_a_row)
+    with pytest.raises(ConfigError, match=r"split the run there|not even"):
+        dataset.load(copy)
+    toml = copy / "dataset.toml"
+    toml.write_text(f'stamps = "even"\n{toml.read_text()}')
+    with pytest.raises(ConfigError, match="rows are missing"):
+        dataset.load(copy)
+
+
+def test_a_channel_without_numbers_is_refused_with_the_advice_to_leave_the_run_out(
+    copy: Path,
+) -> None:
+    change_column(copy, "a2", "wheel_load_4_N", lambda load_N: np.full(load_N.size, np.nan))
+    with pytest.raises(ConfigError, match=r"a2\.csv: column 'wheel_load_4_N' has no number.*leave"):
+        dataset.load(copy)
+
+
+def test_a_missing_channel_is_no_reason_to_suggest_a_column_in_use(copy: Path) -> None:
+    path = copy / "runs" / "a2.csv"
+    path.write_text(path.read_text().replace("wheel_load_4_N", "something", 1))
+    with pytest.raises(ConfigError, match=r"'wheel_load_4_N' is missing.*leave this run") as caught:
+        dataset.load(copy)
+    assert "did you mean" not in str(caught.value)
+
+
+def test_a_missing_channel_with_a_similar_column_that_is_free_is_suggested(copy: Path) -> None:
+    path = copy / "runs" / "a2.csv"
+    path.write_text(path.read_text().replace("wheel_load_4_N", "wheel_load4_N", 1))
+    with pytest.raises(ConfigError, match="did you mean 'wheel_load4_N'"):
+        dataset.load(copy)
+
+
 def test_a_constant_channel_is_refused(copy: Path) -> None:
     change_column(copy, "a3", "brake_torque_2_Nm", np.zeros_like)
     with pytest.raises(ConfigError, match="is constant"):

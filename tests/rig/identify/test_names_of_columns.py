@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify.files import proposal, units, words
+from rollerrig.rig.identify.files import proposal, stamps, units, words
 
 N = 40
 
@@ -62,6 +62,13 @@ def proposed(*names: str, **options: dict[str, str] | int) -> proposal.Proposal:
         ("position_m", "position", 0),
         ("Schlupf [%]", "creepage", 0),
         ("Kraftschluss [-]", "adhesion", 0),
+        ("traction coeff [%]", "adhesion", 0),
+        ("Q1 [kN]", "wheel_load", 1),
+        ("M1 [kNm]", "brake_torque", 1),
+        ("M2 [lbf ft]", "brake_torque", 2),
+        ("VrTCU_A1_Velocity", "wheel_speed", 2),
+        ("MILES", "position", 0),
+        ("Date", "date", 0),
     ],
 )
 def test_a_column_is_recognised_by_its_name(name: str, quantity: str, number: int) -> None:
@@ -83,6 +90,7 @@ def test_a_column_is_recognised_by_its_name(name: str, quantity: str, number: in
         "Geschwindigkeit [bar]",
         "Speed limit (km/h)",
         "vehicle_acceleration_m_s2",
+        "a_1",
         "Radlast 1 [km/h]",
         "foo",
     ],
@@ -209,8 +217,73 @@ def test_a_given_column_replaces_the_proposed_one_and_an_empty_one_leaves_the_ch
 
 
 def test_a_given_column_that_does_not_exist_is_refused_with_the_similar_one() -> None:
-    with pytest.raises(ConfigError, match=r"no column 'v1'.*v1 \[km/h\]"):
-        proposed("t", "v1 [km/h]", mapped={"wheel_speed_1_m_s": "v1"})
+    with pytest.raises(ConfigError, match=r"no column 'v_1'.*v1 \[km/h\]"):
+        proposed("t", "v1 [km/h]", mapped={"wheel_speed_1_m_s": "v_1"})
+
+
+def test_a_given_column_may_be_named_without_its_unit() -> None:
+    found = proposed("t", "x [km/h]", "y [km/h]", mapped={"wheel_speed_1_m_s": "y"})
+    assert columns_of(found)["wheel_speed_1_m_s"] == ("y [km/h]", "km/h")
+
+
+def test_a_given_column_that_differs_from_another_in_its_unit_only_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"differ only in their unit.*write one with its unit"):
+        proposed("t", "v [km/h]", "v [m/s]", mapped={"wheel_speed_1_m_s": "v"})
+
+
+def test_speeds_whose_names_differ_in_a_letter_are_two_wheels() -> None:
+    """The names of a tram's logger: TRDP, a train network, and the control units A and B."""
+    found = proposed(
+        "t", "TRDP.TCU.VrTCU_A_A1_Velocity", "TRDP.TCU.VrTCU_B_A1_Velocity", "TRDP.TotalDistance"
+    )
+    columns = columns_of(found)
+    assert columns["wheel_speed_1_m_s"][0] == "TRDP.TCU.VrTCU_A_A1_Velocity"
+    assert columns["wheel_speed_2_m_s"][0] == "TRDP.TCU.VrTCU_B_A1_Velocity"
+    assert any("numbered in the order of the file" in remark for remark in found.remarks)
+
+
+def test_speeds_with_other_words_and_one_number_stay_one_wheel() -> None:
+    found = proposed("t", "v1 filtered [km/h]", "v1 raw [km/h]")
+    assert [key for key in columns_of(found) if "speed" in key] == ["wheel_speed_1_m_s"]
+
+
+def test_what_braking_runs_lack_is_listed() -> None:
+    wheels = [f"n_Rad{axle} [1/min]" for axle in (1, 2, 3, 4)]
+    loads = [f"Q{axle} [kN]" for axle in (1, 2, 3)]
+    torques = [f"M{axle} [kNm]" for axle in (1, 2, 3, 4)]
+    found = proposed("t", "v_Fzg [km/h]", *wheels, *loads, *torques)
+    assert found.kind == "recorder"
+    [remark] = [one for one in found.remarks if "missing" in one]
+    assert "wheel_load_4_N" in remark
+    assert "wheel_load_3_N" not in remark
+    assert (
+        proposed("t", "v_Fzg [km/h]", *wheels, *loads, "Q4 [kN]", *torques).kind == "braking_runs"
+    )
+
+
+def test_a_column_of_dates_beside_times_is_the_date() -> None:
+    dates = proposal.Content("Date", "", np.full(N, np.nan), is_stamp=False)
+    times = proposal.Content("Time", "", np.full(N, np.nan), is_stamp=True)
+    found = proposal.propose([dates, times, content("v1 [km/h]")])
+    assert columns_of(found)["time_s"][0] == "Time"
+    assert [(one.column, one.reason) for one in found.unused] == [
+        ("Date", "its first date is the date of the run")
+    ]
+
+
+@pytest.mark.parametrize(
+    ("text", "date"),
+    [
+        ("2026-03-01", "2026-03-01"),
+        ("20.04.2022", "2022-04-20"),
+        ("20/04/2022", "2022-04-20"),
+        ("04/20/2022", "2022-04-20"),
+        ("04/05/2022", ""),
+        ("10:00", ""),
+    ],
+)
+def test_a_date_is_read_unless_day_and_month_are_unclear(text: str, date: str) -> None:
+    assert stamps.date_of(text) == date
 
 
 def test_a_file_in_which_nothing_is_recognised_is_refused_with_the_option() -> None:
