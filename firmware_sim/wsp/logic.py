@@ -23,7 +23,8 @@ The cycle has no clock and takes the integers of the bus, so the unit on the bus
 loop get the same bits. Source: common practice of such units, from memory; every threshold is
 marked so in `configs/wsp/`. Limits: braking only; wheel diameters as configured; a wheel that does
 not reach the speed of the vehicle in a run-up is no anchor; a vehicle that can brake harder than
-b_max needs a larger b_max; with three of four sensors lost, the one that is left is believed.
+b_max needs a larger b_max; three false sensors that agree are believed, unless they are
+frozen.
 """
 
 from typing import Any, NamedTuple
@@ -150,6 +151,7 @@ class State(NamedTuple):
     measured_m_s: np.ndarray  # circumferential speed by the axle's sensor; `measure`
     rim_m_s: np.ndarray  # the same of the last cycle; `judge`
     same: np.ndarray  # cycles in which only the counts of other axles have changed; `judge`
+    still: np.ndarray  # cycles since its counts changed; `judge`
     accused: np.ndarray  # 1: contradicts an axle that runs free; `compare`
     disputed: np.ndarray  # cycles in which it has done so; `compare`
     out: np.ndarray  # 1: its sensor is rejected; `judge`

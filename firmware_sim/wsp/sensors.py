@@ -7,11 +7,13 @@ A sensor is rejected when its reading is impossible for a wheel that is braked, 
          jumps
     [S2] frozen: the counts do not change for a time in which those of two trusted axles do, or of
          one if there are no more
-    [S3] silent: the reading stays 0 although the valve has vented for long
+    [S3] silent: the reading stays 0, or does not change at all, although the valve has vented for
+         long
     [S4] disagreement: an axle has vented for long and its speed no longer rises, so it turns with
          the vehicle. No wheel can be faster than that. So an axle that is faster is false, or
-         the released axle is. The axles of each speed vote. Where two are faster, the speed that
-         the last anchor and the learned deceleration let expect votes too
+         the released axle is. The axles of each speed vote, but a faster one whose counts have not
+         changed for a time is false. Where two are faster, the speed that the last anchor and the
+         learned deceleration let expect votes too
 
 A rejected sensor is out until its readings have been plausible for a time: none of the above, and
 between the slowest trusted axle and the reference speed [S5]. An axle without a sensor does what
@@ -55,18 +57,21 @@ def judge(state, speeds_raw, rims_m_s, params):
     trusted = 0
     moving = 0  # trusted axles whose counts change
     for j in range(state.axles):
-        trusted += not rejected(state, j)
-        moving += not rejected(state, j) and speeds_raw[j] != state.raw[j]
+        if not rejected(state, j):
+            trusted += 1
+            moving += speeds_raw[j] != state.raw[j]
     compare(state, params)
     for j in range(state.axles):
         changed = speeds_raw[j] != state.raw[j]
+        state.still[j] = 0.0 if changed else state.still[j] + 1.0
         if changed or speeds_raw[j] == 0:
             # the speed of a locked wheel is constantly zero, and that is plausible
             state.same[j] = 0.0
         elif moving > 0 and moving >= min(2, trusted - 1):
             state.same[j] += 1.0
         # a wheel that vents must run up
-        silent = speeds_raw[j] == 0 and passed(state.free_age[j], params.silent_s, params)
+        unchanging = speeds_raw[j] == 0 or passed(state.still[j], params.silent_s, params)
+        silent = unchanging and passed(state.free_age[j], params.silent_s, params)
         frozen = passed(state.same[j], params.stuck_s, params)
         disputed = passed(state.disputed[j], params.confirm_s, params)
         impossible = jumps(state.rim_m_s[j], rims_m_s[j], params)
@@ -81,6 +86,7 @@ def judge(state, speeds_raw, rims_m_s, params):
             state.plausible[j] += 1.0
             if passed(state.plausible[j], params.trust_again_s, params):
                 state.out[j] = 0.0
+    for j in range(state.axles):
         state.raw[j] = speeds_raw[j]
         state.rim_m_s[j] = rims_m_s[j]
 
@@ -124,6 +130,8 @@ def runs_free(state, j, params):
     """Whether axle j has vented so long, and rises so little, that it turns with the vehicle."""
     if rejected(state, j) or not passed(state.free_age[j], params.free_s, params):
         return False
+    if passed(state.still[j], params.stuck_s, params):
+        return False  # the vehicle brakes, so its counts would change
     return state.acceleration_m_s2[j] < params.run_up_done_m_s2
 
 
@@ -150,6 +158,9 @@ def accuse(state, j, params):
         if rejected(state, k):
             continue
         if far_above(state.speed_m_s[k], state.speed_m_s[j], params):
+            if passed(state.still[k], params.stuck_s, params):
+                state.accused[k] = 1.0
+                continue
             against += 1.0
             nearest_m_s = min(nearest_m_s, abs(state.speed_m_s[k] - expected_m_s))
         elif runs_free(state, k, params):

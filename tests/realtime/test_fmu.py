@@ -71,6 +71,20 @@ def test_the_reference_rules_in_an_fmu_give_the_channels_of_the_reference_unit(
     assert json.loads((run.out / "summary.json").read_text())["wsp"]["unit"] == f"fmu:{unit}"
 
 
+@pytest.mark.nightly
+@pytest.mark.parametrize("fault", ["stuck", "dropout"])
+def test_the_rules_in_an_fmu_reject_the_sensors_that_the_reference_unit_rejects(
+    fault, fmu, tmp_path
+):
+    words = ["--pacing", "lockstep", "--set", "duration_max_s=14", "--set", "adhesion=very_low"]
+    for axle in (1, 2, 3):
+        words += ["--fault", f"speed_sensor_{fault} axle={axle} at=2"]
+    of_reference = bench_process.run(tmp_path / "reference", *words)
+    of_fmu = bench_process.run(tmp_path / "fmu", *words, "--wsp", f"fmu:{fmu}")
+    assert of_reference.record.column("vents_4")[-1] > 0
+    bench_process.assert_same_channels(of_fmu, of_reference)
+
+
 @pytest.mark.parametrize("version", [2, pytest.param(3, marks=pytest.mark.nightly)])
 def test_an_fmu_of_sources_is_compiled_and_its_names_come_from_a_mapping(version, tmp_path):
     names = {

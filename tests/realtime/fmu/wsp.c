@@ -30,7 +30,7 @@ typedef struct {
     double reference, time;
     /* memory of the rules: names as in firmware_sim/wsp/logic.py, ages in cycles */
     double cycles, speed[4], lagged[4], slope[4], falling[4], deceleration, anchored, anchor_age, calm, run_ups;
-    double sliding[4], measured[4], rim[4], same[4], disputed[4], relief[4], plausible[4];
+    double sliding[4], measured[4], rim[4], same[4], still[4], disputed[4], relief[4], plausible[4];
     double phase_age[4], pulse[4], free_age[4], vent_age[4], hold_age[4];
     long raw[4];
     int accused[4], out[4], runner, phase[4];
@@ -70,7 +70,8 @@ static int among_trusted_axles(const Wsp *w, int i)
 
 static int runs_free(const Wsp *w, int i)
 {
-    return !w->out[i] && passed(w->free_age[i], FREE_S) && w->slope[i] < RUN_UP_DONE_M_S2;
+    if (w->out[i] || !passed(w->free_age[i], FREE_S) || passed(w->still[i], STUCK_S)) return 0;
+    return w->slope[i] < RUN_UP_DONE_M_S2;
 }
 
 static void accuse(Wsp *w, int i)
@@ -80,6 +81,10 @@ static void accuse(Wsp *w, int i)
     EACH_AXLE {
         if (w->out[j]) continue;
         if (far_above(w->speed[j], w->speed[i])) {
+            if (passed(w->still[j], STUCK_S)) {
+                w->accused[j] = 1;
+                continue;
+            }
             against += 1.0;
             nearest = least(nearest, fabs(w->speed[j] - expected));
         } else if (runs_free(w, j)) {
@@ -106,7 +111,9 @@ static void judge(Wsp *w, const long *counts)
     EACH_AXLE w->disputed[j] = w->accused[j] ? w->disputed[j] + 1.0 : 0.0;
     EACH_AXLE {
         int impossible = w->cycles > 0.0 && jumps(w->rim[j], w->measured[j]);
-        int silent = counts[j] == 0 && passed(w->free_age[j], SILENT_S);
+        int silent;
+        w->still[j] = counts[j] != w->raw[j] ? 0.0 : w->still[j] + 1.0;
+        silent = (counts[j] == 0 || passed(w->still[j], SILENT_S)) && passed(w->free_age[j], SILENT_S);
         if (counts[j] != w->raw[j] || counts[j] == 0) w->same[j] = 0.0;
         else if (moving > 0 && moving >= (all > 2 ? 2 : all - 1)) w->same[j] += 1.0;
         if (w->out[j] && !among_trusted_axles(w, j)) impossible = 1;
@@ -117,6 +124,8 @@ static void judge(Wsp *w, const long *counts)
             w->plausible[j] += 1.0;
             if (passed(w->plausible[j], TRUST_AGAIN_S)) w->out[j] = 0;
         }
+    }
+    EACH_AXLE {
         w->raw[j] = counts[j];
         w->rim[j] = w->measured[j];
     }
