@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.number_text import rounded
 from rollerrig.configs.output_files import check_no_link, make_folder, writing
 from rollerrig.configs.processes import children, cores, interruption
 from rollerrig.realtime.commands import output, wsp
@@ -231,7 +232,7 @@ def _spread_table(rows: list[dict[str, Any]], times: int) -> Any:
     shown = []
     for row in rows:
         words = (row["sequence"], row["limit"], row["required"], row["unit"])
-        numbers = (f"{row[key]:.4g}" for key in output.SPREAD)
+        numbers = (rounded(row[key]) for key in output.SPREAD)
         shown.append((*words, *numbers, f"{row['passed']} of {row['played']}"))
     head = ("sequence", "limit", "required", "unit", *output.SPREAD.values(), "passed")
     return f"each sequence {times} times", head, shown
@@ -646,6 +647,6 @@ def print_outcome(outcome: "Outcome") -> None:
 def _verdict_text(verdict: "Verdict") -> str:
     value = ""
     if not math.isnan(verdict.value):
-        value = f" {verdict.value:.4g} {verdict.unit}".rstrip()
+        value = f" {rounded(verdict.value)} {verdict.unit}".rstrip()
     comparison = f"{verdict.what}{value}, required {verdict.limit} {verdict.unit}".rstrip()
     return f"{comparison}: {verdict.result}, {verdict.text}"

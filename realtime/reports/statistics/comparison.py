@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from rollerrig.configs.number_text import rounded
 from rollerrig.realtime.campaign import comparison
 from rollerrig.realtime.campaign.comparison import Compared, Comparison
 from rollerrig.realtime.campaign.outcome import QUANTILES
@@ -339,7 +340,7 @@ def _title(name: str) -> str:
 
 def _quantile(figure: Compared, side: int, place: int) -> str:
     values: Sequence[float] = figure.quantiles[side]
-    return f"{figures.BY_NAME[figure.name].scale * values[place]:.4g}" if values else "-"
+    return rounded(figures.BY_NAME[figure.name].scale * values[place]) if values else "-"
 
 
 def _signed(name: str, value: float) -> str:
