@@ -168,6 +168,7 @@ OPENS = {
     "realtime/desk/server": "a temporary folder",
     "realtime/commands/check": "the kernel",
     "realtime/commands/listing": "files of the product",
+    "wsp_interface/sequences/progress": "files in a temporary folder",
     "realtime/commands/wsp": "the log that a bench has made",
 }
 MODULES = 16  # files in a folder at most

@@ -10,6 +10,7 @@ import re
 from paper import large_sliding
 
 from rollerrig.configs import store
+from rollerrig.configs.number_text import rounded
 from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
@@ -21,7 +22,7 @@ from rollerrig.realtime.campaign.statistics import laws
 from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.reports.statistics import osrd
 from rollerrig.rig.mechanisms import table as mechanisms
-from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface import harness_client, signals
 from rollerrig.wsp_interface.sequences import conditions, measures, sequence, verdict
 
 # where each packaged set of adhesion may be used
@@ -339,6 +340,20 @@ def _general(measure):
     return re.sub(r"\{(\w+)\[(\w+)\]:g\}", r"`\1.\2`", measure.text)
 
 
+def _signals_of_conditions():
+    """Return the rows of the signals that the conditions of a sequence may use."""
+    table = signals.table(COACH)
+    rows = []
+    for name in harness_client.reception(table).received:
+        signal = table.by_name[name]
+        low, high = conditions.RANGES[name]
+        axles = "yes" if len(signals.columns(signal)) > 1 else ""
+        rows.append(
+            f"| `{name}` | {axles} | {UNITS.get(signal.unit, signal.unit)} | {rounded(low, 6)} to {rounded(high, 6)} |"
+        )
+    return rows
+
+
 def other_keys():
     """Return the page of the keys of other files than scenarios."""
     lines = [
@@ -407,6 +422,16 @@ def other_keys():
     lines += [
         "",
         f"Units: {units}.",
+        "",
+        "## Signals of a condition",
+        "",
+        "[Conditions](sequences.md#conditions) may use these signals and no others, here of the coach. A signal of "
+        "the axles takes the number of an axle (`sliding_2`), or means all axles. A bound outside the range is "
+        "refused, because no run can meet it.",
+        "",
+        "| signal | of each axle | SI unit | range in SI |",
+        "|---|---|---|---|",
+        *_signals_of_conditions(),
         "",
         "## Measures of a sequence",
         "",

@@ -25,7 +25,7 @@ from rollerrig.configs.vehicle import EQUIPMENT_KEYS, Kind, kind_of
 from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
-from rollerrig.wsp_interface.harness_client import Harness
+from rollerrig.wsp_interface.harness_client import Event, Harness
 
 START_S = 900.0  # patience until the bench waits for the harness
 END_S = 300.0  # patience until the bench exits
@@ -131,6 +131,19 @@ def text_of_running_bench(resolved: Mapping[str, Any]) -> str:
     )
 
 
+class Observer:
+    """Is informed of what a bench does for a test. This one does nothing with it."""
+
+    def bench_wrote(self, line: str) -> None:
+        """Take the last line that a bench has written while it starts; "" before the first."""
+
+    def cycle(self, harness: Harness) -> None:
+        """Take the values of the harness after a cycle."""
+
+    def event(self, event: Event) -> None:
+        """Take a new event of the harness."""
+
+
 @contextlib.contextmanager
 def start(
     folder: Path,
@@ -142,6 +155,7 @@ def start(
     seed: int = 0,
     arguments: Sequence[str] = (),
     companions: Sequence[Companion] = (),
+    observer: Observer | None = None,
     **requirements: Any,
 ) -> Iterator[Harness]:
     """Start a bench, and yield the harness that has joined it.
@@ -152,6 +166,7 @@ def start(
     unit: the command that starts a WSP unit, as in "./unit {host} {port}"; it wins over `wsp`.
     arguments: further options of `rollerrig run`.
     companions: programs that run as long as the bench, such as a unit under test.
+    observer: is informed of what the bench does.
     requirements: see `scenario_of`.
 
     Raises RollerrigError.
@@ -193,14 +208,21 @@ def start(
         )
         harness = None
         try:
-            address = _address(process, Path(log.name))
+            observer = observer or Observer()
+            address = _address(process, Path(log.name), observer)
             harness = Harness(buses.open_client(address, 60.0))
+            harness.on_event = observer.event
             with contextlib.ExitStack() as stack:
                 started = [stack.enter_context(companion(address)) for companion in companions]
                 programs = [one for one in started if isinstance(one, Program)]
                 helpers = [one for one in started if isinstance(one, Helper)]
                 harness.on_silence = partial(_check, programs, helpers)
-                harness.on_cycle = partial(_check_helpers, helpers)
+
+                def on_cycle(joined: Harness = harness) -> None:
+                    _check_helpers(helpers)
+                    observer.cycle(joined)
+
+                harness.on_cycle = on_cycle
                 try:
                     yield harness.join()
                     _check_helpers(helpers)
@@ -335,16 +357,22 @@ def program(command: str, log: Path) -> Companion:
     return run_program
 
 
-def _address(process: subprocess.Popen[str], log: Path) -> str:
+def _address(process: subprocess.Popen[str], log: Path, observer: Observer) -> str:
     """Return the address at which the bench waits, from its line of JSON.
+
+    Informs the observer of what the bench writes before.
 
     Raises BusError with the last output of the bench when there is no such line.
     """
     deadline = time.monotonic() + START_S
+    last_line = ""
     while time.monotonic() < deadline:
         for line in log.read_text(encoding="utf-8").splitlines(keepends=True):
             if line.startswith('{"waiting_for"') and line.endswith("\n"):
                 return str(json.loads(line)["address"])
+            if line.endswith("\n"):
+                last_line = line.rstrip()
+        observer.bench_wrote(last_line)
         if process.poll() is not None:
             break
         time.sleep(0.02)

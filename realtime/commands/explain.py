@@ -15,9 +15,6 @@ if TYPE_CHECKING:
     from rollerrig.rig.identify.data.runs import Dataset
     from rollerrig.rig.identify.decide.decision import Diagnosis
 
-# a step whose share falls below this has begun again
-STEP_BEGINS = 0.03
-
 Progress = Callable[[str, float], None]
 
 # kernels that this process compiles at its first start; the messages need the number
@@ -144,8 +141,12 @@ def _open_dataset(given: argparse.Namespace) -> "tuple[Dataset, Path]":
 
 @contextlib.contextmanager
 def progress_bar() -> Iterator[Progress]:
-    """Show progress: yields a function of the title of a step and its share done, 0 to 1."""
-    from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    """Show progress: yields a function of the title of a stage and its share done, 0 to 1.
+
+    How many stages follow depends on what they find. A stage that is done is shown as done, and not
+    as 100 %, which would look like the end of the command.
+    """
+    from rich.progress import BarColumn, TextColumn
     from rich.progress import Progress as Bar
 
     state = "reading the data"
@@ -153,20 +154,25 @@ def progress_bar() -> Iterator[Progress]:
         # a title is no markup
         TextColumn("{task.description}", markup=False),
         BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(),
+        TextColumn("{task.fields[state]}", markup=False),
         console=output.console(error=True),
         transient=True,
     )
     with bar, output.report_progress(lambda: state):
-        steps: dict[str, Any] = {}
+        stages: dict[str, Any] = {}
+        count = 0
 
         def progress(title: str, share: float) -> None:
-            nonlocal state
-            state = f"{title}: {share:.0%}"
-            if title not in steps or share < STEP_BEGINS:
-                steps[title] = bar.add_task(title, total=1.0)
-            bar.update(steps[title], completed=share)
+            nonlocal state, count
+            if title not in stages or bar.tasks[stages[title]].completed >= share:
+                # a stage that begins again is a further stage
+                count += 1
+                stages[title] = bar.add_task(f"stage {count}, {title}", total=1.0, state="")
+            done = "done" if share >= 1.0 else f"{int(100.0 * share)} %"
+            bar.update(stages[title], completed=share, state=done)
+            state = f"stage {count}, {title}: {done}"
+            if share >= 1.0:
+                state += ", evaluating it"
 
         yield progress
 

@@ -102,27 +102,49 @@ def console(error: bool = False) -> Any:
 
 
 @contextlib.contextmanager
-def report_progress(describe: Callable[[], str]) -> Iterator[None]:
-    """Print the progress of long work every five seconds, if standard error is not a terminal.
+def report_progress(
+    describe: Callable[[], str], period_s: float = 0.0, draws: bool = False
+) -> Iterator[None]:
+    """Print the progress of long work now and then, if standard error is not a terminal.
 
-    `describe` returns how far the work is, "" as long as there is nothing to print. On a terminal,
-    the verbs draw progress bars instead.
+    describe: returns how far the work is, "" as long as there is nothing to print.
+    period_s: between two lines; 0: five seconds.
+    draws: on a terminal, the text is drawn as a line that changes. Without it the verb draws a
+        progress bar there.
     """
+    if sys.stderr.isatty():
+        with _drawn(describe) if draws else contextlib.nullcontext():
+            yield
+        return
+
     finished = threading.Event()
     start_s = time.monotonic()
 
     def print_until_finished() -> None:
-        while not finished.wait(PERIOD_S):
+        while not finished.wait(period_s or PERIOD_S):
             elapsed_s = time.monotonic() - start_s
             if text := describe():
                 print_message(f"{text} ({elapsed_s:.0f} s)")
 
-    if not sys.stderr.isatty():
-        threading.Thread(target=print_until_finished, name="progress", daemon=True).start()
+    threading.Thread(target=print_until_finished, name="progress", daemon=True).start()
     try:
         yield
     finally:
         finished.set()
+
+
+def _drawn(describe: Callable[[], str]) -> Any:
+    """Return a context in which a text is drawn on the terminal, below what is printed."""
+    from rich.live import Live
+    from rich.text import Text
+
+    return Live(
+        get_renderable=lambda: Text(describe()),
+        console=console(error=True),
+        refresh_per_second=2,
+        transient=True,
+        redirect_stdout=False,
+    )
 
 
 def show(options: argparse.Namespace, result: Mapping[str, Any], *items: Any) -> int:

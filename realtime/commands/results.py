@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.number_text import rounded
 from rollerrig.realtime.commands import output
 
 if TYPE_CHECKING:
@@ -148,6 +149,8 @@ class _Figure(NamedTuple):
     name: str
     unit: str
     values: list[float | None]
+    # of each further run: its value less that of the first; None where one of them has none
+    differences: list[float | None]
 
 
 def _figures(runs: "Sequence[Run]") -> list[_Figure]:
@@ -158,26 +161,53 @@ def _figures(runs: "Sequence[Run]") -> list[_Figure]:
     compared: list[_Figure] = []
     for figure in figures.FIGURES:
         values = [figure.shown(run.summary) for run in runs]
-        compared.append(_Figure(figure.title, figure.unit, values))
+        compared.append(_Figure(figure.title, figure.unit, values, _less_the_first(values)))
 
     drifts = [comparison.drifts(run) for run in runs]
     for name in drifts[0]:
         for number, third in enumerate(_THIRDS):
             values = [drift[name][number] for drift in drifts]
-            compared.append(_Figure(f"{name}, {third}", "", values))
+            differences = _less_the_first(values)
+            compared.append(_Figure(f"{name}, {third}", "", values, differences))
     return compared
 
 
+def _less_the_first(values: Sequence[float | None]) -> list[float | None]:
+    """Return each further value less the first one; None where one of them is missing."""
+    first, *others = values
+    differences: list[float | None] = []
+    for value in others:
+        if first is None or value is None:
+            differences.append(None)
+        else:
+            differences.append(value - first)
+    return differences
+
+
 def _figure_table(runs: "Sequence[Run]", figures: Sequence[_Figure]) -> tuple[Any, ...]:
-    """Return the table of figures for `output.show`: one column per run, "-" for no value."""
+    """Return the table of figures for `output.show`.
+
+    Columns are the value of each run, and the difference of each further run from the first; "-"
+    for no value.
+    """
     from rollerrig.realtime.record.run_folder import short_names
 
-    head = ("", "unit", *short_names([run.folder for run in runs]))
+    names = short_names([run.folder for run in runs])
+    differences = [f"{name} - {names[0]}" for name in names[1:]]
+    head = ("", "unit", *names, *differences)
     rows = []
     for figure in figures:
-        cells = ["-" if value is None else f"{value:.4g}" for value in figure.values]
+        cells = ["-" if value is None else rounded(value) for value in figure.values]
+        for difference in figure.differences:
+            cells.append("-" if difference is None else _signed(difference))
         rows.append((figure.name, figure.unit, *cells))
     return None, head, rows
+
+
+def _signed(difference: float) -> str:
+    """Return a difference with its sign."""
+    text = rounded(difference, 3)
+    return f"+{text}" if difference > 0.0 else text
 
 
 def _difference_table(
@@ -193,10 +223,10 @@ def _difference_table(
         (
             names[difference.run],
             difference.channel,
-            f"{difference.largest:.4g}",
-            f"{difference.rms:.4g}",
+            rounded(difference.largest),
+            rounded(difference.rms),
             f"{difference.at_s:.2f}",
-            f"{difference.tolerance:.4g}",
+            rounded(difference.tolerance),
         )
         for difference in differences[:_TABLE_ROWS]
     ]

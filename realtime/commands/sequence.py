@@ -3,8 +3,9 @@
 import argparse
 import contextlib
 import math
+import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from functools import partial
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.number_text import rounded
 from rollerrig.configs.output_files import check_no_link, make_folder, writing
 from rollerrig.configs.processes import children, cores, interruption
 from rollerrig.realtime.commands import output, wsp
@@ -22,10 +24,14 @@ if TYPE_CHECKING:
     from rollerrig.firmware_sim.faults.catalogue import Fault
     from rollerrig.realtime.bench.scenario import Scenario
     from rollerrig.wsp_interface.harness_client import Event
+    from rollerrig.wsp_interface.own_bench import Observer
     from rollerrig.wsp_interface.sequences.play import Outcome
+    from rollerrig.wsp_interface.sequences.progress import Progress
     from rollerrig.wsp_interface.sequences.sequence import Sequence
     from rollerrig.wsp_interface.sequences.verdict import Verdict
 
+# between two lines of progress where standard error is not a terminal
+PERIOD_S = 60.0
 # folder of the packaged sequences
 LIBRARY = "sequences"
 
@@ -226,7 +232,7 @@ def _spread_table(rows: list[dict[str, Any]], times: int) -> Any:
     shown = []
     for row in rows:
         words = (row["sequence"], row["limit"], row["required"], row["unit"])
-        numbers = (f"{row[key]:.4g}" for key in output.SPREAD)
+        numbers = (rounded(row[key]) for key in output.SPREAD)
         shown.append((*words, *numbers, f"{row['passed']} of {row['played']}"))
     head = ("sequence", "limit", "required", "unit", *output.SPREAD.values(), "passed")
     return f"each sequence {times} times", head, shown
@@ -420,17 +426,16 @@ def _play_all(
 
     def finish(outcome: Outcome) -> None:
         played[outcome.sequence.name] = outcome
+        progress.finish(outcome.sequence.name)
         print_outcome(outcome)
 
-    def describe() -> str:
-        return f"{len(played)} of {len(sequences)} sequences played"
-
-    with contextlib.suppress(KeyboardInterrupt), output.report_progress(describe):
+    names = [sequence.name for sequence in sequences]
+    with contextlib.suppress(KeyboardInterrupt), shown(names) as progress:
         jobs = min(_jobs(options), len(sequences))
         if jobs == 1:
-            _play_one_by_one(options, sequences, finish)
+            _play_one_by_one(options, sequences, progress, finish)
         else:
-            _play_in_processes(options, sequences, jobs, finish)
+            _play_in_processes(options, sequences, jobs, progress, finish)
 
     not_played = []
     for sequence in sequences:
@@ -455,12 +460,16 @@ def _jobs(options: argparse.Namespace) -> int:
 
 
 def _play_one_by_one(
-    options: argparse.Namespace, sequences: "list[Sequence]", finish: "Callable[[Outcome], None]"
+    options: argparse.Namespace,
+    sequences: "list[Sequence]",
+    progress: "Progress",
+    finish: "Callable[[Outcome], None]",
 ) -> None:
     """Play sequences in this process. Raises KeyboardInterrupt, and BusError with --bus."""
     for sequence in sequences:
         play_one = play if options.bus else play_or_error
-        outcome = play_one(sequence, options)
+        watcher = observer(sequence.name, progress, options)
+        outcome = play_one(sequence, options, watcher)
         finish(outcome)
         if outcome.interrupted:
             raise KeyboardInterrupt
@@ -470,11 +479,15 @@ def _play_in_processes(
     options: argparse.Namespace,
     sequences: "list[Sequence]",
     jobs: int,
+    progress: "Progress",
     finish: "Callable[[Outcome], None]",
 ) -> None:
     """Play sequences in worker processes. Raises KeyboardInterrupt."""
     with children.pool(jobs) as pool:
-        futures = [pool.submit(play, sequence, options) for sequence in sequences]
+        futures = []
+        for sequence in sequences:
+            watcher = observer(sequence.name, progress, options)
+            futures.append(pool.submit(play, sequence, options, watcher))
         left = dict(zip(futures, sequences, strict=True))
         try:
             for future, sequence in zip(futures, sequences, strict=True):
@@ -490,9 +503,11 @@ def _play_in_processes(
             raise
 
 
-def play_or_error(sequence: "Sequence", options: argparse.Namespace) -> "Outcome":
+def play_or_error(
+    sequence: "Sequence", options: argparse.Namespace, observer: "Observer"
+) -> "Outcome":
     """Return the outcome of a sequence on a new bench; any failure of playing it is an error."""
-    get_outcome = partial(play, sequence, options)
+    get_outcome = partial(play, sequence, options, observer)
     return _outcome_or_error(get_outcome, sequence, options.out / sequence.name)
 
 
@@ -517,20 +532,20 @@ def _outcome_or_error(
         return Outcome(sequence, folder, error=f"unexpected: {error!r}")
 
 
-def play(sequence: "Sequence", options: argparse.Namespace) -> "Outcome":
+def play(sequence: "Sequence", options: argparse.Namespace, observer: "Observer") -> "Outcome":
     """Return the outcome of a sequence, on a new bench or on the running bench of --bus."""
     folder = options.out / sequence.name
     begun_s = time.monotonic()
     if options.bus:
-        outcome = _play_on_running_bench(sequence, options, folder)
+        outcome = _play_on_running_bench(sequence, options, folder, observer)
     else:
-        outcome = _play_on_new_bench(sequence, options, folder)
+        outcome = _play_on_new_bench(sequence, options, folder, observer)
     outcome.wall_s = time.monotonic() - begun_s
     return outcome
 
 
 def _play_on_running_bench(
-    sequence: "Sequence", options: argparse.Namespace, folder: Path
+    sequence: "Sequence", options: argparse.Namespace, folder: Path, observer: "Observer"
 ) -> "Outcome":
     from rollerrig.realtime.campaign import dry_stop
     from rollerrig.wsp_interface import harness_client
@@ -538,11 +553,13 @@ def _play_on_running_bench(
 
     scenario = scenario_of(sequence).resolved
     harness = harness_client.connect(options.bus)
-    return player.on_running_bench(sequence, harness, folder, scenario, dry_stop.distance_m)
+    return player.on_running_bench(
+        sequence, harness, folder, scenario, dry_stop.distance_m, observer
+    )
 
 
 def _play_on_new_bench(
-    sequence: "Sequence", options: argparse.Namespace, folder: Path
+    sequence: "Sequence", options: argparse.Namespace, folder: Path, observer: "Observer"
 ) -> "Outcome":
     from rollerrig.realtime.campaign import dry_stop
     from rollerrig.wsp_interface import own_bench, signals, unit_choice
@@ -571,7 +588,7 @@ def _play_on_new_bench(
         dry_m=dry_stop.distance_m,
         wsp=options.wsp,
         companions=tuple(companions),
-        on_event=partial(_print_step, sequence.name, options.steps),
+        observer=observer,
         arguments=run_arguments,
         allowed=unit_choice.AllowList.of(options.allow_unit),
     )
@@ -580,12 +597,40 @@ def _play_on_new_bench(
 # --- printing ---
 
 
-def _print_step(name: str, enabled: bool, event: "Event") -> None:
+@contextlib.contextmanager
+def shown(names: Collection[str], before: int = 0) -> "Iterator[Progress]":
+    """Yield the progress of sequences, and show it until the block ends.
+
+    On a terminal it is a line that changes. Otherwise a line is printed once a minute, because the
+    log of a CI server shall show the verdicts. `before` sequences of the same work were played
+    earlier.
+    """
+    from rollerrig.wsp_interface.sequences.progress import Progress
+
+    with tempfile.TemporaryDirectory(prefix="rollerrig-") as folder:
+        progress = Progress(names, Path(folder), before)
+        with output.report_progress(progress.text, PERIOD_S, draws=True):
+            yield progress
+
+
+def observer(name: str, progress: "Progress", options: argparse.Namespace) -> "Observer":
+    """Return what writes the status of a sequence, and with --steps prints its steps."""
+    from rollerrig.wsp_interface.sequences.progress import StatusFile
+
+    on_event = partial(_print_step, name) if options.steps else _print_nothing
+    return StatusFile(progress.file_of(name), on_event)
+
+
+def _print_step(name: str, event: "Event") -> None:
     """Print an event if it is the begin of a step."""
     from rollerrig.wsp_interface.events import Code
 
-    if enabled and event.code == Code.SEQUENCE_STEP:
+    if event.code == Code.SEQUENCE_STEP:
         output.print_message(f"  step  {name}: {event.fields['title']} ({event.time_s:.2f} s)")
+
+
+def _print_nothing(event: "Event") -> None:
+    """Print no event."""
 
 
 def print_outcome(outcome: "Outcome") -> None:
@@ -602,6 +647,6 @@ def print_outcome(outcome: "Outcome") -> None:
 def _verdict_text(verdict: "Verdict") -> str:
     value = ""
     if not math.isnan(verdict.value):
-        value = f" {verdict.value:.4g} {verdict.unit}".rstrip()
+        value = f" {rounded(verdict.value)} {verdict.unit}".rstrip()
     comparison = f"{verdict.what}{value}, required {verdict.limit} {verdict.unit}".rstrip()
     return f"{comparison}: {verdict.result}, {verdict.text}"

@@ -98,15 +98,6 @@ FIGURES = (
 BY_NAME = {figure.name: figure for figure in FIGURES}
 
 
-def number(value: float, digits: int = 4) -> str:
-    """Return a number for a table: some digits, a whole number whole, and never an exponent."""
-    if value == 0.0 or not math.isfinite(value):
-        return f"{value:g}"
-    decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
-    text = f"{value:.{decimals}f}"
-    return text.rstrip("0").rstrip(".") if "." in text else text
-
-
 def spread(summaries: Sequence[Summary]) -> list[dict[str, Any]]:
     """Return the spread of each figure over the valid runs that have it, in the unit of people.
 

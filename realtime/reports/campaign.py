@@ -21,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from rollerrig.configs.number_text import rounded
 from rollerrig.configs.output_files import write_text
 from rollerrig.realtime.campaign import campaign, stopping
 from rollerrig.realtime.campaign.outcome import QUANTILES, Outcome
@@ -131,7 +132,7 @@ def step(plan: campaign.Plan, outcome: Outcome) -> str:
 
 def cells(outcome: Outcome) -> list[list[str]]:
     """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
-    rows = [[name, *map(figures.number, values)] for name, values in outcome.quantiles]
+    rows = [[name, *(rounded(value) for value in values)] for name, values in outcome.quantiles]
     empty = [""] * (len(QUANTILES) - 1)
     rows.append(["not valid (runs, left out)", str(outcome.not_valid), *empty])
     return rows
@@ -226,7 +227,7 @@ def _page(
     # stable: the stopping distance first, then in the order of the table
     differing.sort(key=lambda name: name != DISTANCES[0])
     constant = [
-        f"{_title(name)} {figures.number(figures.BY_NAME[name].scale * values[0])}"
+        f"{_title(name)} {rounded(figures.BY_NAME[name].scale * values[0])}"
         for name, values in all_quantiles
         if values[0] == values[-1]
     ]
@@ -315,7 +316,7 @@ def _title(name: str) -> str:
 
 def read(name: str, value: float | None) -> str:
     """Return a figure for a reader: four digits in its unit; "not stopped" if the run has none."""
-    return "not stopped" if value is None else figures.number(figures.BY_NAME[name].scale * value)
+    return "not stopped" if value is None else rounded(figures.BY_NAME[name].scale * value)
 
 
 def read_with_unit(name: str, value: float | None) -> str:
@@ -327,7 +328,7 @@ def read_with_unit(name: str, value: float | None) -> str:
 
 def _input(value: Any) -> str:
     if isinstance(value, float):
-        return figures.number(value)
+        return rounded(value)
     return "none" if value == "" else str(value)
 
 

@@ -45,9 +45,13 @@ _SIGNATURE_MM = 14.0
 # levels of bookmarks, by element
 _LEVELS = {"h1": 0, "h2": 1}
 
-# A table of fewer rows is kept on one page; rows are at most so high.
-_SHORT_ROWS = 8
-_ROW_MM = 9.0
+# A table is kept on one page if it is lower than this share of the page.
+_KEPT_SHARE = 0.6
+
+# Marks before and after bold text, for fpdf2, whose own marks could be a part of a text. They and
+# those of the other styles are pairs of characters that no text has (private use of Unicode).
+_BOLD = "\ue000\ue000"
+_NO_MARKS = ("\ue001\ue001", "\ue002\ue002", "\ue003\ue003")
 
 # what must be free below a heading
 _LEAST_MM = 60.0
@@ -58,6 +62,10 @@ _FACTS_MM = 110.0
 # characters. Longer cells get no more width, and longer words may break.
 _WIDE_CHARACTERS = 60
 _LONGEST_WORD = 40
+
+# around the text of a cell, and the height of a line of text in heights of the font
+_PADDING_MM = 0.8
+_LINE_HEIGHT = 1.5
 
 # left and right of the text of a cell, together, with a reserve
 _CELL_PADDING_MM = 2.0
@@ -116,6 +124,15 @@ def _paper(foot: str) -> Any:
     """Return an empty document whose pages have `foot` and their number below."""
 
     class Paper(check().FPDF):  # type: ignore[misc]
+        MARKDOWN_BOLD_MARKER = _BOLD
+        MARKDOWN_ITALICS_MARKER, MARKDOWN_STRIKETHROUGH_MARKER, MARKDOWN_UNDERLINE_MARKER = (
+            _NO_MARKS
+        )
+        MARKDOWN_MARKERS = (_BOLD, *_NO_MARKS)
+        MARKDOWN_ESCAPE_CHARACTER = "\ue004"
+        # no text is a link
+        MARKDOWN_LINK_REGEX = re.compile(r"(?!)")
+
         def footer(self) -> None:
             self.set_y(-_FOOT_MM)
             self.set_font(_FONT, "", _FOOT_PT)
@@ -153,7 +170,14 @@ def _add_part(paper: Any, part: ET.Element) -> None:
         if part.tag in _LEVELS:
             paper.start_section(_cell_text(part), level=_LEVELS[part.tag])
         paper.set_font(_FONT, "" if part.tag == "p" else "B", _SIZES[part.tag])
-        paper.multi_cell(0, text=_text(part), align="LEFT", new_x="LMARGIN", new_y="NEXT")
+        paper.multi_cell(
+            0,
+            text=_text(part),
+            align="LEFT",
+            markdown=part.tag == "p",
+            new_x="LMARGIN",
+            new_y="NEXT",
+        )
         paper.ln(1.5)
 
 
@@ -169,6 +193,8 @@ def _text(part: ET.Element) -> str:
     if is_file_link:
         return after
     inside = (part.text or "") + "".join(_text(child) for child in part)
+    if part.tag == "b" and inside:
+        inside = f"{_BOLD}{inside}{_BOLD}"
     return inside + after
 
 
@@ -194,13 +220,13 @@ def _add_table(paper: Any, part: ET.Element) -> None:
         return
     kinds = [row.attrib.get("class", "") for row in part]
     is_facts = part.attrib.get("class") == "facts"
-    if len(rows) < _SHORT_ROWS and paper.will_page_break(_ROW_MM * len(rows)):
-        paper.add_page()
-
     columns = list(zip(*rows, strict=True))
     width_mm = min(paper.epw, _FACTS_MM) if is_facts else paper.epw
     size_pt, widths_mm = _sizes(paper, columns, width_mm)
     paper.set_font(_FONT, "", size_pt)
+    height_mm = _height_mm(paper, rows, widths_mm)
+    if height_mm < _KEPT_SHARE * paper.eph and paper.will_page_break(height_mm):
+        paper.add_page()
 
     alignment = tuple(
         "RIGHT" if _is_numbers(column[1:], len(rows)) and not is_facts else "LEFT"
@@ -212,15 +238,16 @@ def _add_table(paper: Any, part: ET.Element) -> None:
         first_row_as_headings=not is_facts,
         borders_layout="HORIZONTAL_LINES",
         text_align=alignment,
-        padding=0.8,
-        line_height=1.5 * paper.font_size,
+        padding=_PADDING_MM,
+        line_height=_LINE_HEIGHT * paper.font_size,
+        markdown=True,
         width=width_mm,
         align="LEFT",
     ) as table:
         for cells, kind in zip(rows, kinds, strict=True):
             row = table.row()
             for at, cell in enumerate(cells):
-                colour = None if is_facts else _WORDS.get(cell.split(" ")[0])
+                colour = None if is_facts else _WORDS.get(cell.replace(_BOLD, "").split(" ")[0])
                 is_bold = colour is not None or (is_facts and at == 0)
                 face = fpdf.FontFace(
                     color=colour,
@@ -229,6 +256,25 @@ def _add_table(paper: Any, part: ET.Element) -> None:
                 )
                 row.cell(cell, style=face)
     paper.ln(3)
+
+
+def _height_mm(paper: Any, rows: Sequence[Sequence[str]], widths_mm: Sequence[float]) -> float:
+    """Return the height of a table in the present font of the paper."""
+    height_mm = 0.0
+    for cells in rows:
+        heights_mm = [
+            paper.multi_cell(
+                width_mm - 2.0 * _PADDING_MM,
+                _LINE_HEIGHT * paper.font_size,
+                cell,
+                markdown=True,
+                dry_run=True,
+                output="HEIGHT",
+            )
+            for cell, width_mm in zip(cells, widths_mm, strict=True)
+        ]
+        height_mm += max(heights_mm) + 2.0 * _PADDING_MM
+    return height_mm
 
 
 def _rows_without_empty_columns(part: ET.Element) -> list[list[str]]:
@@ -272,14 +318,15 @@ def _sizes(
 
 def _longest_word_mm(paper: Any, column: Sequence[str]) -> float:
     """Return the width of the longest word of a column; longer words than allowed are cut."""
-    words = {word[:_LONGEST_WORD] for cell in column for word in cell.split()}
+    words = {word[:_LONGEST_WORD] for cell in column for word in cell.replace(_BOLD, "").split()}
     return max((float(paper.get_string_width(word)) for word in words), default=0.0)
 
 
 def _longer_text(column: Sequence[str]) -> float:
     """Return by how many characters the longest line of a column exceeds its longest word."""
-    longest_line = max(len(line) for cell in column for line in cell.split("\n"))
-    longest_word = max((len(word) for cell in column for word in cell.split()), default=0)
+    plain = [cell.replace(_BOLD, "") for cell in column]
+    longest_line = max(len(line) for cell in plain for line in cell.split("\n"))
+    longest_word = max((len(word) for cell in plain for word in cell.split()), default=0)
     return float(max(0, min(longest_line, _WIDE_CHARACTERS) - longest_word))
 
 

@@ -520,11 +520,12 @@ def _commanded_faults(outcome: Outcome) -> list[stop.Mark]:
             text = event.fields["fault"]
             fault = catalogue.parse(text, outcome.sequence.kind)
             begins_s = max(event.time_s, fault.at_s)
-            found.append(stop.Mark(begins_s, stop.FAULT, text))
+            words = stop.fault_words(text)
+            found.append(stop.Mark(begins_s, stop.FAULT, words))
             if math.isfinite(fault.for_s):
-                found.append(stop.Mark(begins_s + fault.for_s, stop.FAULT, f"{text} lifted"))
+                found.append(stop.Mark(begins_s + fault.for_s, stop.FAULT, f"{words} lifted"))
         elif event.code == Code.TEST_FAULT_LIFTED:
-            lifted = f"{event.fields['fault']} lifted"
+            lifted = f"{stop.fault_words(event.fields['fault'])} lifted"
             found.append(stop.Mark(event.time_s, stop.FAULT, lifted))
     return found
 

@@ -38,8 +38,14 @@ STEP = "step"
 FAULT = "fault"
 FRICTION = "friction"
 
+# what the legend says of each kind of mark
+_MARK_TITLES = {
+    STEP: "step of the test",
+    FAULT: "fault begins, or is lifted",
+    FRICTION: "friction of the rail changes",
+}
 # colour and kind of line of each kind of mark
-_MARK_LINES = {
+_MARK_LINES: dict[str, tuple[str, Any]] = {
     STEP: (page.GREY, ":"),
     FAULT: (page.VERMILION, ":"),
     FRICTION: (colours.as_hex(colours.BROWN), "-."),
@@ -54,6 +60,8 @@ _SCREEN_DPI = 100
 
 # m/s. A sound sensor differs less from its wheel: a count on the bus, and the lag of a pole wheel.
 _MEASURED_DIFFERS_M_S = 0.5
+_MEASURED_LINE: dict[str, Any] = {"linestyle": ":", "linewidth": 0.8}
+_MEASURED_TITLE = "measured speed, where it differs"
 
 # share of the largest braking force; below it the shares of the brakes are not shown
 _LEAST_FORCE_SHARE = 0.02
@@ -335,7 +343,7 @@ def draw_runs(figure: Figure, runs: Sequence[Run]) -> None:
     _finish(plots, axles, longest.column("time_s"), marks)
 
     names = _run_names(runs)
-    handles = _handles(plots)
+    handles = _handles(plots, [mark for run in runs for mark in _marks_of(run)])
     # the name of a single run is the title of the legend: a title of the figure would be drawn over
     # the legend
     title = names[0]
@@ -354,10 +362,18 @@ def fault_marks(events: Iterable[AnyEvent]) -> list[Mark]:
     found = []
     for event in events:
         if event.code == Code.FAULT_BEGINS:
-            found.append(Mark(event.time_s, FAULT, event.fields["fault"]))
+            found.append(Mark(event.time_s, FAULT, fault_words(event.fields["fault"])))
         elif event.code == Code.FAULT_LIFTED:
-            found.append(Mark(event.time_s, FAULT, f"{event.fields['fault']} lifted"))
+            words = fault_words(event.fields["fault"])
+            found.append(Mark(event.time_s, FAULT, f"{words} lifted"))
     return found
+
+
+def fault_words(text: str) -> str:
+    """Return a fault, written as in a scenario, in words: "speed sensor stuck, axle 2"."""
+    fault, *values = text.split(" ")
+    words = [value.replace("=", " ").replace("_", " ") for value in values]
+    return ", ".join([fault.replace("_", " "), *words])
 
 
 def friction_marks(
@@ -417,7 +433,7 @@ def draw(figure: Figure, motion: Motion, marks: Sequence[Mark]) -> None:
     _draw_run(plots, motion, _ALONE)
     _draw_marks(plots, marks)
     _finish(plots, axles, motion.column("time_s"), marks)
-    figure.legend(handles=_handles(plots), loc="outside upper center", ncols=8)
+    figure.legend(handles=_handles(plots, marks), loc="outside upper center", ncols=7)
 
 
 def _plots(figure: Figure, axles: int, with_brakes: bool) -> list[Axes]:
@@ -535,14 +551,25 @@ def _finish(plots: Any, axles: int, time_s: np.ndarray, marks: Sequence[Mark]) -
     valves.set(yticks=range(1, axles + 1), ylim=(axles + 0.5, 0.5), xlabel="time, s")
 
 
-def _handles(plots: Any) -> list[Any]:
-    """Return the entries of the legend that all runs share."""
+def _handles(plots: Any, marks: Iterable[Mark]) -> list[Any]:
+    """Return the entries of the legend that all runs share, one for each kind of line."""
     lines, labels = plots[0].get_legend_handles_labels()
     first = {label: line for line, label in zip(reversed(lines), reversed(labels), strict=True)}
-    names = list(dict.fromkeys(labels))
+    # the entry of the measured speeds is the last one
+    names = sorted(dict.fromkeys(labels), key=lambda name: name == _MEASURED_TITLE)
+    if _MEASURED_TITLE in first:
+        # each axle has such a line, in its colour: the legend has one entry for all
+        first[_MEASURED_TITLE] = Line2D(
+            [], [], color=page.GREY, label=_MEASURED_TITLE, **_MEASURED_LINE
+        )
     shown: list[Any] = [first[name] for name in names]
     for plot in plots[5:]:
         shown += _handles_of_brakes(plot)
+    kinds = {mark.kind for mark in marks}
+    for kind, title in _MARK_TITLES.items():
+        if kind in kinds:
+            colour, line = _MARK_LINES[kind]
+            shown.append(Line2D([], [], color=colour, linestyle=line, label=title))
     states = colours.VALVE_STATES[1:]
     return shown + [Patch(color=colours.as_hex(shade), label=name) for name, shade in states]
 
@@ -554,7 +581,7 @@ def _draw_measured(
     differs = np.abs(measured_m_s - wheel_m_s) > _MEASURED_DIFFERS_M_S
     if differs.any():
         shown_m_s = np.where(differs, measured_m_s, np.nan)
-        plot.plot(time_s, 3.6 * shown_m_s, ":", linewidth=0.8, color=colour)
+        plot.plot(time_s, 3.6 * shown_m_s, color=colour, label=_MEASURED_TITLE, **_MEASURED_LINE)
 
 
 def _draw_valve(plot: Axes, time_s: np.ndarray, valve: np.ndarray, axle: int, look: _Look) -> None:

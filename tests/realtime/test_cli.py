@@ -6,6 +6,7 @@ import re
 import shlex
 import subprocess
 import sys
+import time
 from importlib import metadata
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pytest
 from rollerrig.configs import store
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime import cli
-from rollerrig.realtime.commands import listing
+from rollerrig.realtime.commands import explain, listing, output
 
 
 @pytest.mark.parametrize("verb", cli.VERBS, ids=lambda verb: verb.name)
@@ -238,6 +239,55 @@ def test_long_work_on_a_pipe_says_now_and_then_how_far_it_is(words, tmp_path):
                 break
         process.kill()
     assert re.search(r"(runs|reading|%).*\(\d+ s\)$", said)
+
+
+def test_explain_names_each_stage_and_shows_none_as_100_percent(monkeypatch, capsys):
+    monkeypatch.setattr(output, "PERIOD_S", 0.01)
+
+    def line_with(text):
+        said = ""
+        while text not in said:
+            said += capsys.readouterr().err
+            time.sleep(0.01)
+        return said
+
+    with explain.progress_bar() as progress:
+        said = line_with("reading the data")
+        for title in ("fit of causes", "null simulations", "fit of causes"):
+            progress(title, 0.25)
+            said += line_with(f"{title}: 25 %")
+            progress(title, 0.999)
+            said += line_with(f"{title}: 99 %")
+            progress(title, 1.0)
+            said += line_with(f"{title}: done, evaluating it")
+    assert "100" not in said
+    stages = dict.fromkeys(re.findall(r"stage (\d), ([a-z ]+):", said))
+    assert list(stages) == [
+        ("1", "fit of causes"),
+        ("2", "null simulations"),
+        ("3", "fit of causes"),
+    ]
+
+
+def test_sequences_on_a_pipe_show_name_and_speed_and_the_time_left(tmp_path):
+    program = (
+        "import sys; from rollerrig.realtime import cli;"
+        "from rollerrig.realtime.commands import sequence;"
+        "assert sequence.PERIOD_S >= 60.0; sequence.PERIOD_S = 0.05;"
+        "sys.exit(cli.main(sys.argv[1:]))"
+    )
+    words = ("sequence", "emergency_040", "low_speed_010", "--jobs", "2")
+    done = subprocess.run(
+        [sys.executable, "-c", program, *words, "--out", str(tmp_path / "out")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    lines = re.findall(r"^\d of 2 sequences played.*", done.stderr, re.MULTILINE)
+    assert any("emergency_040 starting" in line for line in lines)
+    speeds_m_s = re.findall(r"emergency_040 (\d+\.\d) m/s", "\n".join(lines))
+    assert float(speeds_m_s[0]) > float(speeds_m_s[-1])
+    assert any(re.search(r"about \d+ (s|min) left \(\d+ s\)$", line) for line in lines)
 
 
 def test_a_shell_completes_verbs(tmp_path):

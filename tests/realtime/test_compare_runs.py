@@ -1,6 +1,7 @@
 """`compare` finds the channels that differ by more than their tolerance, and its exit status."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -68,6 +69,27 @@ def test_a_difference_has_its_largest_value_with_its_time_and_its_root_mean_squa
     assert sliding["rms"] == pytest.approx(0.03)
     assert by_channel["vehicle_speed_m_s"]["rms"] == pytest.approx(0.3)
     assert by_channel["sliding_2_m_s"]["largest"] == 0.0
+
+
+def test_each_further_run_has_a_column_of_differences_from_the_first(tmp_path, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    runs = []
+    for name, distance_m in (("short", 400.0), ("long", 425.5), ("equal", 400.0)):
+        found = {"valid": True, "invalid_because": [], "braking_distance_m": distance_m}
+        runs.append(recorded(tmp_path / name, 100, 20.0, found))
+
+    assert cli.main(["compare", *runs, "--json"]) == 0
+    figures = {row["name"]: row for row in json.loads(capsys.readouterr().out)["figures"]}
+    assert figures["stopping distance"]["differences"] == [25.5, 0.0]
+    # these runs have no such figure
+    assert figures["longest lock"]["differences"] == [None, None]
+
+    assert cli.main(["compare", *runs]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    (head,) = (line for line in lines if "long - short" in line)
+    assert "equal - short" in head
+    (row,) = (line for line in lines if "stopping distance" in line)
+    assert re.findall(r"[-+\d.]+", row) == ["400", "425.5", "400", "+25.5", "0"]
 
 
 def test_a_tolerance_for_a_channel_that_the_first_run_has_not_is_refused(folders, capsys):

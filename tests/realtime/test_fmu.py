@@ -5,6 +5,7 @@ over the bus.
 import json
 import os
 import shlex
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -149,6 +150,33 @@ def test_the_unit_in_c_of_the_documents_becomes_an_fmu_that_prevents_locked_whee
     axles = json.loads((run.out / "summary.json").read_text())["axles"]
     assert all(axle["vents"] > 0 for axle in axles)
     assert all(axle["longest_lock_s"] == 0.0 for axle in axles)
+
+
+# in a unit in C: a function of another file
+USES_THE_OTHER_FILE = "double twice_the_limit(void) { return 2.0 * limit_of_slip(); }\n"
+
+
+@pytest.mark.parametrize("more_files", [True, False], ids=["all files", "one is missing"])
+def test_the_script_compiles_every_c_file_and_refuses_what_none_defines(docs, tmp_path, more_files):
+    folder = tmp_path / "unit"
+    shutil.copytree(docs / "examples" / "fmu", folder)
+    # the algorithm of a user in two files
+    code = (folder / "unit.c").read_text()
+    (folder / "unit.c").write_text(f"double limit_of_slip(void);\n{code}\n" + USES_THE_OTHER_FILE)
+    if more_files:
+        (folder / "limits.c").write_text("double limit_of_slip(void) { return 0.1; }\n")
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    done = subprocess.run(
+        ["sh", folder / "build.sh"],
+        cwd=tmp_path,
+        env={**os.environ, "PATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode == 0) is more_files, done.stderr
+    assert (tmp_path / "unit.fmu").exists() is more_files
+    assert ("limit_of_slip" in done.stderr) is not more_files
 
 
 def test_the_script_that_compiles_the_unit_in_c_names_the_package_that_it_lacks(docs, tmp_path):

@@ -9,6 +9,7 @@ import xml.etree.ElementTree as ET
 from html import escape
 from pathlib import Path
 
+import numpy as np
 import pytest
 import synthetic_record
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -19,6 +20,7 @@ from synthetic_record import GOOD
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.commands import sequence as verb_sequence
 from rollerrig.realtime.reports import page as report_page
@@ -439,7 +441,8 @@ def test_the_picture_has_a_line_where_a_fault_begins_and_where_it_is_lifted(tmp_
     text = "vent_magnet_dead axle=3"
     commanded = {"fault": f"{text} for=4"}
     found.events.append(Event(5.0, "harness", "fault", Code.TEST_FAULT, commanded))
-    expected = [(5.0, text), (9.0, f"{text} lifted")]
+    words = "vent magnet dead, axle 3"
+    expected = [(5.0, words), (9.0, f"{words} lifted")]
 
     def faults():
         return [mark for mark in sequences.marks(found) if mark.kind == stop.FAULT]
@@ -511,3 +514,61 @@ def test_no_word_of_a_table_breaks_but_a_long_one_such_as_a_path(tmp_path):
     sheets = PdfReader(tmp_path / "report.pdf").pages
     words = " ".join(sheet.extract_text() for sheet in sheets).split()
     assert {"consumption", "cylinder_pressure", "expected"} <= set(words)
+
+
+def test_bold_text_of_a_page_is_bold_on_paper_and_asterisks_of_a_user_stay(tmp_path):
+    heading = report_page.element("b", "from memory, not verified")
+    cell = report_page.element("span", heading, report_page.BREAK, "of a user: **x** __y__")
+    table = report_page.table(("measure", "source"), [("sliding", cell), ("lock", cell)])
+    paragraph = report_page.paragraph(report_page.element("b", "Warning: "), "plain text **x**")
+    with report_page.on_paper():
+        pdf.write(report_page.page("A title", table, paragraph), tmp_path / "report.pdf")
+
+    fonts = {}
+
+    def note_font(text, _matrix, _text_matrix, font, _size):
+        for word in text.split():
+            fonts.setdefault(word, set()).add("Bold" in font["/BaseFont"])
+
+    (sheet,) = PdfReader(tmp_path / "report.pdf").pages
+    sheet.extract_text(visitor_text=note_font)
+    assert fonts["memory,"] == {True}
+    assert fonts["Warning:"] == {True}
+    assert fonts["plain"] == fonts["user:"] == fonts["sliding"] == {False}
+    assert fonts["**x**"] == fonts["__y__"] == {False}
+
+
+@pytest.mark.parametrize("lines_above", range(30, 60, 3))
+def test_a_table_of_axles_is_on_one_page(tmp_path, lines_above):
+    rows = [[f"axle_{axle}", "1.25", "a text of some length"] for axle in range(1, 10)]
+    above = [report_page.paragraph("a line above")] * lines_above
+    table = report_page.table(("axle", "mean", "text"), rows)
+    with report_page.on_paper():
+        pdf.write(report_page.page("A title", *above, table), tmp_path / "report.pdf")
+    sheets = [sheet.extract_text() for sheet in PdfReader(tmp_path / "report.pdf").pages]
+    assert sum("axle_" in sheet for sheet in sheets) == 1
+
+
+def test_each_kind_of_line_in_the_picture_of_a_stop_has_an_entry_in_the_legend():
+    time_s = np.linspace(0.0, 10.0, 50)
+    falling_m_s = 30.0 - 3.0 * time_s
+
+    def column(name):
+        if name == "time_s":
+            return time_s
+        if name.startswith("measured"):
+            return 0.5 * falling_m_s
+        return falling_m_s
+
+    figure = Figure()
+    marks = [stop.Mark(2.0, kind, kind) for kind in (stop.STEP, stop.FAULT, stop.FRICTION)]
+    stop.draw(figure, stop.Motion(COACH, column, 0.46), marks)
+    (legend,) = figure.legends
+    entries = [text.get_text() for text in legend.get_texts()]
+    assert len(entries) == len(set(entries))
+    for line in figure.axes[0].get_lines():
+        label = line.get_label()
+        is_mark = len(line.get_xdata()) == 2
+        assert is_mark or label in entries
+    assert {"step of the test", "measured speed, where it differs"} <= set(entries)
+    assert {"fault begins, or is lifted", "friction of the rail changes"} <= set(entries)

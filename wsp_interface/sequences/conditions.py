@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.number_text import rounded
 from rollerrig.configs.table import nearest
 from rollerrig.configs.vehicle import MOST_GROUPS
 from rollerrig.wsp_interface import signals
@@ -95,7 +96,7 @@ class Condition:
     def readings(self, values: Mapping[str, float]) -> str:
         """Return the values of the columns as text, in the unit of the condition."""
         _, factor = UNITS[self.unit]
-        texts = [f"{values[name] / factor:.4g}" for name in self.columns]
+        texts = [rounded(values[name] / factor) for name in self.columns]
         return f"{', '.join(texts)} {self.unit}".strip()
 
 

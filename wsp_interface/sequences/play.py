@@ -12,6 +12,7 @@ import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +93,7 @@ def on_own_bench(
     dry_m: DryStop | None = None,
     wsp: str = "",
     companions: tuple[own_bench.Companion, ...] = (),
-    on_event: Callable[[Event], None] = lambda event: None,
+    observer: own_bench.Observer | None = None,
     arguments: tuple[str, ...] = (),
     allowed: AllowList = unit_choice.NOTHING,
 ) -> Outcome:
@@ -101,7 +102,7 @@ def on_own_bench(
     dry_m: called for the distance of the dry stop if a limit needs it.
     wsp: replaces the unit of the sequence.
     companions: programs that run as long as the bench.
-    on_event: called with each event.
+    observer: is informed of what the bench does.
     arguments: further options of `rollerrig run`.
     allowed: the FMUs that the sequence may choose as its unit.
     """
@@ -120,8 +121,8 @@ def on_own_bench(
             title=sequence.title,
             companions=companions,
             arguments=arguments,
+            observer=observer,
         ) as harness:
-            harness.on_event = on_event
             play(sequence, harness, outcome)
         outcome.summary = own_bench.summary(folder)
         own_bench.check_valid(outcome.summary)
@@ -144,13 +145,17 @@ def on_running_bench(
     folder: Path,
     wanted: dict[str, Any],
     dry_m: DryStop | None = None,
+    observer: own_bench.Observer | None = None,
 ) -> Outcome:
     """Play and judge a sequence on a bench that already runs.
 
     `wanted` is the resolved scenario that the sequence starts from. The measures and the report
-    have that of the bench. `dry_m` is as for `on_own_bench`.
+    have that of the bench. `dry_m` and `observer` are as for `on_own_bench`.
     """
     outcome = Outcome(sequence, folder)
+    if observer is not None:
+        harness.on_cycle = partial(observer.cycle, harness)
+        harness.on_event = observer.event
     configuration: dict[str, Any] = {}
     warnings: list[str] = []
     try:

@@ -21,6 +21,7 @@ from typing import Any
 
 from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.number_text import rounded
 from rollerrig.configs.table import known, nearest
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences.measures import Measure
@@ -157,7 +158,7 @@ class Verdict:
         """The value with its unit; "never" if it is infinite, empty if there is none."""
         if not math.isfinite(self.value):
             return "never" if math.isinf(self.value) else ""
-        return f"{self.value:.4g} {self.unit}".strip()
+        return f"{rounded(self.value)} {self.unit}".strip()
 
     @property
     def limit_text(self) -> str:
@@ -334,9 +335,9 @@ def _verdict(limit: Limit, value: float, result: Result, text: str) -> Verdict:
 def _bounds_text(limit: Limit) -> str:
     texts = []
     if math.isfinite(limit.low):
-        texts.append(f"at least {limit.low:g}")
+        texts.append(f"at least {rounded(limit.low, 6)}")
     if math.isfinite(limit.high):
-        texts.append(f"at most {limit.high:g}")
+        texts.append(f"at most {rounded(limit.high, 6)}")
     return " and ".join(texts)
 
 

@@ -10,7 +10,6 @@ import contextlib
 import copy
 import hashlib
 import json
-import time
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from importlib import metadata
@@ -22,7 +21,9 @@ from rollerrig.configs.processes import interruption
 from rollerrig.realtime.commands import output, sequence, wsp
 
 if TYPE_CHECKING:
+    from rollerrig.wsp_interface.own_bench import Observer
     from rollerrig.wsp_interface.sequences.programme import Programme
+    from rollerrig.wsp_interface.sequences.progress import Progress
     from rollerrig.wsp_interface.sequences.sequence import Sequence
 
 # the part of the evidence in the folder of a sequence
@@ -115,14 +116,15 @@ def call(options: argparse.Namespace) -> int:
     marks = {one.name: _fingerprint(one, tested) for one in sequences}
     parts = _parts_done(out, marks)
     done_before = len(parts)
-    begun_s = time.monotonic()
+    left_names = [one.name for one in sequences if one.name not in parts]
     with interruption.Interruption() as interrupted:
         with (
             contextlib.suppress(KeyboardInterrupt),
-            output.report_progress(lambda: _progress(parts, done_before, len(sequences), begun_s)),
+            sequence.shown(left_names, done_before) as progress,
         ):
-            for name, part in _play(sequences, playing, out, marks, parts):
+            for name, part in _play(sequences, playing, out, marks, parts, progress):
                 parts[name] = part
+                progress.finish(name)
         interrupted.ignore()
         warnings = played.contradictions([played.unit_in(tested["unit_played"])], about)
         evidence = report.evidence(programme, parts, tested, datetime.now(UTC), about, warnings)
@@ -160,18 +162,6 @@ def _group_rows(programme: "Programme") -> list[tuple[str, str, str]]:
         names = ", ".join(Path(path).stem for path in group.sequences)
         rows.append((group.title, group.kind, names or "-"))
     return rows
-
-
-def _progress(
-    parts: dict[str, dict[str, Any]], done_before: int, total: int, begun_s: float
-) -> str:
-    """Return how many sequences are done and, after the first one, how long the others may take."""
-    text = f"{len(parts)} of {total} sequences done"
-    done_now = len(parts) - done_before
-    if not done_now:
-        return text
-    left_s = (time.monotonic() - begun_s) / done_now * (total - len(parts))
-    return f"{text}, about {left_s / 60.0:.0f} min left"
 
 
 def _sequence_options(options: argparse.Namespace, out: Path) -> argparse.Namespace:
@@ -248,6 +238,7 @@ def _play(
     out: Path,
     marks: dict[str, str],
     done: dict[str, dict[str, Any]],
+    progress: "Progress",
 ) -> Iterator[tuple[str, dict[str, Any]]]:
     """Play the sequences that are not done; yield each with its part of the evidence.
 
@@ -260,16 +251,19 @@ def _play(
         in_folder.out = out / one.name
         with writing(in_folder.out):
             make_folder(out, one.name)
-        yield one.name, _play_one(one, in_folder, marks[one.name])
+        observer = sequence.observer(one.name, progress, in_folder)
+        yield one.name, _play_one(one, in_folder, marks[one.name], observer)
 
 
-def _play_one(one: "Sequence", options: argparse.Namespace, mark: str) -> dict[str, Any]:
+def _play_one(
+    one: "Sequence", options: argparse.Namespace, mark: str, observer: "Observer"
+) -> dict[str, Any]:
     """Play a sequence, write its report, and write and return its part of the evidence."""
     from rollerrig.realtime.record import played
     from rollerrig.realtime.reports import sequences as report
     from rollerrig.realtime.reports.evidence import programme as evidence
 
-    outcome = sequence.play_or_error(one, options)
+    outcome = sequence.play_or_error(one, options, observer)
     if outcome.interrupted:
         raise KeyboardInterrupt
     sequence.print_outcome(outcome)

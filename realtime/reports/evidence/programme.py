@@ -17,6 +17,7 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from rollerrig.configs import store, unpacking, user_files
+from rollerrig.configs.number_text import rounded
 from rollerrig.configs.output_files import make_folder, write_text, writing
 from rollerrig.configs.vehicle import kind_of
 from rollerrig.realtime.record import played, run_folder
@@ -298,7 +299,7 @@ def _verdict(verdict: Mapping[str, Any]) -> tuple[str, ...]:
     value = verdict["value"]
     return (
         verdict["what"],
-        "" if value is None else f"{value:.4g} {verdict['unit']}".strip(),
+        "" if value is None else f"{rounded(value)} {verdict['unit']}".strip(),
         f"{verdict['limit']} {verdict['unit']}".strip(),
         verdict["result"],
         verdict_of.source_text(verdict["source"]),

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from rollerrig.configs.number_text import rounded
 from rollerrig.realtime.campaign import comparison
 from rollerrig.realtime.campaign.comparison import Compared, Comparison
 from rollerrig.realtime.campaign.outcome import QUANTILES
@@ -339,13 +340,13 @@ def _title(name: str) -> str:
 
 def _quantile(figure: Compared, side: int, place: int) -> str:
     values: Sequence[float] = figure.quantiles[side]
-    return figures.number(figures.BY_NAME[figure.name].scale * values[place]) if values else "-"
+    return rounded(figures.BY_NAME[figure.name].scale * values[place]) if values else "-"
 
 
 def _signed(name: str, value: float) -> str:
     scaled = figures.BY_NAME[name].scale * value
     sign = "+" if scaled > 0.0 else ""
-    return f"{sign}{figures.number(scaled, digits=3)}"
+    return f"{sign}{rounded(scaled, digits=3)}"
 
 
 def _interval(figure: Compared) -> str:
