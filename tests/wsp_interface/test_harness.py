@@ -221,7 +221,7 @@ def test_a_sequence_on_a_running_bench_reports_the_timing_that_the_bus_shows(tmp
         log,
     )
     try:
-        address = own_bench._address(bench, log)
+        address = own_bench._address(bench, log, own_bench.Observer())
         status = cli.main(
             ["sequence", "low_speed_010", "--bus", address, "--out", str(tmp_path / "report")]
         )
