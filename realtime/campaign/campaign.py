@@ -727,7 +727,7 @@ def _parts(out: Path, kind: str) -> pa.Table:
         try:
             unpacking.check_parquet(path, pq.read_metadata(path))
             tables.append(pq.read_table(path))
-        except (pa.ArrowException, OSError) as error:
+        except (pa.ArrowException, ValueError, OSError) as error:
             raise ConfigError(
                 f"{path}: cannot be read: {error}; remove it, and repeat the command to run it again"
             ) from None

@@ -223,7 +223,7 @@ class Columns(Mapping[str, pa.ChunkedArray]):
         """Raise ConfigError if the file cannot be read inside the block."""
         try:
             yield
-        except (pa.ArrowException, OSError) as error:
+        except (pa.ArrowException, ValueError, OSError) as error:
             raise ConfigError(
                 f"{self._path}: damaged, not a readable Parquet file ({error}); record the run again"
             ) from None

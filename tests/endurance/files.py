@@ -335,19 +335,25 @@ def _write_parquet(place: Path) -> list[Path]:
     return [place / "run.parquet"]
 
 
+def _command(*words: str) -> None:
+    """Run a command of rollerrig. Raises RollerrigError if it fails; a short run is not valid."""
+    from rollerrig.realtime import cli
+    from rollerrig.realtime.commands import output
+
+    status = cli.main([*words])
+    if status not in (output.PASS, output.INVALID):
+        raise RollerrigError(f"rollerrig {' '.join(words)}: exit status {status}")
+
+
 def _write_mdf(place: Path) -> list[Path]:
     _write_run(place / "run")
-    from rollerrig.realtime import cli
-
-    cli.main(["export", str(place / "run"), "--format", "mdf4", "--out", str(place / "out.mf4")])
+    _command("export", str(place / "run"), "--format", "mdf4", "--out", str(place / "out.mf4"))
     return [place / "out.mf4"]
 
 
 def _write_run(place: Path) -> list[Path]:
-    from rollerrig.realtime import cli
-
     words = ["run", "velim_a1", "--pacing", "free", "--set", "duration_max_s=0.5"]
-    cli.main([*words, "--out", str(place)])
+    _command(*words, "--out", str(place))
     names = ("channels.parquet", "events.jsonl", "summary.json", "scenario.toml")
     return [place / name for name in names]
 

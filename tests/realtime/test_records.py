@@ -189,6 +189,13 @@ def test_a_missing_file_is_reported(folder, name, message):
         records.load(folder)
 
 
+def test_a_name_of_a_channel_that_is_no_text_is_reported(folder):
+    path = folder / "channels.parquet"
+    path.write_bytes(path.read_bytes().replace(b"time_s", b"tim\xe4_s"))
+    with pytest.raises(ConfigError, match=r"channels.parquet: damaged"):
+        records.load(folder)
+
+
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
