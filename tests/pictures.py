@@ -135,10 +135,10 @@ def viewer(_browser, folder):
 
 
 def report(browser, folder):
-    """The report of a sequence, without its title block and its curves."""
+    """The report of a sequence, without its title block, the table of axles and the curves."""
     rollerrig(folder, "sequence", "emergency_120", "--out", "report")
     page = folder / "report" / "report.html"
-    photograph(browser, page, "report", begin="h2", end="svg", width=1000)
+    photograph(browser, page, "report", begin="h2", end="h2 ~ table ~ table ~ table", width=1000)
 
 
 def campaign(browser, folder):

@@ -23,8 +23,7 @@ The cycle has no clock and takes the integers of the bus, so the unit on the bus
 loop get the same bits. Source: common practice of such units, from memory; every threshold is
 marked so in `configs/wsp/`. Limits: braking only; wheel diameters as configured; a wheel that does
 not reach the speed of the vehicle in a run-up is no anchor; a vehicle that can brake harder than
-b_max needs a larger b_max; three false sensors that agree are believed, unless they are
-frozen.
+b_max needs a larger b_max; two or three sensors that drift alike may be believed.
 """
 
 from typing import Any, NamedTuple

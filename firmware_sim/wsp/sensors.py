@@ -22,8 +22,8 @@ either [S6]. If no axle has a sensor, the brakes apply.
 
 Source: physical bounds of a braked wheel; that units substitute the other axle of the bogie is an
 assumption, as is every threshold. Limits: a false reading that a braked wheel could give (a slow
-drift, a gain) is found only when [S4] compares axles; three false sensors that agree outvote a
-single true one.
+drift, a gain) is found only when [S4] compares axles; two or three sensors that drift alike may
+outvote the true ones.
 """
 
 import numpy as np

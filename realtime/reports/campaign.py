@@ -589,9 +589,7 @@ def _draw_exceedance(drawn: Figure, outcome: Outcome) -> None:
     ranks = tail.shown_ranks(distance_m.size - outcome.not_stopped)
     values_m = [distance_m.at(rank) for rank in ranks.tolist()]
     exceeded.step(values_m, 1.0 - ranks / distance_m.size, where="post")
-    for bound in stopping.bounds(distance_m):
-        if bound["bound_m"] is not None:
-            exceeded.plot(bound["bound_m"], 1.0 - bound["quantile"], "v", color=page.VERMILION)
+    _draw_bounds(exceeded, distance_m)
     exceeded.set(
         xlabel="stopping distance, m (triangles: bounds)",
         ylabel="share of runs that go further",
@@ -599,6 +597,13 @@ def _draw_exceedance(drawn: Figure, outcome: Outcome) -> None:
         ylim=(0.5 / distance_m.size, 1.1),
     )
     page.plain_logarithm(exceeded.yaxis)
+
+
+def _draw_bounds(exceeded: Axes, distance_m: draws.Draws | strata.Sample) -> None:
+    """Draw a triangle for the upper bound of each quantile that has one."""
+    for bound in stopping.bounds(distance_m):
+        if bound["bound_m"] is not None:
+            exceeded.plot(bound["bound_m"], 1.0 - bound["quantile"], "v", color=page.VERMILION)
 
 
 def _draw_strata(counts: Axes, exceeded: Axes, distance_m: strata.Sample) -> None:
@@ -609,9 +614,7 @@ def _draw_strata(counts: Axes, exceeded: Axes, distance_m: strata.Sample) -> Non
     counts.set(xlabel="stopping distance, m", ylabel="share of all stops")
     known = finite & (above > 0.0)
     exceeded.step(values_m[known], above[known], where="pre")
-    for bound in stopping.bounds(distance_m):
-        if bound["bound_m"] is not None:
-            exceeded.plot(bound["bound_m"], 1.0 - bound["quantile"], "v", color=page.VERMILION)
+    _draw_bounds(exceeded, distance_m)
     exceeded.set(
         xlabel="stopping distance, m (triangles: bounds)",
         ylabel="probability of a longer stop",

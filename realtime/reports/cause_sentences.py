@@ -6,8 +6,8 @@ The words for causes come from the table of mechanisms.
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from rollerrig.configs.number_text import rounded
 from rollerrig.realtime.reports.hints import first_screen, runs, sizes
-from rollerrig.realtime.reports.hints.sizes import number
 from rollerrig.rig.identify.decide import decision, estimates, evidence, thresholds
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.coherence import Contradicted, Contradiction
@@ -155,7 +155,7 @@ def note_sentence(note: Note) -> str:
         case NoteCode.IMMATERIAL:
             return (
                 f"{causes} is significant but immaterial: it changes the braking force by "
-                f"{number(100.0 * note.share, 2)} %, {_tolerance(note)}"
+                f"{rounded(100.0 * note.share, 2)} %, {_tolerance(note)}"
             )
         case NoteCode.NO_TRIGGER | NoteCode.OTHER_PLACES | NoteCode.OTHER_FORCE:
             assert note.contradicted is not None
@@ -168,7 +168,7 @@ def note_sentence(note: Note) -> str:
         case NoteCode.IMMATERIAL_REMAINDER:
             return (
                 f"a remainder along {remainder} is significant but immaterial: it is "
-                f"{number(100.0 * note.share, 2)} % of the braking force, {_tolerance(note)}"
+                f"{rounded(100.0 * note.share, 2)} % of the braking force, {_tolerance(note)}"
             )
         case NoteCode.INSIDE_CALIBRATION:
             return _inside_calibration_sentence(note)
@@ -192,7 +192,7 @@ def _inside_calibration_sentence(note: Note) -> str:
     are = "is" if len(found) == 1 else "are together"
     return (
         f"{' and '.join(found)} {are} significant but immaterial: brakes that all vary in the same "
-        f"way by {number(100.0 * note.share, 2)} % of the torque explain these runs at least as "
+        f"way by {rounded(100.0 * note.share, 2)} % of the torque explain these runs at least as "
         f"well, {_tolerance(note)}"
     )
 
@@ -208,7 +208,8 @@ def _contradicted_sentence(contradicted: Contradicted) -> str:
         )
     unit_of_window = "s" if contradicted.what is Contradiction.NO_TRIGGER else "m"
     spans = [
-        f"from {number(max(window.start, 0.0))} to {number(window.end)} {unit_of_window} in run {window.run}"
+        f"from {rounded(max(window.start, 0.0), 3)} to {rounded(window.end, 3)} {unit_of_window} "
+        f"in run {window.run}"
         for window in contradicted.windows[:MOST_RUNS_SHOWN]
     ]
     more = len(contradicted.windows) - len(spans)
@@ -227,7 +228,7 @@ def _contradicted_sentence(contradicted: Contradicted) -> str:
 def _tolerance(note: Note) -> str:
     """Return how an immaterial size compares with the declared calibration."""
     within = "inside" if note.share <= note.tolerance else "within twice"
-    return f"{within} your {number(100.0 * note.tolerance, 2)} % (calibration_fraction)"
+    return f"{within} your {rounded(100.0 * note.tolerance, 2)} % (calibration_fraction)"
 
 
 # --- remainder, and rejected causes ---
@@ -314,7 +315,7 @@ def story(diagnosis: Diagnosis) -> list[str]:
         most = max(inside, key=lambda note: note.share)
         lines.append(
             "The base model is consistent with this data within the declared calibration: what is "
-            f"statistically significant is {number(100.0 * most.share, 2)} % of the braking force, "
+            f"statistically significant is {rounded(100.0 * most.share, 2)} % of the braking force, "
             f"{_tolerance(most)}."
         )
     elif diagnosis.verdict == Verdict.CONSISTENT:
@@ -377,7 +378,7 @@ def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
         elif name != ALONE.name:
             values.append(_value_in_words(name, estimate))
     for kind, of_runs in windows.items():
-        span = f"{number(min(of_runs))} to {number(max(of_runs))}"
+        span = f"{rounded(min(of_runs), 3)} to {rounded(max(of_runs), 3)}"
         runs = "1 run" if len(of_runs) == 1 else f"{len(of_runs)} runs"
         values.append(f"{kind} = {span} in {runs} (each is in report.json)")
 
@@ -401,10 +402,10 @@ def _cause_sentences(identified: IdentifiedCause) -> Iterable[str]:
 
 def _value_in_words(name: str, estimate: Estimate) -> str:
     """Return a parameter with its interval; a constant of the form has none."""
-    value = f"{name} = {number(estimate.value)}"
+    value = f"{name} = {rounded(estimate.value, 3)}"
     if estimate.low == estimate.high:
         return f"{value}{unit(estimate.unit)}"
-    interval = f"{number(estimate.low)} to {number(estimate.high)}"
+    interval = f"{rounded(estimate.low, 3)} to {rounded(estimate.high, 3)}"
     return f"{value} ({interval}){unit(estimate.unit)}"
 
 

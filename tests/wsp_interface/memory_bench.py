@@ -19,12 +19,10 @@ from rollerrig.realtime.campaign import dry_stop
 from rollerrig.realtime.commands import sequence as command
 from rollerrig.realtime.loop import ring, tick
 from rollerrig.wsp_interface import events, magnets, signals
-from rollerrig.wsp_interface.harness_client import Event, TimeOutError, reception
+from rollerrig.wsp_interface.harness_client import Event, Harness, reception
 from rollerrig.wsp_interface.sequences import play, verdict
 from rollerrig.wsp_interface.sequences.record import Record
 from rollerrig.wsp_interface.signals import BENCH_NODE, BRAKE_NODE
-
-_TINY_S = 1e-9
 
 
 class Values(Mapping):
@@ -157,24 +155,9 @@ class MemoryBench:
         made = events.make(float(self._data.row[signals.column("time")]), code, **fields)
         self.events.append(Event(made.time_s, who, made.text, code, fields))
 
-    def wait(self, duration_s):
-        end_s = self.time_s + duration_s - _TINY_S
-        while self.time_s < end_s:
-            self.step()
-
-    def until(self, reached, timeout_s, hold_s):
-        begin_s = self.time_s
-        since_s = None
-        while True:
-            if not reached():
-                since_s = None
-            elif since_s is None:
-                since_s = self.time_s
-            if since_s is not None and self.time_s >= since_s + hold_s - _TINY_S:
-                return
-            if self.time_s > begin_s + timeout_s:
-                raise TimeOutError("the condition has not come true")
-            self.step()
+    # time passes as on a bench with a bus
+    wait = Harness.wait
+    until = Harness.until
 
     def read(self, name):
         place = self.table.place(name, BENCH_NODE)

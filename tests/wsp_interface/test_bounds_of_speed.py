@@ -161,7 +161,7 @@ def test_every_measure_takes_bounds_of_speed_or_states_why_not(measure):
     table = {"measure": measure.name, "max": 1e9, "above_m_s": 1.0, "below_m_s": 15.0}
     if not measure.whole:
         (limit,) = limits(table)
-        assert limit.what == f"{measure.name} above 1 m/s below 15 m/s"
+        assert limit.what == f"{measure.name} between 1 and 15 m/s"
         return
     with pytest.raises(ConfigError) as refused:
         limits(table)

@@ -189,7 +189,9 @@ def largest_m_s(sliding_m_s: np.ndarray) -> float:
 
 
 def mean_of_worst_m_s(sliding_m_s: np.ndarray) -> float:
-    """Return the mean sliding of the worst wheelset."""
+    """Return the mean sliding of the worst wheelset; NaN without a sample."""
+    if not sliding_m_s.size:
+        return NAN
     return float(sliding_m_s.mean(axis=1).max())
 
 

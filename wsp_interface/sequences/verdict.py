@@ -82,12 +82,16 @@ class Limit:
     @property
     def what(self) -> str:
         """The measure, with its bounds of speed."""
-        words = [self.measure]
-        if math.isfinite(self.above_m_s):
-            words.append(f"above {self.above_m_s:.4g} m/s")
-        if math.isfinite(self.below_m_s):
-            words.append(f"below {self.below_m_s:.4g} m/s")
-        return " ".join(words)
+        is_above = math.isfinite(self.above_m_s)
+        is_below = math.isfinite(self.below_m_s)
+        if is_above and is_below:
+            bounds = f"{rounded(self.above_m_s)} and {rounded(self.below_m_s)} m/s"
+            return f"{self.measure} between {bounds}"
+        if is_above:
+            return f"{self.measure} above {rounded(self.above_m_s)} m/s"
+        if is_below:
+            return f"{self.measure} below {rounded(self.below_m_s)} m/s"
+        return self.measure
 
     def replaces(self, other: "Limit") -> bool:
         """Whether a limit of a sequence replaces one of its profile."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from rollerrig.configs.number_text import rounded
 from rollerrig.realtime.reports.hints import sizes
 from rollerrig.rig.identify.base.by_run import ByRun, Quantity
 from rollerrig.rig.identify.decide.side_by_side import Apart, Common, Difference, SideBySide
@@ -92,15 +93,16 @@ def _difference(one: Difference, compared: SideBySide) -> str:
     is_less = value < 0.0
     if is_less:
         value, low, high = -value, -high, -low
-    number = sizes.number
-    return f"{text} is {number(value)} % {'lower' if is_less else 'higher'} ({number(low)} to {number(high)} %)"
+    value_text, low_text, high_text = (rounded(share, 3) for share in (value, low, high))
+    relation = "lower" if is_less else "higher"
+    return f"{text} is {value_text} % {relation} ({low_text} to {high_text} %)"
 
 
 def _of_cause(one: Difference) -> str:
     low, high = one.difference.interval()
     words = sizes.in_words(one.cause, one.difference.value)
-    span = f"{sizes.number(low)} to {sizes.number(high)}"
-    return f"{sizes.number(one.difference.value)} ({span}), {words}"
+    span = f"{rounded(low, 3)} to {rounded(high, 3)}"
+    return f"{rounded(one.difference.value, 3)} ({span}), {words}"
 
 
 def quantity_of(one: Difference, compared: SideBySide) -> ByRun:

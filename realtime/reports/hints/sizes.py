@@ -51,12 +51,6 @@ WORDS = {
 }
 
 
-def number(value: float, digits: int = 3) -> str:
-    """Return a number with so many significant digits, if possible without an exponent."""
-    rounded = float(f"{value:.{digits}g}")
-    return f"{rounded:g}"
-
-
 def in_words(name: str, size: float, digits: int = 2) -> str:
     """Return a size of a cause in words; `size` is that of its first parameter."""
     words = WORDS.get(name)
