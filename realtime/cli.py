@@ -44,7 +44,7 @@ from rollerrig.realtime.commands import (
     wsp,
 )
 from rollerrig.realtime.commands.datasets import importing
-from rollerrig.realtime.commands.evidence import etcs, programme
+from rollerrig.realtime.commands.evidence import brake_calculation, etcs, programme
 from rollerrig.realtime.commands.shell import completion, manual
 
 # exit statuses
@@ -227,6 +227,13 @@ VERBS = (
         etcs.call,
         "compute Kdry_rst and Kwet_rst from campaigns on dry and on wet rails",
         "rollerrig etcs campaigns/etcs_dry campaigns/etcs_wet --out reports/etcs",
+    ),
+    Verb(
+        "brake-calculation",
+        brake_calculation.arguments,
+        brake_calculation.call,
+        "compute stopping distance, response time and braked weight by mean values (EN 14531-1)",
+        "rollerrig brake-calculation dry_stop --speed 120 --speed 160",
     ),
     Verb(
         "explain",

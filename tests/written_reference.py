@@ -21,6 +21,7 @@ from rollerrig.realtime.campaign.components import failures, train
 from rollerrig.realtime.campaign.statistics import laws
 from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.reports.statistics import osrd
+from rollerrig.rig import brake_calculation
 from rollerrig.rig.mechanisms import table as mechanisms
 from rollerrig.wsp_interface import harness_client, signals
 from rollerrig.wsp_interface.sequences import conditions, measures, sequence, verdict
@@ -397,6 +398,16 @@ def other_keys():
         "The file that the option `--train` of `rollerrig etcs` names. [What it is for](campaigns.md#for-osrd).",
         "",
         *key_table(osrd.ROWS),
+        "",
+        "## Brake units",
+        "",
+        "At the top of a file of brake units. [What it is for](howto_brake_calculation.md).",
+        "",
+        *key_table(brake_calculation.TRAIN_ROWS),
+        "",
+        "`[[brake_unit]]`; the symbols are those of `rig/brake_calculation.py`:",
+        "",
+        *key_table(brake_calculation.UNIT_ROWS),
         "",
         "## Reference unit",
         "",

@@ -29,14 +29,14 @@ def distance_m(resolved: Mapping[str, Any], demands: tuple[tuple[float, float], 
     brake_times_s = [time_s for time_s, pressure_Pa in demands if pressure_Pa > 0.0]
     if not brake_times_s:
         return float("nan")
-    dry = _dry_scenario(resolved, demands)
+    dry = dry_scenario(resolved, demands)
     text = tomli_w.dumps(dry)
     if text not in _computed:
         _computed[text] = _compute(dry, brake_times_s[0])
     return _computed[text]
 
 
-def _dry_scenario(
+def dry_scenario(
     resolved: Mapping[str, Any], demands: tuple[tuple[float, float], ...]
 ) -> dict[str, Any]:
     """Return the scenario on dry rollers, with these demands until standstill."""

@@ -24,6 +24,7 @@ PAGES = (
     "howto_sequence.md",
     "howto_campaign.md",
     "howto_kdry.md",
+    "howto_brake_calculation.md",
     "howto_robot_ci.md",
 )
 # commands of the README that are not run here, and why
