@@ -11,12 +11,12 @@ from paper import large_sliding
 
 from rollerrig.configs import store
 from rollerrig.configs.number_text import rounded
-from rollerrig.configs.vehicle import COACH
+from rollerrig.configs.vehicle import COACH, EQUIPMENT_KEYS
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.campaign import campaign, design, speed_steps
+from rollerrig.realtime.campaign import campaign, combined, design, speed_steps
 from rollerrig.realtime.campaign.components import failures, train
 from rollerrig.realtime.campaign.statistics import laws
 from rollerrig.realtime.record import run_folder
@@ -392,6 +392,10 @@ def other_keys():
         "`[etcs]`, for the deceleration by steps of speed:",
         "",
         *key_table(speed_steps.ROWS),
+        "",
+        f"`[{combined.TABLE}.NAME]` has one key, `{combined.ISOLATES}`: a list of "
+        f"{' and '.join(f'`{name}`' for name in EQUIPMENT_KEYS)}. "
+        "[What it is for](campaigns.md#combinations-of-brakes).",
         "",
         "## Train for OSRD",
         "",

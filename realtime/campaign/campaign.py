@@ -28,11 +28,18 @@ from rollerrig.configs import store, table, unpacking, user_files
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_text, writing
 from rollerrig.configs.table import choice, integer
-from rollerrig.configs.vehicle import Kind
+from rollerrig.configs.vehicle import Kind, equipment_of
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import bench_runs, design, speed_steps, spreading, stops_in_lanes
+from rollerrig.realtime.campaign import (
+    bench_runs,
+    combined,
+    design,
+    speed_steps,
+    spreading,
+    stops_in_lanes,
+)
 from rollerrig.realtime.campaign.components import applied as applied_of
 from rollerrig.realtime.campaign.statistics import strata as strata_of
 from rollerrig.realtime.record import figures, played, summary
@@ -97,6 +104,14 @@ class Plan(NamedTuple):
     strata: tuple[strata_of.Stratum, ...] = ()
     # what inputs of single units and failures do to a run
     applied: applied_of.Applied | None = None
+    # the combination of brakes: its name, and the equipment that it isolates
+    combination: str = ""
+    isolates: tuple[str, ...] = ()
+
+    @property
+    def isolating(self) -> tuple[str, ...]:
+        """What isolates the equipment, in the form of `--set`."""
+        return combined.isolating(self.isolates)
 
     def stratum_of(self, number: int) -> int:
         """Return the number of the stratum of a run of a stratified design."""
@@ -119,11 +134,19 @@ class Plan(NamedTuple):
 # --- the plan ---
 
 # the tables of a plan, next to the values at its top
-TABLES = ("vary", "inputs", "correlation", "failures", "etcs")
+TABLES = ("vary", "inputs", "correlation", "failures", "etcs", combined.TABLE)
 
 
-def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: Any) -> Plan:
+def load(
+    name: str,
+    allow_code: bool = False,
+    unit_command: str = "",
+    combination: str = "",
+    **heads: Any,
+) -> Plan:
     """Return a plan by name or path; `heads` replace values at its top. Raises ConfigError.
+
+    `combination` is one of the plan's [combinations]; without one all brakes act.
 
     A unit that is a Python function is refused without `allow_code`, because a plan is data, and
     data runs no code. `unit_command` is a command that starts a unit for each run, which the user
@@ -138,6 +161,8 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
     correlations = content.pop("correlation", [])
     failures = content.pop("failures", None)
     steps_table = content.pop("etcs", None)
+    isolates = combined.read(name)[combination] if combination else ()
+    content.pop(combined.TABLE, None)
     head = table.read(ROWS, content, str(path))
     if "chunk" not in content and design.is_large(head):
         head["chunk"] = _LARGE_CHUNK
@@ -147,11 +172,16 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
 
     base = None
     if design.needs_vehicle(inputs, failures):
-        base = scenario.load(head["scenario"], "", ()).resolved
+        base = scenario.load(head["scenario"], "", combined.isolating(isolates)).resolved
     drawn = design.points(vary, inputs, correlations, head, path, failures, base)
     steps = None
     if steps_table is not None:
         steps = speed_steps.read(steps_table, f"{path} [etcs]")
+        if combination and steps.nominal_m_s2:
+            raise ConfigError(
+                f"{path} [etcs] nominal_m_s2: each combination has its own nominal deceleration; remove "
+                "it, and a run without variation gives it"
+            )
     plan = Plan(
         head,
         drawn.axes,
@@ -161,7 +191,10 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
         steps=steps,
         strata=drawn.strata,
         applied=drawn.applied,
+        combination=combination,
+        isolates=isolates,
     )
+    _check_equipment(plan, path)
     if unit_command:
         head["unit"] = unit_choice.check(f"{unit_choice.COMMAND}{unit_command}")
     else:
@@ -173,6 +206,19 @@ def load(name: str, allow_code: bool = False, unit_command: str = "", **heads: A
     return plan
 
 
+def _check_equipment(plan: Plan, path: Path) -> None:
+    """Raise ConfigError if the vehicle does not have the equipment that a combination isolates."""
+    if not plan.isolates:
+        return
+    has = equipment_of(scenario.load(plan.head["scenario"], "", ()).resolved)
+    for name in plan.isolates:
+        if name not in has:
+            raise ConfigError(
+                f"{path} [combinations.{plan.combination}]: {plan.head['scenario']} has no {name} that "
+                "acts; remove it from isolates, or choose a scenario with it"
+            )
+
+
 def _check_failures(plan: Plan, path: Path) -> None:
     """Raise ConfigError unless the scenario allows each component to fail."""
     if plan.applied is None:
@@ -182,7 +228,8 @@ def _check_failures(plan: Plan, path: Path) -> None:
     for failure in plan.applied.failures:
         for unit in failure.effects:
             try:
-                _load(plan, *plan.applied.changes(values | {failure.column: str(unit)}))
+                settings, faults = plan.applied.changes(values | {failure.column: str(unit)})
+                _load(plan, (*plan.isolating, *settings), faults)
             except ConfigError as error:
                 raise ConfigError(f"{path} [failures] {failure.name}: {error}") from None
 
@@ -304,8 +351,10 @@ def changes(plan: Plan, number: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return what run `number` changes: texts in the form of `--set`, and of `--fault`."""
     values = dict(zip(plan.axes, plan.points[number - plan.first], strict=True))
     if plan.applied is not None:
-        return plan.applied.changes(values)
-    return tuple(f"{key}={json.dumps(value)}" for key, value in values.items()), ()
+        settings, faults = plan.applied.changes(values)
+        return (*plan.isolating, *settings), faults
+    settings = tuple(f"{key}={json.dumps(value)}" for key, value in values.items())
+    return (*plan.isolating, *settings), ()
 
 
 def command(plan: Plan, number: int) -> str:
@@ -358,7 +407,7 @@ def run_chunk(plan: Plan, chunk: int) -> list[Row]:
             if done.error is None:
                 _fill(row, done.summary)
                 if plan.steps is not None:
-                    row |= speed_steps.decelerations(done.channels, plan.steps)
+                    row |= speed_steps.figures(done.channels, plan.steps)
         return list(rows.values())
 
     rows = once(of_chunk)
@@ -404,7 +453,7 @@ def _compute(
             _fill(row, summarize(finished, plan.head["unit"]))
             row[STEP] = finished.plan["loop"][STEP]
             if plan.steps is not None:
-                row |= speed_steps.decelerations(finished.channels, plan.steps)
+                row |= speed_steps.figures(finished.channels, plan.steps)
 
 
 class Again(NamedTuple):
@@ -475,7 +524,7 @@ def empty_row(plan: Plan, number: int, point: tuple[Any, ...]) -> Row:
         *("stopped", "ended", "valid", "invalid_because", "warnings"),
         *figures.BY_NAME,
         *("config_hash", "error", STEP, MISSED),
-        *(plan.steps.columns if plan.steps else ()),
+        *((*plan.steps.columns, speed_steps.BUILD_UP) if plan.steps else ()),
     )
     inputs = dict(zip(plan.axes, point, strict=True))
     return row | inputs | dict.fromkeys(results)
@@ -539,6 +588,7 @@ def _manifest(plan: Plan, found: str) -> dict[str, Any]:
         "etcs": plan.steps._asdict() if plan.steps else None,
         "components": plan.applied.as_json() if plan.applied else None,
         "strata": [found._asdict() for found in plan.strata],
+        "combination": {"name": plan.combination, combined.ISOLATES: plan.isolates},
     }
 
 
@@ -590,6 +640,8 @@ def fingerprint(plan: Plan) -> str:
         of_plan += [plan.applied.as_json(), plan.strata]
     if plan.steps is not None:
         of_plan.append(plan.steps)
+    if plan.isolates:
+        of_plan.append(plan.isolates)
     if plan.is_large:
         of_plan.append(rows_up_to)
     identity = json.dumps(of_plan, sort_keys=True)

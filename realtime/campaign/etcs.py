@@ -13,9 +13,11 @@ import numpy as np
 
 from rollerrig.configs import user_files
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import EQUIPMENT_KEYS
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.campaign import (
     campaign,
+    combined,
     design,
     large,
     outcome,
@@ -23,7 +25,7 @@ from rollerrig.realtime.campaign import (
     stopping,
     stops_in_lanes,
 )
-from rollerrig.realtime.campaign.statistics import corrections, draws, strata
+from rollerrig.realtime.campaign.statistics import corrections, draws, quantiles, strata
 
 NOT_A_CERTIFICATE = (
     "Not a certificate: these numbers show what this model did over the laws of its inputs. They "
@@ -73,6 +75,8 @@ class Sample(NamedTuple):
     folder: of its results.
     steps: of its plan.
     by_step: the decelerations of each step.
+    build_up_s: the times of the build-up [V2]; None where they are not kept.
+    isolates: equipment that its combination isolates.
     runs, left_out: all runs, and those that failed or are not valid and do not count.
     head: the top of the plan. sources: the laws of its inputs.
     digest: of all files of the results.
@@ -81,6 +85,8 @@ class Sample(NamedTuple):
     folder: Path
     steps: speed_steps.Steps
     by_step: list[Step]
+    build_up_s: draws.Draws | strata.Sample | None
+    isolates: tuple[str, ...]
     runs: int
     left_out: int
     head: dict[str, Any]
@@ -112,9 +118,13 @@ def sample(folder: Path) -> Sample:
         )
     of_plan = strata.from_json(content.get("strata", []), str(folder / "plan.json"))
     is_large = large.is_in(folder)
-    by_step, runs, left_out = (
+    by_step, build_up_s, runs, left_out = (
         _of_large(folder, steps) if is_large else _of_rows(folder, steps, of_plan)
     )
+    isolates = tuple((content.get("combination") or {}).get(combined.ISOLATES, ()))
+    for name in isolates:
+        if name not in EQUIPMENT_KEYS:
+            raise ConfigError(f"{folder / 'plan.json'}: isolates {name!r}; repeat its campaign")
     if runs != content.get("runs"):
         raise ConfigError(
             f"{folder}: has {runs} of {content.get('runs')} runs; repeat its 'rollerrig campaign' to "
@@ -124,6 +134,8 @@ def sample(folder: Path) -> Sample:
         folder,
         steps,
         by_step,
+        build_up_s,
+        isolates,
         runs=runs,
         left_out=left_out,
         head=head,
@@ -134,8 +146,10 @@ def sample(folder: Path) -> Sample:
 
 def _of_rows(
     folder: Path, steps: speed_steps.Steps, of_plan: tuple[strata.Stratum, ...]
-) -> tuple[list[Step], int, int]:
-    """Return the decelerations of each step, the number of runs, and of those left out."""
+) -> tuple[list[Step], draws.Draws | strata.Sample | None, int, int]:
+    """Return the decelerations of each step, the times of the build-up, the number of runs, and of
+    those left out.
+    """
     table = campaign.result(folder)
     counts, _ = stopping.counted(table)
     by_step = []
@@ -147,7 +161,14 @@ def _of_rows(
             by_step.append(Step(weakness, _moments(weakness)))
         else:
             by_step.append(Step(weakness, draws.moments(values_m_s2[known])))
-    return by_step, table.num_rows, int((~counts).sum())
+    build_up_s = None
+    # an earlier version had no such column
+    if speed_steps.BUILD_UP in table.column_names:
+        times_s = table[speed_steps.BUILD_UP].to_numpy().astype(float)
+        known = counts & np.isfinite(times_s)
+        if known.any():
+            build_up_s = outcome.sample(table, known, times_s[known], of_plan)
+    return by_step, build_up_s, table.num_rows, int((~counts).sum())
 
 
 def _moments(weakness: strata.Sample) -> draws.Moments:
@@ -159,12 +180,14 @@ def _moments(weakness: strata.Sample) -> draws.Moments:
     return draws.Moments(number, -mean, variance * number * (number - 1))
 
 
-def _of_large(folder: Path, steps: speed_steps.Steps) -> tuple[list[Step], int, int]:
+def _of_large(
+    folder: Path, steps: speed_steps.Steps
+) -> tuple[list[Step], draws.Draws | strata.Sample | None, int, int]:
     """Return the same of a campaign without rows of all runs."""
     kept = large.read((large.DISTANCE, *steps.columns), folder)
     whole = kept.whole
     by_step = [Step(kept.draws(column), whole.moments[column]) for column in steps.columns]
-    return by_step, whole.runs, whole.runs - whole.counted
+    return by_step, None, whole.runs, whole.runs - whole.counted
 
 
 def _digest(folder: Path) -> str:
@@ -176,22 +199,33 @@ def _digest(folder: Path) -> str:
     return found.hexdigest()
 
 
-def nominal_m_s2(dry: Sample) -> tuple[float, ...]:
+class Nominal(NamedTuple):
+    """The stop without variation: the deceleration of each step in m/s2, and its build-up [V2].
+
+    build_up_s: None if the plan gives the decelerations, or the stop has no such time.
+    """
+
+    by_step_m_s2: tuple[float, ...]
+    build_up_s: float | None
+
+
+def nominal(dry: Sample) -> Nominal:
     """Return the nominal deceleration of each step: of the plan, or of one run without variation.
 
     Raises ConfigError if that run does not have a step.
     """
     if dry.steps.nominal_m_s2:
-        return dry.steps.nominal_m_s2
+        return Nominal(dry.steps.nominal_m_s2, None)
     unit = str(dry.head["unit"])
     if unit not in ("reference", "none"):
         raise ConfigError(
             f"{dry.folder}: unit = '{unit}' is code; give nominal_m_s2 in [etcs], one number per step"
         )
-    resolved = scenario.load(str(dry.head["scenario"]), "", ())
+    settings = combined.isolating(dry.isolates)
+    resolved = scenario.load(str(dry.head["scenario"]), "", settings)
     free.check(resolved)
     (finished,) = stops_in_lanes.together([("nominal", resolved)], unit)
-    found = speed_steps.decelerations(finished.channels, dry.steps)
+    found = speed_steps.figures(finished.channels, dry.steps)
     values = []
     for column, (low_km_h, high_km_h) in zip(dry.steps.columns, dry.steps.pairs_km_h, strict=True):
         value = found[column]
@@ -201,7 +235,30 @@ def nominal_m_s2(dry: Sample) -> tuple[float, ...]:
                 f"{high_km_h:g} to {low_km_h:g} km/h; begin faster, or give nominal_m_s2 in [etcs]"
             )
         values.append(value)
-    return tuple(values)
+    return Nominal(tuple(values), found[speed_steps.BUILD_UP])
+
+
+def _build_up(dry: Sample, nominal_s: float | None, confidence: float) -> dict[str, Any] | None:
+    """Return the nominal time of the build-up, and the time that each level exceeds.
+
+    Only independent draws have a bound: the strata are ordered by strength, not by time.
+    """
+    times = dry.build_up_s
+    if times is None or nominal_s is None:
+        return None
+    levels = []
+    for level in corrections.LEVELS:
+        share = corrections.failing_share(level)
+        bound = None
+        if isinstance(times, strata.Sample):
+            estimate = times.quantile(share)
+        else:
+            found = quantiles.upper_bound(times, 1.0 - share, confidence)
+            reached = math.isfinite(found.bound)
+            estimate = found.estimate if reached else math.nan
+            bound = _number(found.bound) if reached else None
+        levels.append({"m_nvebcl": level, "estimate_s": _number(estimate), "bound_s": bound})
+    return {"nominal_s": nominal_s, "levels": levels}
 
 
 def table(
@@ -217,7 +274,8 @@ def table(
             f"{wet.folder}: has the steps {list(wet.steps.speeds_km_h)} km/h and {dry.folder} has "
             f"{list(dry.steps.speeds_km_h)}; give both plans the same speeds_km_h"
         )
-    nominal = nominal_m_s2(dry)
+    found_nominal = nominal(dry)
+    nominal_m_s2 = found_nominal.by_step_m_s2
     rows = []
     for place, (low_km_h, high_km_h) in enumerate(dry.steps.pairs_km_h):
         of_dry = dry.by_step[place]
@@ -226,7 +284,7 @@ def table(
                 f"{dry.folder}: no run has a deceleration from {high_km_h:g} to {low_km_h:g} km/h; "
                 "begin faster, or remove this step from speeds_km_h"
             )
-        found = corrections.corrections(of_dry.weakness.divided(nominal[place]), confidence)
+        found = corrections.corrections(of_dry.weakness.divided(nominal_m_s2[place]), confidence)
         wet_ratio = None
         if wet is not None:
             wet_ratio = corrections.wet_ratio(
@@ -238,9 +296,9 @@ def table(
                 "to_km_h": high_km_h,
                 "runs_dry": of_dry.size,
                 "runs_wet": wet.by_step[place].size if wet is not None else 0,
-                "nominal_m_s2": nominal[place],
+                "nominal_m_s2": nominal_m_s2[place],
                 "kdry_rst": [
-                    _level(correction, nominal[place], wet_ratio, available_adhesion)
+                    _level(correction, nominal_m_s2[place], wet_ratio, available_adhesion)
                     for correction in found
                 ],
                 "kwet_rst": _wet(wet_ratio),
@@ -257,6 +315,8 @@ def table(
         "dry": _origin(dry),
         "wet": _origin(wet) if wet is not None else None,
         "steps": rows,
+        "build_up": _build_up(dry, found_nominal.build_up_s, confidence),
+        "isolates": list(dry.isolates),
     }
 
 

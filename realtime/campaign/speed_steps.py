@@ -4,8 +4,10 @@
      the first sample at or below v_high at which the brake force has built up; 2 is the first
      sample at or below v_low. The lowest step ends at standstill.
 
-The build-up is no part of a deceleration: a brake model has a time for it. The brake force counts
-as built up `build_up_s` after the first brake demand.
+[V2] The build-up is no part of a deceleration: a brake model has a time for it. The brake force
+     counts as built up `build_up_s` (t_b) after the first brake demand. The time of the model is
+     t_b - (v_0 - v_b) / a: a brake that begins so much later, at once with the deceleration a, has
+     the same speed v_b at t_b. v_0 is the speed at the demand, a that of the highest step.
 """
 
 import itertools
@@ -21,6 +23,8 @@ from rollerrig.wsp_interface import braking
 KM_H = 3.6
 # the channels of a run that `decelerations` needs
 CHANNELS = ("time_s", "brake_demand_Pa", "vehicle_speed_m_s", "position_m")
+# column of the time of [V2]
+BUILD_UP = "build_up_time_s"
 # the part of a step that a stop must have, so that its deceleration stands for the step
 LEAST_PART = 0.5
 # keys of [etcs] in a plan
@@ -94,6 +98,32 @@ def decelerations(channels: Mapping[str, np.ndarray], steps: Steps) -> dict[str,
             high_km_h / KM_H,
         )
     return found
+
+
+def build_up_time_s(
+    channels: Mapping[str, np.ndarray], steps: Steps, found: Mapping[str, float | None]
+) -> float | None:
+    """Return the time of the build-up in s from the decelerations of a stop [V2].
+
+    None: the brake had not built up before standstill, or no step has a deceleration.
+    """
+    known = [value for column in steps.columns if (value := found[column])]
+    begin = braking.begin(channels["brake_demand_Pa"])
+    if begin is None or not known:
+        return None
+    time_s = channels["time_s"]
+    speed_m_s = channels["vehicle_speed_m_s"]
+    built_up = int(np.searchsorted(time_s, time_s[begin] + steps.build_up_s))
+    if built_up >= speed_m_s.size or speed_m_s[built_up] <= braking.STANDS_M_S:
+        return None
+    lost_m_s = float(speed_m_s[begin] - speed_m_s[built_up])
+    return float(time_s[built_up] - time_s[begin]) - lost_m_s / known[-1]
+
+
+def figures(channels: Mapping[str, np.ndarray], steps: Steps) -> dict[str, float | None]:
+    """Return the deceleration of each step [V1] and the time of the build-up [V2] of a stop."""
+    found = decelerations(channels, steps)
+    return found | {BUILD_UP: build_up_time_s(channels, steps, found)}
 
 
 def _deceleration(

@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import cores, interruption
@@ -68,18 +68,56 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 def call(options: argparse.Namespace) -> int:
     """Do the runs of a plan that are not done yet, and write the report.
 
-    Returns FAILED if a run had an error, INVALID if a run is not valid, and otherwise PASS.
+    A plan with combinations of brakes is one campaign for each, in a folder of its name. Returns
+    FAILED if a run had an error, INVALID if a run is not valid, and otherwise PASS.
     """
-    from rollerrig.realtime.campaign import campaign, large, outcome, stopping
-    from rollerrig.realtime.record import figures
-    from rollerrig.realtime.reports import campaign as campaign_report
+    from rollerrig.realtime.campaign import campaign, combined
     from rollerrig.realtime.reports import pdf
 
     # all that can be wrong is checked before the first run
     if options.pdf:
         pdf.check()
     about = output.about(options)
-    plan = campaign.load(options.plan, options.allow_code, options.unit)
+    names = tuple(combined.read(options.plan)) or ("",)
+    plans = [
+        campaign.load(options.plan, options.allow_code, options.unit, combination)
+        for combination in names
+    ]
+    for plan in plans:
+        _check(options, plan)
+
+    out = options.out or Path("campaigns") / Path(options.plan).stem
+    if names == ("",):
+        return _show(options, [_play(options, plans[0], out, about)])
+    combined.claim(out, names)
+    done = []
+    for number, plan in enumerate(plans, start=1):
+        what = ", ".join(plan.isolates) or "nothing"
+        output.print_message(
+            f"combination {number} of {len(plans)}: {plan.combination} (isolates {what})"
+        )
+        done.append(_play(options, plan, out / plan.combination, about))
+    return _show(options, done)
+
+
+class _Done(NamedTuple):
+    """A campaign that is done.
+
+    status: of the command line. result: for programs. table: as `output.show` prints it.
+    lines: in words.
+    """
+
+    status: int
+    result: dict[str, Any]
+    table: tuple[Any, ...]
+    lines: list[str]
+
+
+def _check(options: argparse.Namespace, plan: "Plan") -> None:
+    """Raise ConfigError if an option does not fit a plan."""
+    from rollerrig.realtime.campaign import large
+    from rollerrig.realtime.record import figures
+
     if options.worst not in figures.BY_NAME:
         hint = nearest(options.worst, figures.BY_NAME)
         raise ConfigError(f"--worst {options.worst}: there is no such figure{hint}")
@@ -87,7 +125,6 @@ def call(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--workers {options.workers}: allowed are numbers from 1, or 0 for the number of cores"
         )
-
     if plan.is_large and options.worst != large.DISTANCE:
         raise ConfigError(
             f"--worst {options.worst}: of more than {plan.head['rows_up_to']} runs only those with the "
@@ -95,7 +132,27 @@ def call(options: argparse.Namespace) -> int:
             "rows_up_to in the plan"
         )
 
-    out = options.out or Path("campaigns") / Path(options.plan).stem
+
+def _show(options: argparse.Namespace, done: list[_Done]) -> int:
+    """Print campaigns that are done; return the exit status."""
+    result = done[0].result
+    items: list[Any] = []
+    for one in done:
+        items += [one.table, *one.lines]
+    if len(done) > 1:
+        result = {"combinations": {one.result["combination"]: one.result for one in done}}
+    output.show(options, result, *items)
+    statuses = {one.status for one in done}
+    return next(
+        (status for status in (output.FAILED, output.INVALID) if status in statuses), output.PASS
+    )
+
+
+def _play(options: argparse.Namespace, plan: "Plan", out: Path, about: dict[str, str]) -> _Done:
+    """Do the runs of one plan that are not done yet, and write its report."""
+    from rollerrig.realtime.campaign import campaign, outcome, stopping
+    from rollerrig.realtime.reports import campaign as campaign_report
+
     # without it SIGTERM would end this process before it has stopped its workers
     with interruption.Interruption():
         _run_chunks(options, plan, out)
@@ -117,37 +174,37 @@ def call(options: argparse.Namespace) -> int:
         lines.append(sentence)
     lines.append(f"report: {report}")
 
-    output.show(
-        options,
-        {
-            "folder": str(out),
-            "runs": found.runs,
-            "failed": found.failed,
-            "not_valid": found.not_valid,
-            "step": {
-                "step_s": plan.head[campaign.STEP],
-                "ran_again": found.again[0],
-                "largest_deviation": found.again[1],
-            },
-            "report": str(report),
-            "worst": worst,
-            "stopping_distance": stopping.bounds(found.distance_m),
-            "tail": stopping.extrapolated(plan, found.distance_m),
-            "not_valid_runs": not_valid,
-            "warnings": [
-                *campaign_report.contradictions(plan, about),
-                *campaign_report.warnings(found),
-            ],
+    result = {
+        "folder": str(out),
+        "combination": plan.combination or None,
+        "runs": found.runs,
+        "failed": found.failed,
+        "not_valid": found.not_valid,
+        "step": {
+            "step_s": plan.head[campaign.STEP],
+            "ran_again": found.again[0],
+            "largest_deviation": found.again[1],
         },
-        (plan.head["title"] or None, campaign_report.HEAD, campaign_report.cells(found)),
-        *lines,
-    )
-
-    if found.failed:
-        return output.FAILED
+        "report": str(report),
+        "worst": worst,
+        "stopping_distance": stopping.bounds(found.distance_m),
+        "tail": stopping.extrapolated(plan, found.distance_m),
+        "not_valid_runs": not_valid,
+        "warnings": [
+            *campaign_report.contradictions(plan, about),
+            *campaign_report.warnings(found),
+        ],
+    }
+    title = plan.head["title"] or None
+    if plan.combination:
+        title = f"{plan.head['title']} [{plan.combination}]".strip()
+    status = output.PASS
     if found.not_valid:
-        return output.INVALID
-    return output.PASS
+        status = output.INVALID
+    if found.failed:
+        status = output.FAILED
+    table = (title, campaign_report.HEAD, campaign_report.cells(found))
+    return _Done(status, result, table, lines)
 
 
 def _run_chunks(options: argparse.Namespace, plan: "Plan", out: Path) -> None:

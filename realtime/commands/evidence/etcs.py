@@ -2,9 +2,13 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output
+
+if TYPE_CHECKING:
+    from rollerrig.realtime.campaign import etcs
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,9 +33,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--format",
         default="page",
-        choices=("page", "osrd"),
-        help="osrd: write osrd.json as well, the etcs_brake_params of a rolling stock of OSRD "
-        "(default: page)",
+        choices=("page", "osrd", "brake-models"),
+        help="osrd: write osrd.json as well, the etcs_brake_params of a rolling stock of OSRD; "
+        "brake-models: write brake_models.csv as well, a row for each combination of brakes and step "
+        "of speed (default: page)",
     )
     parser.add_argument(
         "--ebcl",
@@ -53,11 +58,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
 
 def call(options: argparse.Namespace) -> int:
     """Write the correction factors of two campaigns, and print them. Raises ConfigError."""
-    from rollerrig.realtime.campaign import etcs
-    from rollerrig.realtime.campaign.statistics import corrections
+    from rollerrig.realtime.campaign import combined, etcs
     from rollerrig.realtime.reports import pdf
+    from rollerrig.realtime.reports.statistics import brake_models, osrd
     from rollerrig.realtime.reports.statistics import etcs as etcs_report
-    from rollerrig.realtime.reports.statistics import osrd
 
     if options.pdf:
         pdf.check()
@@ -65,32 +69,68 @@ def call(options: argparse.Namespace) -> int:
         raise ConfigError(
             f"--available-adhesion {options.available_adhesion:g}: allowed are 0 to 1"
         )
-    train = None
-    if options.format == "osrd":
-        if options.ebcl not in corrections.LEVELS:
-            raise ConfigError(f"--ebcl {options.ebcl}: allowed are 0 to 9")
-        if options.train is None:
-            names = ", ".join(row.name for row in osrd.ROWS)
-            raise ConfigError(
-                "--format osrd needs --train FILE, a TOML file with what no campaign knows: "
-                + names
-            )
-        train = osrd.read(options.train)
-    elif options.train is not None:
-        raise ConfigError("--train is for --format osrd; add it, or remove --train")
-    dry = etcs.sample(options.dry)
-    wet = etcs.sample(options.wet) if options.wet else None
-    table = etcs.table(dry, wet, options.available_adhesion)
+    train = _train(options)
+    names = combined.names_in(options.dry)
+    tables = {}
+    files: list[Path] = []
     out = options.out or options.dry
-    files = etcs_report.write(table, out, options.pdf)
-    if train is not None:
-        files.insert(0, osrd.write(osrd.parameters(table, options.ebcl, train), out))
-    # a terminal is too narrow for a column per confidence level: here each level is a row
-    head, *rows = zip(etcs_report.HEAD, *etcs_report.rows(table), strict=True)
+    for name in names or ("",):
+        table = etcs.table(
+            etcs.sample(options.dry / name), _wet(options, name), options.available_adhesion
+        )
+        tables[name or "all"] = table
+        files += etcs_report.write(table, out / name, options.pdf)
+        if train is not None:
+            files.insert(0, osrd.write(osrd.parameters(table, options.ebcl, train), out / name))
+    if options.format == "brake-models":
+        files.insert(0, brake_models.write(tables, out))
+    result = next(iter(tables.values()))
+    if names:
+        result = {combined.TABLE: tables}
+    title = "Kdry_rst (lower bound) and Kwet_rst"
+    items: list[Any] = []
+    for name, table in tables.items():
+        # a terminal is too narrow for a column per confidence level: here each level is a row
+        head, *rows = zip(etcs_report.HEAD, *etcs_report.rows(table), strict=True)
+        items.append((f"{title} [{name}]" if names else title, head, rows))
     return output.show(
         options,
-        table | {"files": [str(file) for file in files]},
-        ("Kdry_rst (lower bound) and Kwet_rst", head, rows),
+        result | {"files": [str(file) for file in files]},
+        *items,
         etcs.NOT_A_CERTIFICATE,
         f"report: {files[-1]}",
     )
+
+
+def _train(options: argparse.Namespace) -> dict[str, float] | None:
+    """Return the values for OSRD that no campaign knows; None for other formats."""
+    from rollerrig.realtime.campaign.statistics import corrections
+    from rollerrig.realtime.reports.statistics import osrd
+
+    if options.format != "osrd":
+        if options.train is not None:
+            raise ConfigError("--train is for --format osrd; add it, or remove --train")
+        return None
+    if options.ebcl not in corrections.LEVELS:
+        raise ConfigError(f"--ebcl {options.ebcl}: allowed are 0 to 9")
+    if options.train is None:
+        names = ", ".join(row.name for row in osrd.ROWS)
+        raise ConfigError(
+            "--format osrd needs --train FILE, a TOML file with what no campaign knows: " + names
+        )
+    return osrd.read(options.train)
+
+
+def _wet(options: argparse.Namespace, name: str) -> "etcs.Sample | None":
+    """Return the campaign on wet rails of a combination: in its folder, or one for all."""
+    from rollerrig.realtime.campaign import combined, etcs
+
+    if not options.wet:
+        return None
+    names = combined.names_in(options.wet)
+    if names and name not in names:
+        raise ConfigError(
+            f"{options.wet}: has the combinations {', '.join(names)}, and not {name or 'one for all'}; "
+            "give both plans the same combinations"
+        )
+    return etcs.sample(options.wet / name if names else options.wet)

@@ -118,6 +118,7 @@ def _page(table: Table) -> str:
             [_level_row(step, level) for step in table["steps"] for level in step["kdry_rst"]],
         ),
         *_wet(table, confidence),
+        *_build_up(table, confidence),
         page.element("h2", "What this assumes"),
         *(page.paragraph(text) for text in table["assumptions"]),
         page.element("h2", "Campaigns"),
@@ -140,6 +141,33 @@ def _wet(table: Table, confidence: str) -> list[page.Markup]:
         found.append((_step(step), _near(wet["estimate"]), interval, runs))
     head = ("V, km/h", "Kwet_rst", f"interval of {confidence}", "runs")
     return [page.element("h2", "Kwet_rst"), page.table(head, found)]
+
+
+def _build_up(table: Table, confidence: str) -> list[page.Markup]:
+    """Return the times of the build-up; empty where there are none."""
+    found = table["build_up"]
+    if found is None:
+        return []
+    rows_of_page = [
+        (str(level["m_nvebcl"]), _near(level["estimate_s"]), _near(level["bound_s"]))
+        for level in found["levels"]
+        if level["estimate_s"] is not None
+    ]
+    return [
+        page.element("h2", "Build-up of the brake"),
+        page.paragraph(
+            f"Nominal: {_near(found['nominal_s'])} s. A brake that begins so much later, at once with "
+            "the deceleration of the highest step, has the same speed after the build-up."
+        ),
+        page.table(
+            (
+                "M_NVEBCL",
+                "exceeded with the probability of the level, s",
+                f"bound of {confidence}, s",
+            ),
+            rows_of_page,
+        ),
+    ]
 
 
 def _campaign(name: str, origin: Mapping[str, Any]) -> list[page.Markup]:
