@@ -31,7 +31,7 @@ FLOORS = {
         "multibody",
         "dynamic_params track_brake_params",
         "params state",
-        "adhesion_profile brake heat motor surface vehicle",
+        "adhesion_profile brake brake_calculation heat motor surface vehicle",
         "dynamic_brake track_brake",
         "wheelset",
         "plant",
