@@ -71,6 +71,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="run a WSP that is an FMU instead of the reference; may be repeated if all FMUs have "
         "a CAN port (FMI-LS-BUS)",
     )
+    parser.add_argument(
+        "--replay",
+        type=Path,
+        metavar="FILE",
+        help="send again what a unit has sent in a log of the bus (candump .log, .blf, .asc, .trc), "
+        "instead of the reference; its SYNCs are those of the run",
+    )
     map_argument(parser)
     parser.add_argument(
         "--step",
@@ -200,11 +207,15 @@ def call(options: argparse.Namespace) -> int:
     if options.log:
         _redirect_output(options.log)
     _leave_core(options.leave_core)
+    if options.fmu and options.replay:
+        raise ConfigError("--fmu and --replay are two units; give one of them")
     if options.fmu:
         return _run_fmus(options)
 
     from rollerrig.firmware_sim.wsp import node
 
+    if options.replay:
+        return _replay(options)
     return node.main(
         bus_address=options.bus,
         config=options.config,
@@ -212,6 +223,20 @@ def call(options: argparse.Namespace) -> int:
         lockstep_s=options.lockstep,
         group=options.group,
         kind=_kind(options),
+    )
+
+
+def _replay(options: argparse.Namespace) -> int:
+    """Run the unit of a log. Raises ConfigError before the bus is opened."""
+    from rollerrig.firmware_sim.wsp import node, replay
+
+    frames = node.frames_of_group(_kind(options), options.group)
+    found = replay.read(options.replay, frames)
+    return node.serve(
+        lambda bus: replay.Replay(bus, found, frames, options.lockstep),
+        options.bus,
+        options.priority,
+        options.lockstep,
     )
 
 
