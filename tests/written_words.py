@@ -1,6 +1,6 @@
 """Counts the words of the documents that people write, without what is generated.
 
-    python tests/words.py                # words by page, and their sum
+    python tests/written_words.py                # words by page, and their sum
 
 Generated are whole pages and tables that `make docs` writes, sections that a benchmark writes with
 `--markdown`, and the table of measured data that `rig/identify/measured_page.py` writes.
@@ -25,7 +25,7 @@ OTHER_TABLES = {
     "measured.md": ("| set | known independently | what `explain` answers | judged |",),
     "compiled_kernels.md": ("| trick | task | with, s | without, s | saved, s |",),
 }
-# a section of docs/performance.md begins with the date and the machine of its measurement
+# a section that a benchmark writes begins with the date and the machine of its measurement
 MEASURED_SECTION = re.compile(r"^## .+\n\n20\d\d-\d\d-\d\d, (?:.*\n)+?(?=## |\Z)", re.MULTILINE)
 
 
@@ -44,8 +44,7 @@ def written(path: Path) -> int:
     for head in heads:
         table = re.compile(rf"^{re.escape(head)}\n(?:\|.*\n)+", re.MULTILINE)
         text = table.sub("", text)
-    if path.name == "performance.md":
-        text = MEASURED_SECTION.sub("", text)
+    text = MEASURED_SECTION.sub("", text)
     return len(text.split())
 
 
