@@ -32,7 +32,7 @@ NAMES = [path.name for path in PAGES]
 ROOMS = ("rig", "firmware_sim", "wsp_interface", "realtime", "configs", "tests", "docs", ".ci")
 LONGEST_README = 130
 # Words of docs/, CHANGELOG.md and DECISIONS.md without what is generated. The aim is 65,000: this
-# number only falls. Whoever needs more words shortens another page: `python tests/written_words.py`.
+# number only falls. If a page needs more words, shorten another: `python tests/written_words.py`.
 MOST_WORDS = 80000
 # pages that a reader finds from the README, by links
 MOST_CLICKS = 2
