@@ -18,6 +18,7 @@ from generator.keep import KEPT
 from robot.libdocpkg import LibraryDocumentation
 from sealed.cases import GENERATORS
 
+from rollerrig.configs import store
 from rollerrig.configs.vehicle import COACH, COACH_AXLES, Kind
 from rollerrig.firmware_sim import bench_node
 from rollerrig.firmware_sim.faults import catalogue
@@ -305,6 +306,29 @@ def bench_objects():
         yield f"| {place} | {name}: {row.text} | {row.kind} {row.access} | {count} |"
 
 
+def titles(kind, names):
+    """Yield the lines of a table of packaged files: name and title."""
+    for name in names:
+        title = store.parse(store.find(kind, name))["title"]
+        yield f"| `{name}` | {title} |"
+
+
+def scenarios():
+    """Yield the lines of the table of packaged scenarios."""
+    yield from titles("scenarios", store.names("scenarios"))
+
+
+def sequences_of_the_coach():
+    """Yield the lines of the table of sequences; those of false sensors are one for each axle."""
+    names = [name for name in store.names("sequences") if not name.startswith("sensor_")]
+    yield from titles("sequences", names)
+
+
+def sequences_of_vehicles():
+    """Yield the lines of the table of sequences of other vehicles."""
+    yield from titles("sequences", store.names_of_vehicles("sequences"))
+
+
 # by page: the tables in it, by the line of their heads
 TABLES = {
     "architecture.md": {"| room | floors, the lowest first |": floors},
@@ -327,7 +351,12 @@ TABLES = {
             registers_of_equipment
         ),
     },
-    "sequences.md": {"| object | what | type | one count |": bench_objects},
+    "runs.md": {"| scenario | stop |": scenarios},
+    "sequences.md": {
+        "| sequence of the coach | what it tests |": sequences_of_the_coach,
+        "| sequence of another vehicle | what it tests |": sequences_of_vehicles,
+        "| object | what | type | one count |": bench_objects,
+    },
     "robot.md": {"| keyword | arguments | what |": keywords},
     "harness.md": {"| of the harness | what |": harness},
     "explain_causes.md": {
