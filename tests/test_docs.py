@@ -108,6 +108,16 @@ def test_a_table_that_is_generated_does_not_count_as_written(tmp_path):
     assert written_words.written(page) == len(by_hand.split()) + 4
 
 
+def test_each_decision_has_a_number_and_at_most_three_lines():
+    decisions = re.findall(
+        r"^(\d+)\. 20\d\d-\d\d-\d\d\. .*\n((?: +.*\n)*)", text_of("DECISIONS.md"), re.M
+    )
+    numbers = [number for number, _ in decisions]
+    assert len(numbers) > 100
+    assert len(set(numbers)) == len(numbers)
+    assert [number for number, rest in decisions if rest.count("\n") > 2] == []
+
+
 def test_every_page_is_two_clicks_from_the_readme():
     readme = ROOT / "README.md"
     clicks = {readme: 0}
