@@ -6,6 +6,7 @@ these marks.
 """
 
 import inspect
+import itertools
 import re
 
 import licences
@@ -17,12 +18,16 @@ from generator.keep import KEPT
 from robot.libdocpkg import LibraryDocumentation
 from sealed.cases import GENERATORS
 
+from rollerrig.configs import store
+from rollerrig.configs.vehicle import COACH, COACH_AXLES, Kind
+from rollerrig.firmware_sim import bench_node
 from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.firmware_sim.modbus import map as modbus_map
 from rollerrig.rig import params
 from rollerrig.rig.identify.causes import table as causes
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.train_recorder import recording
-from rollerrig.wsp_interface import events, harness_client
+from rollerrig.wsp_interface import events, harness_client, signals
 
 STANDARDS = (
     "CAN",
@@ -38,6 +43,8 @@ STANDARDS = (
     "Bad input",
     "Masters",
 )
+# a vehicle with everything that the coach lacks, on as many axles
+EQUIPPED = Kind(COACH_AXLES, dynamic_brake=True, magnetic_track_brake=True)
 FURTHER_THRESHOLDS = "| further threshold | value | where | reason |"
 
 
@@ -244,6 +251,84 @@ def keywords():
         yield f"| `{keyword.name}` | {arguments} | {keyword.short_doc.replace('``', '`')} |"
 
 
+def without_axle(name):
+    """Return a name without the number of the axle at its end."""
+    return re.sub(r"[_ ]?\d+$", "", name)
+
+
+def count_of(factor, unit):
+    """Return the text of the value of one count."""
+    return f"{factor:g} {unit.replace('_', '/')}".strip()
+
+
+def registers(kind=COACH, without=()):
+    """Yield the lines of the table of Modbus registers, one for all axles of a signal."""
+    rows = [row for row in modbus_map.words(signals.table(kind)) if row not in without]
+    rows.sort(key=lambda row: row.address)
+    for (name, text), found in itertools.groupby(
+        rows, lambda row: (without_axle(row.name), row.text)
+    ):
+        same = list(found)
+        first = same[0]
+        end = same[-1].address + same[-1].width - 1
+        places = str(first.address) if end == first.address else f"{first.address} to {end}"
+        shown = name if len(same) > 1 else first.name
+        count = count_of(first.scale, first.unit)
+        if first.of:
+            count = f"{first.scale:g} x `{first.of}`"
+        yield f"| {places} | `{shown}` | {text} | {first.kind} {first.access} | {count} |"
+
+
+def registers_of_equipment():
+    """Yield the lines of the table of registers that a vehicle with motors and magnets adds."""
+    yield from registers(EQUIPPED, without=modbus_map.words(signals.table(COACH)))
+
+
+def bits():
+    """Yield the lines of the table of Modbus bits."""
+    for row in modbus_map.BITS:
+        yield f"| {row.address} | `{row.name}` | {row.text} | {row.access} |"
+
+
+def bench_objects():
+    """Yield the lines of the table of the objects of node 127, one for all axles of a signal."""
+    rows = [row for row in bench_node.rows(signals.table(COACH), "wall") if row.access != "const"]
+    rows.sort(key=lambda row: (row.index, row.sub))
+    for _, found in itertools.groupby(rows, lambda row: (row.index, without_axle(row.name))):
+        same = list(found)
+        row = same[0]
+        place = f"{row.index:X}h" + (f":{row.sub}" if row.sub else "")
+        name = row.name.rpartition("/")[2]
+        if len(same) > 1:
+            place += f"..{same[-1].sub}"
+            name = row.name.partition("/")[0]
+        count = "" if row.kind == "TEXT" else count_of(row.factor, row.unit)
+        yield f"| {place} | {name}: {row.text} | {row.kind} {row.access} | {count} |"
+
+
+def titles(kind, names):
+    """Yield the lines of a table of packaged files: name and title."""
+    for name in names:
+        title = store.parse(store.find(kind, name))["title"]
+        yield f"| `{name}` | {title} |"
+
+
+def scenarios():
+    """Yield the lines of the table of packaged scenarios."""
+    yield from titles("scenarios", store.names("scenarios"))
+
+
+def sequences_of_the_coach():
+    """Yield the lines of the table of sequences; those of false sensors are one for each axle."""
+    names = [name for name in store.names("sequences") if not name.startswith("sensor_")]
+    yield from titles("sequences", names)
+
+
+def sequences_of_vehicles():
+    """Yield the lines of the table of sequences of other vehicles."""
+    yield from titles("sequences", store.names_of_vehicles("sequences"))
+
+
 # by page: the tables in it, by the line of their heads
 TABLES = {
     "architecture.md": {"| room | floors, the lowest first |": floors},
@@ -258,6 +343,19 @@ TABLES = {
         "| key | default | allowed | what |": lambda: keys(recording.HEAD),
         "| key of a channel | default | allowed | what |": lambda: keys(recording.CHANNEL),
         "| key of a run | default | allowed | what |": lambda: keys(recording.RUN),
+    },
+    "modbus.md": {
+        "| bit | name | meaning | access |": bits,
+        "| registers | name | meaning | kind | one count |": registers,
+        "| registers of motors and magnets | name | meaning | kind | one count |": (
+            registers_of_equipment
+        ),
+    },
+    "runs.md": {"| scenario | stop |": scenarios},
+    "sequences.md": {
+        "| sequence of the coach | what it tests |": sequences_of_the_coach,
+        "| sequence of another vehicle | what it tests |": sequences_of_vehicles,
+        "| object | what | type | one count |": bench_objects,
     },
     "robot.md": {"| keyword | arguments | what |": keywords},
     "harness.md": {"| of the harness | what |": harness},
