@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 # each test starts processes: bytecode is kept also where the shell says that it shall not be
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: demo test nightly mutants kernel-can lint format docs pictures bench performance clean
+.PHONY: demo test nightly mutants kernel-can lint format docs pictures bench performance release clean
 
 demo: $(VENV)/ready
 	$(BIN)/rollerrig run velim_a1 --also-without-wsp --out runs/demo
@@ -65,6 +65,15 @@ bench: $(VENV)/ready
 
 performance: $(VENV)/ready
 	$(BIN)/rollerrig bench loop bus vehicle start contact hunting harness campaign soak fuzz kill --markdown docs/performance.md
+
+# what is published: sdist, the wheel that is built from it, and the SBOM (CycloneDX) of the environment of the tests
+RELEASE := build/release
+release: $(VENV)/ready-dev
+	rm -rf $(RELEASE)
+	mkdir -p $(RELEASE)
+	git ls-files -z | xargs -0 cp --parents -t $(RELEASE)
+	$(BIN)/python -m build --no-isolation --outdir dist $(RELEASE)
+	$(BIN)/cyclonedx-py environment $(BIN)/python --pyproject pyproject.toml --output-reproducible -o dist/rollerrig.cdx.json
 
 $(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' || \

@@ -10,7 +10,10 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
+import tomllib
 import venv
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -38,23 +41,34 @@ def tracked_files():
 
 
 @pytest.fixture(scope="module")
-def program(tmp_path_factory):
-    """The program `rollerrig` of a wheel in a fresh environment.
-
-    The environment finds the dependencies in that of this test, so that nothing is downloaded.
-    """
-    folder = tmp_path_factory.mktemp("wheel")
+def release(tmp_path_factory):
+    """A folder with the sdist and the wheel that is built from it, as `make release` does."""
+    folder = tmp_path_factory.mktemp("release")
     source = folder / "source"
     rooms = ("configs/", "firmware_sim/", "realtime/", "rig/", "wsp_interface/")
     for name in tracked_files():
         if name.startswith(rooms) or name in ("pyproject.toml", "README.md", "LICENSE"):
             (source / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(ROOT / name, source / name)
-    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
-    build = [*pip, "wheel", "--no-deps", "--no-build-isolation", "--wheel-dir", str(folder), source]
-    subprocess.run(build, check=True)
-    (wheel,) = folder.glob("rollerrig-*.whl")
+    build = [sys.executable, "-m", "build", "--no-isolation", "--outdir", folder / "dist", source]
+    subprocess.run(build, check=True, stdout=subprocess.DEVNULL)
+    return folder / "dist"
 
+
+@pytest.fixture(scope="module")
+def wheel(release):
+    (found,) = release.glob("rollerrig-*.whl")
+    return found
+
+
+@pytest.fixture(scope="module")
+def program(wheel, tmp_path_factory):
+    """The program `rollerrig` of the wheel in a fresh environment.
+
+    The environment finds the dependencies in that of this test, so that nothing is downloaded.
+    """
+    folder = tmp_path_factory.mktemp("wheel")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
     venv.create(folder / "venv", with_pip=False)
     python = folder / "venv/bin/python"
     install = [*pip, "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
@@ -104,6 +118,54 @@ def test_the_wheel_brakes_a_packaged_scenario(program, tmp_path):
     result = json.loads(output_of(program, tmp_path, *words))
     assert result["valid"]
     assert (tmp_path / "runs/velim_a1/channels.parquet").is_file()
+
+
+def test_the_sdist_has_what_the_wheel_needs_and_no_documents(release):
+    (path,) = release.glob("rollerrig-*.tar.gz")
+    with tarfile.open(path) as archive:
+        rooms = {Path(name).parts[1] for name in archive.getnames() if len(Path(name).parts) > 1}
+    assert {"configs", "firmware_sim", "realtime", "rig", "wsp_interface", "LICENSE"} <= rooms
+    assert "docs" not in rooms
+
+
+# downloads all dependencies
+@pytest.mark.nightly
+@pytest.mark.parametrize("tool", ["pipx", "uv"])
+def test_a_tool_for_programs_installs_the_wheel(tool, wheel, tmp_path):
+    folders = {
+        "PIPX_HOME": tmp_path / "home",
+        "PIPX_BIN_DIR": tmp_path / "bin",
+        "UV_TOOL_DIR": tmp_path / "home",
+        "UV_TOOL_BIN_DIR": tmp_path / "bin",
+    }
+    environment = os.environ | {name: str(path) for name, path in folders.items()}
+    commands = {
+        "pipx": ["pipx", "install", "--python", sys.executable, str(wheel)],
+        "uv": ["uv", "tool", "install", "--python", sys.executable, str(wheel)],
+    }
+    command = [Path(sys.executable).parent / commands[tool][0], *commands[tool][1:]]
+    subprocess.run(command, check=True, env=environment)
+    assert output_of(tmp_path / "bin/rollerrig", tmp_path, "--version").startswith("rollerrig ")
+
+
+@pytest.mark.nightly
+def test_the_list_of_components_names_every_dependency_with_its_version(tmp_path):
+    """The SBOM that `make release` and the container make is CycloneDX of this environment."""
+    program = Path(sys.executable).parent / "cyclonedx-py"
+    pyproject = ROOT / "pyproject.toml"
+    found = tmp_path / "rollerrig.cdx.json"
+    command = [program, "environment", sys.executable, "--pyproject", pyproject, "-o", found]
+    subprocess.run(command, check=True)
+    content = json.loads(found.read_text())
+    assert content["bomFormat"] == "CycloneDX"
+    assert content["metadata"]["component"]["name"] == "rollerrig"
+    versions = {
+        part["name"].lower().replace("_", "-"): part["version"] for part in content["components"]
+    }
+    dependencies = tomllib.loads(pyproject.read_text())["project"]["dependencies"]
+    for requirement in dependencies:
+        name = re.match(r"[A-Za-z0-9-]+", requirement)[0].lower()
+        assert versions[name] == metadata.version(name)
 
 
 # --- the container ---
