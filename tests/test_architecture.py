@@ -107,7 +107,7 @@ OUTSIDE = {
     "firmware_sim/fmu": "numpy can fmpy tomli_w",
     "realtime": "",
     "realtime/loop": "numpy",
-    "realtime/record": "numpy scipy pyarrow asammdf rich",
+    "realtime/record": "numpy scipy pyarrow asammdf mcap rich",
     "realtime/telemetry": "numpy rerun PIL",
     "realtime/bench": "numpy pyarrow pymodbus tomli_w",
     "realtime/bench/rig_fmu": "numpy fmpy",

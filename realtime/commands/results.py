@@ -305,7 +305,7 @@ def export_arguments(parser: argparse.ArgumentParser) -> None:
         "--format",
         required=True,
         metavar="FORMAT",
-        help="mdf4, mat, csv, svg: a picture of the stop, or dataset: one dataset of all runs, as "
+        help="mdf4, mat, csv, mcap, svg: a picture of the stop, or dataset: one dataset of all runs, as "
         "their sensors measure them, for 'rollerrig explain'",
     )
     parser.add_argument(

@@ -1,4 +1,4 @@
-"""A recorded run in the formats of other programs: MDF4, MATLAB, CSV.
+"""A recorded run in the formats of other programs: MDF4, MATLAB, CSV, MCAP.
 
 Every channel of the record is exported in SI with its unit and description, and so are the events.
 An MDF4 file has one group of channels over time and one of events. A MAT file has one variable a
@@ -10,6 +10,7 @@ Source: ASAM MDF 4.1 as asammdf writes it; MAT-file level 5 as scipy writes it.
 """
 
 import csv
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -144,6 +145,80 @@ def _csv(run: Run, out: Path) -> list[Path]:
     return [out, events_out, run_out]
 
 
+def _mcap(run: Run, out: Path) -> list[Path]:
+    """Write a run as MCAP, for Foxglove and PlotJuggler."""
+    try:
+        from mcap.writer import Writer as Mcap
+    except ImportError:
+        raise ConfigError("--format mcap needs mcap: pip install 'rollerrig[export]'") from None
+    exported = columns(run)
+    properties = {
+        column.name: {"type": "number", "description": f"{column.text} [{column.unit}]"}
+        for column in exported
+    }
+    with replaced(out, ".mcap") as new, new.open("wb") as file:
+        made = Mcap(file)
+        made.start(profile="", library=f"rollerrig {played.version()}")
+        made.add_metadata(RUN, played.of_summary(run.summary).texts())
+        of_signals = _topic(made, "/signals", "rollerrig.Signals", properties)
+        names = [column.name for column in exported]
+        rows = np.column_stack([column.values for column in exported])
+        known = np.isfinite(rows)
+        for time_s, row, is_known in zip(run.column("time_s"), rows, known, strict=True):
+            values = {
+                name: value
+                for name, value, shown in zip(names, row.tolist(), is_known.tolist(), strict=True)
+                if shown
+            }
+            _message(made, of_signals, float(time_s), values)
+        of_events = _topic(made, "/events", "foxglove.Log", _LOG)
+        for event in run.events:
+            sec, nsec = divmod(_ns(event.time_s), 1_000_000_000)
+            entry = {
+                "timestamp": {"sec": sec, "nsec": nsec},
+                "level": _LOG_LEVELS.get(event.level, 0),
+                "message": event.text,
+                "name": str(event.code),
+                "file": "",
+                "line": 0,
+            }
+            _message(made, of_events, event.time_s, entry)
+        made.finish()
+    return [out]
+
+
+# the schema foxglove.Log, as far as it has values here
+_LOG = {
+    "timestamp": {
+        "type": "object",
+        "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}},
+    },
+    "level": {"type": "integer"},
+    "message": {"type": "string"},
+    "name": {"type": "string"},
+    "file": {"type": "string"},
+    "line": {"type": "integer"},
+}
+_LOG_LEVELS = {"info": 2, "warning": 3, "error": 4}
+
+
+def _topic(made: Any, topic: str, name: str, properties: Mapping[str, Any]) -> int:
+    """Register a topic whose messages are JSON objects; return its number."""
+    schema = json.dumps({"title": name, "type": "object", "properties": properties})
+    number = made.register_schema(name=name, encoding="jsonschema", data=schema.encode())
+    return int(made.register_channel(topic=topic, message_encoding="json", schema_id=number))
+
+
+def _message(made: Any, topic: int, time_s: float, content: Mapping[str, Any]) -> None:
+    at_ns = _ns(time_s)
+    data = json.dumps(content).encode()
+    made.add_message(channel_id=topic, log_time=at_ns, data=data, publish_time=at_ns)
+
+
+def _ns(time_s: float) -> int:
+    return round(time_s * 1e9)
+
+
 Writer = Callable[[Run, Path], list[Path]]
-WRITERS: dict[str, Writer] = {"mdf4": _mdf4, "mat": _mat, "csv": _csv}
-SUFFIX = {"mdf4": ".mf4", "mat": ".mat", "csv": ".csv", "svg": ".svg"}
+WRITERS: dict[str, Writer] = {"mdf4": _mdf4, "mat": _mat, "csv": _csv, "mcap": _mcap}
+SUFFIX = {"mdf4": ".mf4", "mat": ".mat", "csv": ".csv", "mcap": ".mcap", "svg": ".svg"}

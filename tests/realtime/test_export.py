@@ -103,15 +103,45 @@ def test_csv_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path
     assert events == EVENTS
 
 
+def test_mcap_gives_back_every_channel_with_its_unit_and_the_events(run, tmp_path):
+    reader = pytest.importorskip("mcap.reader")
+    [path] = export.write(run, "mcap", tmp_path / "run.mcap")
+    with path.open("rb") as file:
+        read = reader.make_reader(file)
+        (what,) = read.iter_metadata()
+        messages = list(read.iter_messages())
+    assert what.name == "run"
+    samples = [found for found in messages if found[1].topic == "/signals"]
+    assert [message.log_time for _, _, message in samples] == [
+        round(time_s * 1e9) for time_s in run.column("time_s")
+    ]
+    schema = json.loads(samples[0][0].data)
+    assert schema["properties"]["vehicle_speed_m_s"]["description"].endswith("[m/s]")
+    rows = [json.loads(message.data) for _, _, message in samples]
+    for name in COLUMNS[1:]:
+        values = np.array([row.get(name, np.nan) for row in rows])
+        assert np.array_equal(values, run.column(name), equal_nan=True), name
+
+    logs = [json.loads(found[2].data) for found in messages if found[1].topic == "/events"]
+    levels = {"info": 2, "warning": 3}
+    for entry, event in zip(logs, EVENTS, strict=True):
+        at = entry["timestamp"]
+        assert at["sec"] + 1e-9 * at["nsec"] == pytest.approx(event.time_s)
+        assert (entry["level"], entry["message"]) == (levels[event.level], event.text)
+
+
 def test_an_unknown_format_is_refused_with_a_list_of_the_known_formats(run, tmp_path):
-    with pytest.raises(ConfigError, match=r"mdf5.*did you mean 'mdf4'.*csv, mat, mdf4"):
+    with pytest.raises(ConfigError, match=r"mdf5.*did you mean 'mdf4'.*csv, mat, mcap, mdf4"):
         export.write(run, "mdf5", tmp_path / "run.mdf5")
 
 
-def test_without_asammdf_the_message_shows_how_to_install_it(run, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "asammdf", None)
+@pytest.mark.parametrize(("package", "name"), [("asammdf", "mdf4"), ("mcap.writer", "mcap")])
+def test_without_a_package_the_message_shows_how_to_install_it(
+    package, name, run, tmp_path, monkeypatch
+):
+    monkeypatch.setitem(sys.modules, package, None)
     with pytest.raises(ConfigError, match=r"pip install 'rollerrig\[export\]'"):
-        export.write(run, "mdf4", tmp_path / "run.mf4")
+        export.write(run, name, tmp_path / "out")
 
 
 def test_a_folder_that_is_no_run_is_refused(tmp_path):
