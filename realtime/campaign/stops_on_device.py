@@ -153,7 +153,7 @@ class _Wave:
                     addresses[id(array)] = self._arrays_there.address + arrays.add(array)
             there.append(record_type.moved(rig, lambda array, at=addresses: at[id(array)]))
         self._arrays_there.write(arrays.content())
-        self._threads = device.compiled(ticks_on_device.threads(there[0]))
+        self._threads = device.compiled(ticks_on_device.threads(record_type.type_of(there[0])))
         return record_type.table(there).memory
 
     def run(self) -> Iterator[np.ndarray]:

@@ -4,6 +4,7 @@ Each thread has a table of one stop, whose state lies among those of all others 
 the law, the plant and the reference unit are the functions of a core, compiled for the GPU.
 """
 
+import functools
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,12 +24,14 @@ class Rig(NamedTuple):
 record_type.register(Rig)
 
 
-def threads(rig: Rig) -> Any:
-    """Return what runs ticks of stops in threads (`device.start`), for records of this type.
+@functools.cache
+def threads(kind: record_type.Record) -> Any:
+    """Return what runs ticks of stops in threads (`device.start`).
 
-    The argument of `device.start` is the most steps; a stop that is done takes none.
+    kind: the type of the `Rig` of each thread. The argument of `device.start` is the most steps; a
+    stop that is done takes none.
     """
-    rigs_at = record_type.table_at(rig)
+    rigs_at = record_type.table_at(kind)
 
     def run_rig(address, most):  # type: ignore[no-untyped-def]
         rigs = rigs_at(address)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.processes import cores, interruption
+from rollerrig.configs.processes import children, cores, interruption
 from rollerrig.configs.table import nearest
 from rollerrig.realtime.commands import output
 
@@ -43,6 +43,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "processes on this machine",
     )
     parser.add_argument(
+        "--device",
+        choices=("cores", "cuda"),
+        default="cores",
+        help="what computes the stops: cores of a processor, or a GPU of NVIDIA (cuda), which the "
+        "processes share (default: cores)",
+    )
+    parser.add_argument(
         "--unit",
         default="",
         metavar="COMMAND",
@@ -74,12 +81,13 @@ def call(options: argparse.Namespace) -> int:
     from rollerrig.realtime.record import figures
     from rollerrig.realtime.reports import campaign as campaign_report
     from rollerrig.realtime.reports import pdf
+    from rollerrig.rig.compiled import device
 
     # all that can be wrong is checked before the first run
     if options.pdf:
         pdf.check()
     about = output.about(options)
-    plan = campaign.load(options.plan, options.allow_code, options.unit)
+    plan = campaign.load(options.plan, options.allow_code, options.unit, options.device)
     if options.worst not in figures.BY_NAME:
         hint = nearest(options.worst, figures.BY_NAME)
         raise ConfigError(f"--worst {options.worst}: there is no such figure{hint}")
@@ -94,6 +102,11 @@ def call(options: argparse.Namespace) -> int:
             f"longest stopping distance keep their rows; use --worst {large.DISTANCE}, or a larger "
             "rows_up_to in the plan"
         )
+
+    if options.device == campaign.CUDA and not options.scheduler:
+        # in another process: one that has used a GPU cannot be forked
+        with children.pool(1) as pool:
+            output.print_message(f"the stops run on {pool.submit(device.name).result()}")
 
     out = options.out or Path("campaigns") / Path(options.plan).stem
     # without it SIGTERM would end this process before it has stopped its workers

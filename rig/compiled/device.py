@@ -13,6 +13,7 @@ Source: numba-cuda's documentation, "Extending CUDA Python", "Compiling Python f
 with other languages".
 """
 
+import functools
 import importlib.util
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -142,8 +143,9 @@ def start(threads: Any, first: int, next_record: int, records: int, argument: in
     cuda.synchronize()
 
 
+@functools.cache
 def compiled(threads: Any) -> Any:
-    """Return `threads` for the GPU of this process, which `start` takes."""
+    """Return `threads` for the GPU of this process, which `start` takes; compiled once."""
     return load().jit(threads)
 
 

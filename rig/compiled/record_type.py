@@ -349,12 +349,15 @@ def moved(value: Any, address_of: Callable[[np.ndarray], int]) -> Any:
     return value
 
 
-def table_at(record: Any) -> Any:
-    """Return what makes, in compiled code, the table with one record at an address, an integer.
+def type_of(record: Any) -> Record:
+    """Return the type of a record in compiled code."""
+    found: Record = typeof(record)
+    return found
 
-    record: any record of its type.
-    """
-    kind = TableOf(typeof(record))
+
+def table_at(record: Record) -> Any:
+    """Return what makes, in compiled code, the table with one record at an address, an integer."""
+    kind = TableOf(record)
 
     def at(typing_context: Any, address: Any) -> Any:
         def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
