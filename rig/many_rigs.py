@@ -86,5 +86,3 @@ def found(places: np.ndarray, rig: int, rigs: int, axles: int) -> np.ndarray:
     order = np.argsort(source)
     at = order[np.searchsorted(source[order], places)]
     return first[at] + rig * next_rig[at]
-
-

@@ -26,7 +26,7 @@ from rich.table import Table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
 from rollerrig.configs.vehicle import COACH_AXLES
-from rollerrig.realtime.benchmarks import figures, older_checkout
+from rollerrig.realtime.benchmarks import campaign_on_gpu, figures, older_checkout
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign
 
@@ -59,7 +59,9 @@ _MANY_STOPS = 10_000
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
-    """Measure the same stops in four ways."""
+    """Measure the same stops in four ways, or with `--device cuda` on a GPU."""
+    if given.device == campaign.CUDA:
+        return campaign_on_gpu.run(given, say)
     if given.axles not in SCENARIOS:
         raise ConfigError(
             f"--axles {given.axles}: bench campaign has no scenario with so many axles; allowed are "
@@ -119,6 +121,8 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 def section(given: argparse.Namespace) -> str:
     """Return the heading of the figures on a page: each number of axles has a section."""
+    if given.device == campaign.CUDA:
+        return "campaign on a GPU"
     return "campaign" if given.axles == COACH_AXLES else f"campaign with {given.axles} axles"
 
 
@@ -277,6 +281,8 @@ def peak_memory_MB() -> float:
 
 def table(result: Result) -> Table:
     """Return the figures of the campaign."""
+    if "device" in result:
+        return campaign_on_gpu.table(result)
     compared = result["steps"]
     steps = []
     if compared["factor_over_older"] is not None:

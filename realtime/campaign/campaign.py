@@ -222,7 +222,7 @@ def _check_device(plan: Plan, path: Path) -> None:
     gpu.check_installed()
     if plan.head["unit"] not in _NAMED_UNITS:
         raise ConfigError(
-            f"{path}: unit = \"{plan.head['unit']}\" does not run on a GPU; allowed there are "
+            f'{path}: unit = "{plan.head["unit"]}" does not run on a GPU; allowed there are '
             "reference and none, or leave --device out"
         )
     numbers = {0, len(plan.points) - 1, *_first_with_texts(plan)}

@@ -119,7 +119,7 @@ def fits(plan: Scenario) -> bool:
 def obstacle(plan: Scenario) -> str | None:
     """Return what lets a scenario run only alone, with its remedy; None if it fits."""
     if plan.rollers is not None:
-        return "a virtual track: set track = \"plain\""
+        return 'a virtual track: set track = "plain"'
     if plan.faults:
         return f"a fault ({plan.faults[0].kind.name}): remove it"
     if plan["bus"]["arbitration"]:

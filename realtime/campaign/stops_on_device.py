@@ -28,7 +28,7 @@ WAVE = 32_768
 _ALIGNED_BYTES = 8
 
 
-class _Job(NamedTuple):
+class Job(NamedTuple):
     """A stop that waits: the tag by which its caller knows it, its scenario, and its unit."""
 
     tag: Any
@@ -49,21 +49,28 @@ def together(
     """
     device.name()
     unit_of = stops_in_lanes.unit_by_plan(unit)
-    fitting: dict[Any, list[_Job]] = {}
+    fitting: dict[Any, list[Job]] = {}
     for tag, plan in jobs:
         if stops_in_lanes.is_compiled(unit) and stops_in_lanes.fits(plan):
-            fitting.setdefault(plan.kind, []).append(_Job(tag, plan, unit_of(plan)))
+            fitting.setdefault(plan.kind, []).append(Job(tag, plan, unit_of(plan)))
         else:
             yield stops_in_lanes.alone(tag, plan, unit)
 
     for kind, of_kind in fitting.items():
         names = signals.table(kind).columns if columns is None else columns
         for first in range(0, len(of_kind), WAVE):
-            wave = _Wave(of_kind[first : first + WAVE], stops_in_lanes.places(kind, names))
-            for job, samples in zip(wave.jobs, wave.run(), strict=True):
+            placed = Wave(of_kind[first : first + WAVE], stops_in_lanes.places(kind, names))
+            for job, samples in zip(placed.jobs, placed.run(), strict=True):
                 channels = dict(zip(names, samples, strict=True))
                 # no events, and no other end: no stop has faults or can derail
                 yield Finished(job.tag, job.plan, channels, [], "finished")
+
+
+def wave(plans: Sequence[Scenario], columns: Sequence[str]) -> "Wave":
+    """Return scenarios that fit, with the same number of axles and reference units, as a wave."""
+    unit_of = stops_in_lanes.unit_by_plan("reference")
+    jobs = [Job(number, plan, unit_of(plan)) for number, plan in enumerate(plans)]
+    return Wave(jobs, stops_in_lanes.places(plans[0].kind, columns))
 
 
 class _Arrays:
@@ -92,10 +99,10 @@ class _Arrays:
         return content
 
 
-class _Wave:
+class Wave:
     """Stops with the same number of axles that are on the GPU together."""
 
-    def __init__(self, jobs: Sequence[_Job], kept: np.ndarray) -> None:
+    def __init__(self, jobs: Sequence[Job], kept: np.ndarray) -> None:
         """Place the stops in the memory of the GPU. `kept` are the columns of a sample, (n,)."""
         self.jobs = jobs
         stops = len(jobs)

@@ -125,7 +125,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="fuzz: number of inputs (default: 1000000); files: files of each kind (default: 1000); "
         "kill: number of kills (default: 100); "
-        "repeat: runs of each sequence (default: 10); merge: stops (default: 1000000)",
+        "repeat: runs of each sequence (default: 10); merge: stops (default: 1000000); "
+        "campaign with --device cuda: stops (default: 8192)",
     )
     parser.add_argument("--live", action="store_true", help="loop: with the live view")
     parser.add_argument(
@@ -135,6 +136,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="campaign, start: the checkout of an older commit, whose code does the same alternately",
     )
     wsp.axles_argument(parser, "campaign: ")
+    parser.add_argument(
+        "--device",
+        choices=("cores", "cuda"),
+        default="cores",
+        help="campaign: measure on cores, or on a GPU of NVIDIA (cuda), with a comparison (default: cores)",
+    )
     parser.add_argument(
         "--runs",
         type=int,

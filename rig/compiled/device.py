@@ -14,10 +14,7 @@ with other languages".
 """
 
 import functools
-import importlib.util
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -32,7 +29,6 @@ from llvmlite import ir
 from numba import types
 from numba.core import cgutils
 
-PACKAGE = "numba_cuda"
 INSTALL = "pip install 'rollerrig[cuda]'"
 # threads that a GPU starts together; the experiment found no difference between 64 and 256
 THREADS_OF_A_BLOCK = 64
@@ -41,9 +37,13 @@ cuda: Any = None  # the module numba.cuda, when it is loaded
 
 
 def check_installed() -> None:
-    """Raise ConfigError where the packages for a GPU are not installed; loads nothing."""
-    if importlib.util.find_spec(PACKAGE) is None:
-        raise ConfigError(f"--device cuda needs numba-cuda, which is not installed: {INSTALL}")
+    """Raise ConfigError where the packages for a GPU are not installed; uses no GPU."""
+    try:
+        import numba_cuda  # noqa: F401
+    except ImportError:
+        raise ConfigError(
+            f"--device cuda needs numba-cuda, which is not installed: {INSTALL}"
+        ) from None
 
 
 def load() -> Any:
@@ -152,29 +152,18 @@ def compiled(threads: Any) -> Any:
 def ptx(threads: Any, capability: tuple[int, int]) -> str:
     """Return `threads` in PTX, for GPUs of a compute capability; this needs no GPU.
 
-    numba-cuda would ask the GPU for its capability wherever a function calls another one, and look
-    for libraries that only a program on a GPU needs.
+    numba-cuda would ask the GPU for its capability wherever a function calls another one.
     """
     loaded = load()
-    with _without_gpu(capability):
-        code, _ = loaded.compile_ptx(threads, (types.int64,) * 4, cc=capability)
-    return str(code)
+    from numba.cuda import dispatcher
 
-
-@contextmanager
-def _without_gpu(capability: tuple[int, int]) -> Iterator[None]:
-    from numba.cuda import cuda_paths, dispatcher
-    from numba.cuda.core import config
-    from numba.cuda.cudadrv import nvvm
-
-    before = dispatcher.get_current_device, config.FORCE_CUDA_CC, nvvm.LibDevice._cache_
+    before = dispatcher.get_current_device
     dispatcher.get_current_device = lambda: SimpleNamespace(compute_capability=capability)
-    config.FORCE_CUDA_CC = capability
-    nvvm.LibDevice._cache_ = Path(cuda_paths.get_libdevice_wheel_path()).read_bytes()
     try:
-        yield
+        code, _ = loaded.compile_ptx(threads, (types.int64,) * 4, cc=capability)
     finally:
-        dispatcher.get_current_device, config.FORCE_CUDA_CC, nvvm.LibDevice._cache_ = before
+        dispatcher.get_current_device = before
+    return str(code)
 
 
 def _add_functions() -> None:
