@@ -126,10 +126,13 @@ def section(given: argparse.Namespace) -> str:
     return "campaign" if given.axles == COACH_AXLES else f"campaign with {given.axles} axles"
 
 
-def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None) -> Result:
+def longer_steps(
+    plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None, stops: int = COMPARED
+) -> Result:
     """Return factor of time and deviations of the distances for each of STEPS_S.
 
     `plan` has the step of the scenario. Each chunk runs in all ways before the next one begins.
+    "stop_s" is the processor time of a stop with the step of the scenario.
     """
     plans = {0.0: plan}
     for step_s in STEPS_S:
@@ -140,7 +143,7 @@ def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | No
     half = _with_half_step(plan)
     half_m: list[float] = []
     older_s = 0.0
-    for chunk in range(COMPARED // CHUNK):
+    for chunk in range(stops // plan.head["chunk"]):
         if older_chunk_s is not None:
             older_s += older_chunk_s(chunk)
         for step_s, each in plans.items():
@@ -159,6 +162,7 @@ def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | No
         found.append(figures_of_step | _deviations(distances_m[step_s], exact_m))
     return {
         "steps": found,
+        "stop_s": spent_s[0.0] / len(distances_m[0.0]),
         "half": _deviations(half_m, exact_m),
         "factor_over_older": older_s / spent_s[0.0] if older_chunk_s is not None else None,
     }

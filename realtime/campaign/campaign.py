@@ -228,13 +228,14 @@ def _check_device(plan: Plan, path: Path) -> None:
     numbers = {0, len(plan.points) - 1, *_first_with_texts(plan)}
     for runs in design.extremes(plan.points, plan.axes).values():
         numbers |= set(runs)
-    changed = {f"run {number}": changes(plan, number) for number in sorted(numbers)}
+    changed: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
     if plan.applied is not None:
         values = dict(zip(plan.axes, plan.points[0], strict=True))
         values |= {failure.column: "" for failure in plan.applied.failures}
         for failure in plan.applied.failures:
             failed = {failure.column: str(next(iter(failure.effects)))}
             changed[f"[failures] {failure.name}"] = plan.applied.changes(values | failed)
+    changed |= {f"run {number}": changes(plan, number) for number in sorted(numbers)}
     for where, (settings, faults) in changed.items():
         try:
             found = stops_in_lanes.obstacle(_load(plan, settings, faults))

@@ -135,7 +135,8 @@ class Wave:
         placed = []
         for number, rig in enumerate(rigs):
             m = rig.stop.m
-            state = many_rigs.placed(self._states_there.address, number, len(rigs), axles)
+            # kernels read it as they read a state of views
+            state: Any = many_rigs.placed(self._states_there.address, number, len(rigs), axles)
             gather = m.gather.copy()
             gather[:, 1] = many_rigs.found(gather[:, 1], number, len(rigs), axles)
             m_there = m._replace(state=state, roller_state=state, gather=gather)

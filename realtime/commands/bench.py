@@ -1,6 +1,6 @@
 """`rollerrig bench` runs the project's benchmarks by name; `rollerrig score` judges answers.
 
-Seven benchmarks belong to the installed package, because users want their figures of a new machine.
+Eight benchmarks belong to the installed package, because users want their figures of a new machine.
 The others judge the project itself. They are in `tests/` and run from a clone only.
 """
 
@@ -40,6 +40,7 @@ BENCHMARKS = {
         "start", "first and next starts of run and explain: processor time, wall time, kernels"
     ),
     "campaign": _installed("campaign", "stops per minute and core, two workers, memory, Dask"),
+    "million": _installed("million", "hours of a million stops on two cores, by the step"),
     "merge": _installed(
         "merge", "memory, disk and time of a campaign of a million stops, apart from the stops"
     ),
@@ -126,7 +127,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="fuzz: number of inputs (default: 1000000); files: files of each kind (default: 1000); "
         "kill: number of kills (default: 100); "
         "repeat: runs of each sequence (default: 10); merge: stops (default: 1000000); "
-        "campaign with --device cuda: stops (default: 8192)",
+        "campaign with --device cuda: stops (default: 8192); million: stops of each plan (default: 60)",
     )
     parser.add_argument("--live", action="store_true", help="loop: with the live view")
     parser.add_argument(

@@ -114,7 +114,9 @@ class _Model(models.StructModel):
 
     def __init__(self, manager: Any, kind: Address) -> None:
         pointer = types.CPointer(types.float64)
-        members = [(_base(number), pointer) for number in range(len(kind.bases))]
+        members: list[tuple[str, Any]] = []
+        for number in range(len(kind.bases)):
+            members.append((_base(number), pointer))
         members.append((_AXLES, types.intp))
         if kind.has_multiple:
             members.append((_MULTIPLE, types.intp))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from llvmlite import binding
+from llvmlite import binding, ir
 from program import rollerrig
 from simulated_gpu import LONG, VEHICLES
 from test_stops_in_lanes import CASES
@@ -93,7 +93,7 @@ def test_a_record_has_the_same_layout_on_a_core_and_on_a_gpu(kind):
             offset = structure.get_element_offset(here.target_data, number)
             assert structure.get_element_offset(there, number) == offset
             compared += 1
-            if hasattr(element, "elements"):
+            if isinstance(element, ir.LiteralStructType):
                 structures.append(element)
     assert compared > 500
 
