@@ -33,7 +33,7 @@ def threads(kind: record_type.Record) -> Any:
     """
     rigs_at = record_type.table_at(kind)
 
-    def run_rig(address, most):  # type: ignore[no-untyped-def]
+    def run_rig(address: int, most: int) -> None:
         rigs = rigs_at(address)
         m = rigs[0].stop.m
         if m.control[DONE] == 0:

@@ -128,7 +128,7 @@ def threads_of(run_record: Callable[[int, int], None]) -> Any:
     load()
     run = inlined_without_cache(run_record)
 
-    def threads(first, next_record, records, argument):  # type: ignore[no-untyped-def]
+    def threads(first: int, next_record: int, records: int, argument: int) -> None:
         thread = cuda.grid(1)
         if thread < records:
             run(first + thread * next_record, argument)

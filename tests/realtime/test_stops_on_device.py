@@ -138,7 +138,12 @@ design = "matrix"
     ("vary", "named"),
     [
         ("rig = ['plain_track', 'virtual_track']", "run 1 .* a virtual track"),
-        ("\"vehicle.model\" = ['planar', 'multibody']", "run 1 .* the coach in 3D"),
+        # with kernels of the coach
+        pytest.param(
+            "\"vehicle.model\" = ['planar', 'multibody']",
+            "run 1 .* the coach in 3D",
+            marks=pytest.mark.nightly,
+        ),
         ("\"contact.model\" = ['polach']", "run 0 .* the contact model polach"),
         ('"bus.arbitration" = [false, true]', "run 1 .* arbitration of the bus"),
     ],
@@ -185,3 +190,39 @@ def test_results_of_cores_are_not_continued_on_a_gpu(tmp_path):
     with pytest.raises(ConfigError, match="holds the results of another plan"):
         campaign.claim(cores._replace(device=campaign.CUDA), tmp_path)
     campaign.claim(cores, tmp_path)
+
+
+@pytest.mark.nightly
+def test_a_campaign_in_the_simulator_gives_the_rows_of_cores(tmp_path):
+    path = tmp_path / "plan.toml"
+    path.write_text(PLAN.format(vary="initial_speed_m_s = [6.0, 8.0]"))
+    for device_name in campaign.DEVICES:
+        done = rollerrig(
+            *("campaign", str(path), "--device", device_name, "--workers", "1"),
+            *("--out", str(tmp_path / device_name)),
+            **SIMULATOR,
+        )
+        assert done.status == 0, done.messages
+    cores, simulated_rows = (campaign.result(tmp_path / name) for name in campaign.DEVICES)
+    assert simulated_rows.schema == cores.schema
+    assert simulated_rows.to_pylist() == cores.to_pylist()
+
+
+@pytest.mark.nightly
+def test_the_benchmark_compares_and_counts_in_the_simulator():
+    done = rollerrig("bench", "campaign", "--device", "cuda", "--count", "4", "--json", **SIMULATOR)
+    assert done.status == 0, done.messages
+    found = json.loads(done.printed)["campaign"]
+    assert found["compared"] == 4
+    assert found["largest_difference"] < 1e-9
+    assert found["stops_per_minute"] == pytest.approx(60.0 * 4 / found["gpu_s"])
+
+
+def test_the_hours_of_a_million_stops_follow_from_the_time_of_one():
+    done = rollerrig("bench", "million", "--count", "2", "--json")
+    assert done.status == 0, done.messages
+    for plan in json.loads(done.printed)["million"]["plans"]:
+        exact, *longer = plan["steps"]
+        assert exact["hours"] == pytest.approx(1e6 * plan["stop_s"] / 2 / 3600)
+        assert [step["step_s"] for step in longer] == [2e-4, 5e-4, 1e-3]
+        assert all(step["stops"] == 2 for step in longer)
