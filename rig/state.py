@@ -294,8 +294,8 @@ def _places() -> dict[str, Place]:
         for i, name in enumerate(_PER_VEHICLE)
     }
     behind += len(_PER_VEHICLE) * MOST_RIGS
-    surfaces = one_after_another(_SURFACES, MOST_AXLES, behind, next_rig=Width(0, _SURFACE))
-    coach = Place(behind + _SURFACE, Width(0, coach_state.SIZE), next_rig=Width(0, _SURFACE))
+    surfaces = one_after_another(_SURFACES, MOST_AXLES, behind, next_rig=Width(0, SURFACE))
+    coach = Place(behind + SURFACE, Width(0, coach_state.SIZE), next_rig=Width(0, SURFACE))
     return {name: (places | surfaces)[name] for name in NAMES} | {"coach": coach}
 
 
@@ -305,7 +305,7 @@ def _end(places: Mapping[str, Place], axles: int) -> int:
 
 
 # number of values of the surfaces of a rig
-_SURFACE = sum(width.of(MOST_AXLES) for width in _SURFACES.values())
+SURFACE = sum(width.of(MOST_AXLES) for width in _SURFACES.values())
 PLACES = _places()
 state_type.register(State, PLACES, counted="wheel_speed")
 # number of values of one rig without a coach's
@@ -314,7 +314,7 @@ SIZE = PLACES["coach"].begin
 
 def size_of(rigs: int) -> int:
     """Return the number of values of so many rigs."""
-    return SIZE + (rigs - 1) * _SURFACE
+    return SIZE + (rigs - 1) * SURFACE
 
 
 @functools.cache

@@ -31,6 +31,7 @@ FLOORS = {
         "multibody",
         "dynamic_params track_brake_params",
         "params state",
+        "many_rigs",
         "adhesion_profile brake brake_calculation heat motor surface vehicle",
         "dynamic_brake track_brake",
         "wheelset",
@@ -90,7 +91,7 @@ NARROW = {
 OUTSIDE = {
     "configs": "",
     "rig": "numpy",
-    "rig/compiled": "numpy numba llvmlite",
+    "rig/compiled": "numpy numba llvmlite numba_cuda",
     "rig/identify": "numpy scipy threadpoolctl",
     "rig/identify/files": "numpy pyarrow",
     "rig/identify/data": "numpy scipy pyarrow asammdf",

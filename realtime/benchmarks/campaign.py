@@ -26,7 +26,7 @@ from rich.table import Table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children
 from rollerrig.configs.vehicle import COACH_AXLES
-from rollerrig.realtime.benchmarks import figures, older_checkout
+from rollerrig.realtime.benchmarks import campaign_on_gpu, figures, older_checkout
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
 from rollerrig.realtime.campaign import campaign
 
@@ -59,7 +59,9 @@ _MANY_STOPS = 10_000
 
 
 def run(given: argparse.Namespace, say: Say) -> Result:
-    """Measure the same stops in four ways."""
+    """Measure the same stops in four ways, or with `--device cuda` on a GPU."""
+    if given.device == campaign.CUDA:
+        return campaign_on_gpu.run(given, say)
     if given.axles not in SCENARIOS:
         raise ConfigError(
             f"--axles {given.axles}: bench campaign has no scenario with so many axles; allowed are "
@@ -119,13 +121,18 @@ def run(given: argparse.Namespace, say: Say) -> Result:
 
 def section(given: argparse.Namespace) -> str:
     """Return the heading of the figures on a page: each number of axles has a section."""
+    if given.device == campaign.CUDA:
+        return "campaign on a GPU"
     return "campaign" if given.axles == COACH_AXLES else f"campaign with {given.axles} axles"
 
 
-def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None) -> Result:
+def longer_steps(
+    plan: campaign.Plan, older_chunk_s: Callable[[int], float] | None, stops: int = COMPARED
+) -> Result:
     """Return factor of time and deviations of the distances for each of STEPS_S.
 
     `plan` has the step of the scenario. Each chunk runs in all ways before the next one begins.
+    "stop_s" is the processor time of a stop with the step of the scenario.
     """
     plans = {0.0: plan}
     for step_s in STEPS_S:
@@ -136,7 +143,7 @@ def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | No
     half = _with_half_step(plan)
     half_m: list[float] = []
     older_s = 0.0
-    for chunk in range(COMPARED // CHUNK):
+    for chunk in range(stops // plan.head["chunk"]):
         if older_chunk_s is not None:
             older_s += older_chunk_s(chunk)
         for step_s, each in plans.items():
@@ -155,6 +162,7 @@ def longer_steps(plan: campaign.Plan, older_chunk_s: Callable[[int], float] | No
         found.append(figures_of_step | _deviations(distances_m[step_s], exact_m))
     return {
         "steps": found,
+        "stop_s": spent_s[0.0] / len(distances_m[0.0]),
         "half": _deviations(half_m, exact_m),
         "factor_over_older": older_s / spent_s[0.0] if older_chunk_s is not None else None,
     }
@@ -277,6 +285,8 @@ def peak_memory_MB() -> float:
 
 def table(result: Result) -> Table:
     """Return the figures of the campaign."""
+    if "device" in result:
+        return campaign_on_gpu.table(result)
     compared = result["steps"]
     steps = []
     if compared["factor_over_older"] is not None:

@@ -23,7 +23,7 @@ from rich.console import Group
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
-from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.rig.state import rigs_together
 from rollerrig.wsp_interface import braking
 

@@ -15,7 +15,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,17 +32,12 @@ from rollerrig.configs.vehicle import Kind, equipment_of
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import (
-    bench_runs,
-    combined,
-    design,
-    speed_steps,
-    spreading,
-    stops_in_lanes,
-)
+from rollerrig.realtime.campaign import bench_runs, combined, design, speed_steps, spreading
 from rollerrig.realtime.campaign.components import applied as applied_of
 from rollerrig.realtime.campaign.statistics import strata as strata_of
+from rollerrig.realtime.campaign.stops import stops_in_lanes, stops_on_device
 from rollerrig.realtime.record import figures, played, summary
+from rollerrig.rig.compiled import device as gpu
 from rollerrig.wsp_interface import unit_choice
 
 # keys at the top of a plan
@@ -68,6 +63,10 @@ STRATUM = "stratum"
 WEIGHT = "weight"
 # runs in a chunk of a large campaign, if the plan states no other
 _LARGE_CHUNK = 200
+# what computes the stops
+CORES, CUDA = DEVICES = ("cores", "cuda")
+# runs in a chunk of a campaign on a GPU, if the plan states no other: threads that run together
+_GPU_CHUNK = 2000
 # units that a campaign knows without importing a module
 _NAMED_UNITS = ("reference", "none")
 # package.module:function
@@ -104,6 +103,7 @@ class Plan(NamedTuple):
     strata: tuple[strata_of.Stratum, ...] = ()
     # what inputs of single units and failures do to a run
     applied: applied_of.Applied | None = None
+    device: str = CORES  # what computes the stops, of DEVICES
     # the combination of brakes: its name, and the equipment that it isolates
     combination: str = ""
     isolates: tuple[str, ...] = ()
@@ -142,6 +142,7 @@ def load(
     allow_code: bool = False,
     unit_command: str = "",
     combination: str = "",
+    device: str = CORES,
     **heads: Any,
 ) -> Plan:
     """Return a plan by name or path; `heads` replace values at its top. Raises ConfigError.
@@ -151,7 +152,8 @@ def load(
     A unit that is a Python function is refused without `allow_code`, because a plan is data, and
     data runs no code. `unit_command` is a command that starts a unit for each run, which the user
     has given; it replaces the unit of the plan. The first and the last run, and those with extreme
-    values, are resolved, to find bad values early.
+    values, are resolved, to find bad values early. A plan that does not run on the `device` is
+    refused.
     """
     content, path = store.load("campaigns", name)
     content = content | heads
@@ -166,6 +168,8 @@ def load(
     head = table.read(ROWS, content, str(path))
     if "chunk" not in content and design.is_large(head):
         head["chunk"] = _LARGE_CHUNK
+    if "chunk" not in content and device == CUDA:
+        head["chunk"] = _GPU_CHUNK
     # the path of a scenario is relative to the plan, but workers may run elsewhere
     if head["scenario"].endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
@@ -193,6 +197,7 @@ def load(
         applied=drawn.applied,
         combination=combination,
         isolates=isolates,
+        device=device,
     )
     _check_equipment(plan, path)
     if unit_command:
@@ -203,6 +208,7 @@ def load(
     _check_failures(plan, path)
     _check_values(plan, path)
     _check_step(plan, path)
+    _check_device(plan, path)
     return plan
 
 
@@ -232,6 +238,43 @@ def _check_failures(plan: Plan, path: Path) -> None:
                 _load(plan, (*plan.isolating, *settings), faults)
             except ConfigError as error:
                 raise ConfigError(f"{path} [failures] {failure.name}: {error}") from None
+
+
+def _check_device(plan: Plan, path: Path) -> None:
+    """Raise ConfigError if a plan for a GPU has a unit or a scenario that does not run there.
+
+    The scenarios are those of the first and last run, of runs with extreme values, of the first run
+    with each text, and of each component that can fail.
+    """
+    if plan.device == CORES:
+        return
+    gpu.check_installed()
+    if plan.head["unit"] not in _NAMED_UNITS:
+        raise ConfigError(
+            f'{path}: unit = "{plan.head["unit"]}" does not run on a GPU; allowed there are '
+            "reference and none, or leave --device out"
+        )
+    numbers = {0, len(plan.points) - 1, *_first_with_texts(plan)}
+    for runs in design.extremes(plan.points, plan.axes).values():
+        numbers |= set(runs)
+    changed: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {}
+    if plan.applied is not None:
+        values = dict(zip(plan.axes, plan.points[0], strict=True))
+        values |= {failure.column: "" for failure in plan.applied.failures}
+        for failure in plan.applied.failures:
+            failed = {failure.column: str(next(iter(failure.effects)))}
+            changed[f"[failures] {failure.name}"] = plan.applied.changes(values | failed)
+    changed |= {f"run {number}": changes(plan, number) for number in sorted(numbers)}
+    for where, (settings, faults) in changed.items():
+        try:
+            found = stops_in_lanes.obstacle(_load(plan, settings, faults))
+        except ConfigError:
+            # the row of this run reports it
+            continue
+        if found is not None:
+            raise ConfigError(
+                f"{path}: {where} does not run on a GPU because of {found}, or leave --device out"
+            )
 
 
 def _check_step(plan: Plan, path: Path) -> None:
@@ -446,9 +489,10 @@ def _compute(
             row["error"] = str(error)
 
     unit = _unit(plan.head["unit"])
+    place = stops_on_device if plan.device == CUDA else stops_in_lanes
     for kind, of_kind in jobs.items():
         read = dict.fromkeys((*summary.channels_of(kind), *speed_steps.CHANNELS))
-        for finished in stops_in_lanes.together(of_kind, unit, list(read)):
+        for finished in place.together(of_kind, unit, list(read)):
             row = rows[finished.tag]
             _fill(row, summarize(finished, plan.head["unit"]))
             row[STEP] = finished.plan["loop"][STEP]
@@ -583,6 +627,7 @@ def _manifest(plan: Plan, found: str) -> dict[str, Any]:
         "unit_played": played.unit_of(plan.head["unit"])._asdict(),
         "version": played.version(),
         "axes": plan.axes,
+        "device": plan.device,
         "runs": len(plan.points),
         "sources": plan.sources,
         "etcs": plan.steps._asdict() if plan.steps else None,
@@ -644,6 +689,9 @@ def fingerprint(plan: Plan) -> str:
         of_plan.append(plan.isolates)
     if plan.is_large:
         of_plan.append(rows_up_to)
+    if plan.device != CORES:
+        # the digits of a GPU are others
+        of_plan.append(plan.device)
     identity = json.dumps(of_plan, sort_keys=True)
     return hashlib.sha256(identity.encode()).hexdigest()[:16]
 
@@ -653,23 +701,31 @@ def _digests_of_names(plan: Plan) -> list[str]:
 
     A run whose scenario is refused has none; its row reports why.
     """
-    if plan.is_large:
-        return []
-    components = plan.applied.failures if plan.applied else ()
-    columns = {failure.column for failure in components}
-    seen: set[tuple[str, str]] = set()
     found = []
-    for number, point in enumerate(plan.points, start=plan.first):
-        pairs = zip(plan.axes, point, strict=True)
-        texts = {pair for pair in pairs if isinstance(pair[1], str) and pair[0] not in columns}
-        if texts <= seen:
-            continue
-        seen |= texts
+    for number in _first_with_texts(plan):
         try:
             found.append(scenario.digest(resolve(plan, number)))
         except ConfigError:
             continue
     return found
+
+
+def _first_with_texts(plan: Plan) -> Iterator[int]:
+    """Yield the numbers of runs that have a text among the varied values that no run before has.
+
+    A large campaign varies no text.
+    """
+    if plan.is_large:
+        return
+    components = plan.applied.failures if plan.applied else ()
+    columns = {failure.column for failure in components}
+    seen: set[tuple[str, str]] = set()
+    for number, point in enumerate(plan.points, start=plan.first):
+        pairs = zip(plan.axes, point, strict=True)
+        texts = {pair for pair in pairs if isinstance(pair[1], str) and pair[0] not in columns}
+        if not texts <= seen:
+            seen |= texts
+            yield number
 
 
 def _fingerprint(mark: Path, out: Path) -> Any:

@@ -23,9 +23,9 @@ from rollerrig.realtime.campaign import (
     outcome,
     speed_steps,
     stopping,
-    stops_in_lanes,
 )
 from rollerrig.realtime.campaign.statistics import corrections, draws, quantiles, strata
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 
 NOT_A_CERTIFICATE = (
     "Not a certificate: these numbers show what this model did over the laws of its inputs. They "

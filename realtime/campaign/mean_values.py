@@ -18,7 +18,8 @@ from rollerrig.configs.vehicle import (
     weighed_share,
 )
 from rollerrig.realtime.bench import scenario
-from rollerrig.realtime.campaign import dry_stop, stops_in_lanes
+from rollerrig.realtime.campaign import dry_stop
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.rig import brake_calculation
 from rollerrig.wsp_interface import braking
 

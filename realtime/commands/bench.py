@@ -1,6 +1,6 @@
 """`rollerrig bench` runs the project's benchmarks by name; `rollerrig score` judges answers.
 
-Seven benchmarks belong to the installed package, because users want their figures of a new machine.
+Eight benchmarks belong to the installed package, because users want their figures of a new machine.
 The others judge the project itself. They are in `tests/` and run from a clone only.
 """
 
@@ -40,6 +40,7 @@ BENCHMARKS = {
         "start", "first and next starts of run and explain: processor time, wall time, kernels"
     ),
     "campaign": _installed("campaign", "stops per minute and core, two workers, memory, Dask"),
+    "million": _installed("million", "hours of a million stops on two cores, by the step"),
     "merge": _installed(
         "merge", "memory, disk and time of a campaign of a million stops, apart from the stops"
     ),
@@ -125,7 +126,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="fuzz: number of inputs (default: 1000000); files: files of each kind (default: 1000); "
         "kill: number of kills (default: 100); "
-        "repeat: runs of each sequence (default: 10); merge: stops (default: 1000000)",
+        "repeat: runs of each sequence (default: 10); merge: stops (default: 1000000); "
+        "campaign with --device cuda: stops (default: 8192); million: stops of each plan (default: 60)",
     )
     parser.add_argument("--live", action="store_true", help="loop: with the live view")
     parser.add_argument(
@@ -135,6 +137,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="campaign, start: the checkout of an older commit, whose code does the same alternately",
     )
     wsp.axles_argument(parser, "campaign: ")
+    parser.add_argument(
+        "--device",
+        choices=("cores", "cuda"),
+        default="cores",
+        help="campaign: measure on cores, or on a GPU of NVIDIA (cuda), with a comparison (default: cores)",
+    )
     parser.add_argument(
         "--runs",
         type=int,

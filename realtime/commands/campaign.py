@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.configs.processes import cores, interruption
+from rollerrig.configs.processes import children, cores, interruption
 from rollerrig.configs.table import nearest
 from rollerrig.realtime.commands import output
 
@@ -43,6 +43,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "processes on this machine",
     )
     parser.add_argument(
+        "--device",
+        choices=("cores", "cuda"),
+        default="cores",
+        help="what computes the stops: cores of a processor, or a GPU of NVIDIA (cuda), which the "
+        "processes share (default: cores)",
+    )
+    parser.add_argument(
         "--unit",
         default="",
         metavar="COMMAND",
@@ -73,6 +80,7 @@ def call(options: argparse.Namespace) -> int:
     """
     from rollerrig.realtime.campaign import campaign, combined
     from rollerrig.realtime.reports import pdf
+    from rollerrig.rig.compiled import device
 
     # all that can be wrong is checked before the first run
     if options.pdf:
@@ -80,11 +88,15 @@ def call(options: argparse.Namespace) -> int:
     about = output.about(options)
     names = tuple(combined.read(options.plan)) or ("",)
     plans = [
-        campaign.load(options.plan, options.allow_code, options.unit, combination)
+        campaign.load(options.plan, options.allow_code, options.unit, combination, options.device)
         for combination in names
     ]
     for plan in plans:
         _check(options, plan)
+    if options.device == campaign.CUDA and not options.scheduler:
+        # in another process: one that has used a GPU cannot be forked
+        with children.pool(1) as pool:
+            output.print_message(f"the stops run on {pool.submit(device.name).result()}")
 
     out = options.out or Path("campaigns") / Path(options.plan).stem
     if names == ("",):

@@ -43,6 +43,7 @@ _NOT_READ_BY_KERNELS = (
     "lazy_cache.py",
     "compile_progress.py",
     "compile_lock.py",
+    "device.py",
 )
 # an import from the product: the module, and the names in it, which may be modules themselves
 _IMPORT = re.compile(rb"^from rollerrig\.([\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)

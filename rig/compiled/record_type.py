@@ -13,7 +13,7 @@ Source: numba's documentation, "Extending Numba", low-level interface.
 
 import hashlib
 import operator
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -312,6 +312,64 @@ def _table_of_one(typing_context: Any, record: Any) -> Any:
 
 # table_of_one(record): the table with this record alone; a tuple without a compiler
 table_of_one: Any = (lambda record: (record,)) if settings.DISABLE_JIT else intrinsic(_table_of_one)
+
+
+class _At:
+    """An object that numpy takes as an array at an address, whose memory it does not read."""
+
+    def __init__(self, interface: dict[str, Any]) -> None:
+        self.__array_interface__ = interface
+
+
+def arrays_of(value: Any) -> Iterator[np.ndarray]:
+    """Yield the arrays of a record, and of the records in it."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif isinstance(value, tuple) and hasattr(value, "_fields"):
+        for field in value:
+            yield from arrays_of(field)
+
+
+def moved(value: Any, address_of: Callable[[np.ndarray], int]) -> Any:
+    """Return a record whose arrays are at other addresses, such as those in a GPU.
+
+    address_of: the address of the copy of a contiguous array. Only compiled code there may read
+    the record; `write` writes it into a table.
+    """
+    if isinstance(value, np.ndarray):
+        interface = {
+            "shape": value.shape,
+            "typestr": value.dtype.str,
+            "data": (address_of(value), not value.flags.writeable),
+            "version": 3,
+        }
+        return np.asarray(_At(interface))
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return type(value)(*(moved(field, address_of) for field in value))
+    return value
+
+
+def type_of(record: Any) -> Record:
+    """Return the type of a record in compiled code."""
+    found: Record = typeof(record)
+    return found
+
+
+def table_at(record: Record) -> Any:
+    """Return what makes, in compiled code, the table with one record at an address, an integer."""
+    kind = TableOf(record)
+
+    def at(typing_context: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            value = cgutils.create_struct_proxy(kind)(context, builder)
+            value.address = builder.inttoptr(arguments[0], value.address.type)
+            value.stride = context.get_constant(types.intp, 0)
+            value.count = context.get_constant(types.intp, 1)
+            return value._getvalue()
+
+        return kind(types.intp), generate
+
+    return intrinsic(at)
 
 
 def _structure_size(typing_context: Any, record: Any) -> Any:

@@ -11,6 +11,10 @@ constants, with room for the most axles: the compiler knows that two fields neve
 A buffer may hold several rigs. Their axles lie one after another in each field, so a kernel that
 takes the state of all rigs loops over all axles. `rig_of` gives the state of one of them.
 
+A buffer of very many rigs, for a GPU, has room for a multiple of the most axles. There a kernel
+gets the state of its rig (`Placed`) with this multiple, and a field begins so many times as far
+from the beginning. All kernels are the same.
+
 Source: numba's documentation, "Extending Numba", low-level interface.
 """
 
@@ -30,6 +34,8 @@ _BYTES_OF_A_FLOAT = 8
 _DIGITS = 12
 # the attribute of a state with the number of axles
 _AXLES = "axles"
+# the member of a state with the multiple of the most axles for which its buffer has room
+_MULTIPLE = "multiple"
 
 
 class Width(NamedTuple):
@@ -62,6 +68,11 @@ class Place(NamedTuple):
         begin = self.begin + rig * self.next_rig.of(axles)
         return slice(begin, begin + self.width.of(axles))
 
+    @property
+    def is_interleaved(self) -> bool:
+        """Whether the rigs of a field follow one another, with no other field between them."""
+        return self.next_rig == self.width
+
 
 def one_after_another(
     widths: Mapping[str, Width],
@@ -82,17 +93,19 @@ class Address(types.Type):
 
     places: the place of each field in the buffer; None for a field that is None.
     bases: the different `Place.next_rig` of the fields. There is an address for each.
+    has_multiple: whether the buffer has room for a multiple of the most axles, see `Placed`.
     """
 
-    def __init__(self, places: Mapping[str, Place | None]) -> None:
+    def __init__(self, places: Mapping[str, Place | None], has_multiple: bool = False) -> None:
         self.places = dict(places)
+        self.has_multiple = has_multiple
         present = [place for place in places.values() if place is not None]
         self.bases = list(dict.fromkeys(place.next_rig for place in present))
         # Numba takes two types with the same name as the same type. It writes the name into each
         # function that takes the type, so a digest of all places is better than their list.
         described = " ".join(f"{field}:{place}" for field, place in places.items())
         digest = hashlib.sha256(described.encode()).hexdigest()[:_DIGITS]
-        super().__init__(name=f"State_{digest}")
+        super().__init__(name=f"{'States' if has_multiple else 'State'}_{digest}")
 
 
 @register_model(Address)
@@ -101,8 +114,13 @@ class _Model(models.StructModel):
 
     def __init__(self, manager: Any, kind: Address) -> None:
         pointer = types.CPointer(types.float64)
-        members = [(_base(number), pointer) for number in range(len(kind.bases))]
-        super().__init__(manager, kind, [*members, (_AXLES, types.intp)])
+        members: list[tuple[str, Any]] = []
+        for number in range(len(kind.bases)):
+            members.append((_base(number), pointer))
+        members.append((_AXLES, types.intp))
+        if kind.has_multiple:
+            members.append((_MULTIPLE, types.intp))
+        super().__init__(manager, kind, members)
 
 
 def _base(number: int) -> str:
@@ -128,6 +146,22 @@ def register(named_tuple: type, places: Mapping[str, Place], counted: str) -> No
         for field, view in zip(fields, state, strict=True):
             present[field] = None if view is None else places[field]
         return Address(present)
+
+
+class Placed(NamedTuple):
+    """The state of one rig in a buffer of very many, as Python gives it to a kernel.
+
+    kind: its type. numbers: the addresses of `Address.bases`, the number of axles, and the multiple
+    of the most axles for which the buffer has room.
+    """
+
+    kind: Address
+    numbers: tuple[int, ...]
+
+
+@typeof_impl.register(Placed)
+def _type_of_placed(state: Placed, context: Any) -> Address:
+    return state.kind
 
 
 # the number of the field with one value for each axle, by the names of all fields
@@ -195,6 +229,8 @@ def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
     """
     from numba.np import arrayobj  # a lazy import: only compiling needs it
 
+    if kind.has_multiple:
+        return _from_placed(kind, state, c)
     value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
     failed = cgutils.false_bit
     fields = tuple(kind.places)
@@ -219,6 +255,22 @@ def _from_python(kind: Address, state: Any, c: Any) -> NativeValue:
         # buffer alive as long as the kernel runs
         if c.context.enable_nrt:
             c.context.nrt.decref(c.builder, _VIEW, view.value)
+    return NativeValue(value._getvalue(), is_error=failed)
+
+
+def _from_placed(kind: Address, state: Any, c: Any) -> NativeValue:
+    """Generate the code that gets a state from a `Placed`."""
+    value = cgutils.create_struct_proxy(kind)(c.context, c.builder)
+    failed = cgutils.false_bit
+    numbers = c.pyapi.tuple_getitem(state, Placed._fields.index("numbers"))
+    members = [*(_base(number) for number in range(len(kind.bases))), _AXLES, _MULTIPLE]
+    for place, member in enumerate(members):
+        number = c.unbox(types.intp, c.pyapi.tuple_getitem(numbers, place))
+        failed = c.builder.or_(failed, number.is_error)
+        wanted = getattr(value, member).type
+        is_address = member not in (_AXLES, _MULTIPLE)
+        found = c.builder.inttoptr(number.value, wanted) if is_address else number.value
+        setattr(value, member, found)
     return NativeValue(value._getvalue(), is_error=failed)
 
 
@@ -252,10 +304,13 @@ def _field(context: Any, builder: Any, kind: Address, state: Any, field: str) ->
         return context.get_dummy_value()  # numba's representation of None
 
     base = getattr(value, _base(kind.bases.index(place.next_rig)))
+    begin = context.get_constant(types.intp, place.begin)
+    if kind.has_multiple and place.is_interleaved:
+        begin = builder.mul(begin, value.multiple)
     view = arrayobj.make_array(_VIEW)(context, builder)
     arrayobj.populate_array(
         view,
-        data=builder.gep(base, [context.get_constant(types.intp, place.begin)]),
+        data=builder.gep(base, [begin]),
         shape=[_times(context, builder, place.width, value.axles)],
         strides=[context.get_constant(types.intp, _BYTES_OF_A_FLOAT)],
         itemsize=context.get_constant(types.intp, _BYTES_OF_A_FLOAT),

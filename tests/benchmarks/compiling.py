@@ -55,7 +55,7 @@ print("seconds", min(stop("30") for _ in range(3)))
 # twelve stops in lanes, without the start of the program and without compiling
 LANES = """
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 def stops(count):
     plans = [scenario.load("velim_a1", settings=[f"adhesion.mu_cd={0.04 + 0.002 * k}"]) for k in range(count)]
     begin_s = time.process_time()
@@ -66,7 +66,7 @@ print("seconds", min(stops(12) for _ in range(3)))
 """
 ALONE = """
 from rollerrig.realtime.bench import free
-from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 stops_in_lanes.fits = lambda plan: False
 """
 

@@ -21,7 +21,7 @@ from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.benchmarks import figures
 from rollerrig.realtime.benchmarks.figures import Result, Say, target
-from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.rig.contact import adhesion
 from rollerrig.wsp_interface import signals
 

@@ -43,7 +43,7 @@ from rollerrig.configs.table import number, read
 from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.wsp_interface import signals
 
 # the signals of the coach of the tests

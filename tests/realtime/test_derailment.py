@@ -8,7 +8,8 @@ import pytest
 from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime import cli
 from rollerrig.realtime.bench import derailment, free, scenario, tick_data
-from rollerrig.realtime.campaign import campaign, stops_in_lanes
+from rollerrig.realtime.campaign import campaign
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.realtime.loop import ring
 from rollerrig.realtime.loop.tick import TICK
 from rollerrig.rig.multibody import coach_state

@@ -13,7 +13,8 @@ from rollerrig.configs.errors import UnitError
 from rollerrig.configs.vehicle import COACH
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, stops_in_lanes
+from rollerrig.realtime.campaign import campaign
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.realtime.record import records
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.bus import buses

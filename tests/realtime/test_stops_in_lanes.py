@@ -5,7 +5,8 @@ import pytest
 
 from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import campaign, stops_in_lanes
+from rollerrig.realtime.campaign import campaign
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.realtime.record import summary
 from rollerrig.wsp_interface import signals
 

@@ -7,7 +7,7 @@ import program
 import pytest
 
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import stops_in_lanes
+from rollerrig.realtime.campaign.stops import stops_in_lanes
 from rollerrig.rig.state import rigs_together
 from rollerrig.wsp_interface import signals
 

@@ -5,7 +5,7 @@ A stop that is done gives its place to the next stop.
 
 import functools
 import itertools
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +15,7 @@ from rollerrig.configs.vehicle import MOST_AXLES, Kind
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, tick_data
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.campaign import ticks_in_lanes
+from rollerrig.realtime.campaign.stops import ticks_in_lanes
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.ring import WRITTEN, Memory
 from rollerrig.realtime.loop.tick import DONE
@@ -53,25 +53,17 @@ def together(
     in the order in which the stops are done. A result does not depend on the stops in the other
     places. It differs from that of `free.simulate` by rounding.
     """
-    parameters = functools.cache(logic.load)
-
-    def unit_of(plan: Scenario) -> free.Unit:
-        # the reference unit, whose file is read once
-        return parameters(plan["wsp_config"]) if unit == "reference" else unit
-
-    is_compiled = unit in ("reference", "none") or isinstance(unit, logic.Params)
+    unit_of = unit_by_plan(unit)
     fitting: dict[Kind, list[tuple[Any, Scenario]]] = {}
     for tag, plan in jobs:
-        if is_compiled and fits(plan):
+        if is_compiled(unit) and fits(plan):
             fitting.setdefault(plan.kind, []).append((tag, plan))
         else:
-            yield _alone(tag, plan, unit)
+            yield alone(tag, plan, unit)
 
     for kind, together_jobs in fitting.items():
-        table = signals.table(kind)
-        names = table.columns if columns is None else columns
-        kept = np.array([table.kept[table.columns.index(name)] for name in names])
-        lanes = _Together(kind, kept)
+        names = signals.table(kind).columns if columns is None else columns
+        lanes = _Together(kind, places(kind, names))
         for tag, stop, samples in lanes.run(
             (tag, plan, unit_of(plan)) for tag, plan in together_jobs
         ):
@@ -80,7 +72,28 @@ def together(
             yield Finished(tag, stop.plan, channels, stop.events, stop.ended)
 
 
-def _alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
+def unit_by_plan(unit: free.Unit) -> Callable[[Scenario], free.Unit]:
+    """Return what gives the unit of a scenario; the file of a reference unit is read once."""
+    parameters = functools.cache(logic.load)
+
+    def unit_of(plan: Scenario) -> free.Unit:
+        return parameters(plan["wsp_config"]) if unit == "reference" else unit
+
+    return unit_of
+
+
+def is_compiled(unit: free.Unit) -> bool:
+    """Return whether a unit runs in compiled code, between two ticks."""
+    return unit in ("reference", "none") or isinstance(unit, logic.Params)
+
+
+def places(kind: Kind, names: Sequence[str]) -> np.ndarray:
+    """Return the places of channels in the row of all signals, int64 (n,)."""
+    table = signals.table(kind)
+    return np.array([table.kept[table.columns.index(name)] for name in names])
+
+
+def alone(tag: Any, plan: Scenario, unit: free.Unit) -> Finished:
     """Run one stop. A failure of its unit is in its events. Raises ConfigError."""
     free.check(plan)
     stop, memory = free.remembered(plan, unit)
@@ -100,14 +113,22 @@ def finished(tag: Any, stop: free.Stop, memory: Memory) -> Finished:
 
 def fits(plan: Scenario) -> bool:
     """Whether a scenario may run together with others: one planar plant, the law, no faults."""
-    params = plan.params
-    return (
-        plan.rollers is None
-        and not plan.faults
-        and not plan["bus"]["arbitration"]
-        and params.coach is None
-        and params.patch.model is None
-    )
+    return obstacle(plan) is None
+
+
+def obstacle(plan: Scenario) -> str | None:
+    """Return what lets a scenario run only alone, with its remedy; None if it fits."""
+    if plan.rollers is not None:
+        return 'a virtual track: set track = "plain"'
+    if plan.faults:
+        return f"a fault ({plan.faults[0].kind.name}): remove it"
+    if plan["bus"]["arbitration"]:
+        return "arbitration of the bus: set bus.arbitration = false"
+    if plan.params.coach is not None:
+        return 'the coach in 3D: set vehicle.model = "planar"'
+    if plan.params.patch.model is not None:
+        return f'the contact model {plan["contact"]["model"]}: set contact.model = "degraded"'
+    return None
 
 
 class _Together:
@@ -119,7 +140,6 @@ class _Together:
         self._buffer = np.zeros(size_of(self._rigs))
         self._kind = kind
         self._kept = kept
-        self._no_unit = logic.load()
         self._clocks = np.zeros((self._rigs, ticks_in_lanes.COLUMNS_OF_CLOCK), dtype=np.int64)
 
     def run(
@@ -131,7 +151,7 @@ class _Together:
         records = []
         for rig, (tag, plan, unit) in enumerate(itertools.islice(waiting, self._rigs)):
             placed[rig] = tag, self._place(rig, plan, unit)
-            records.append(self._record(placed[rig][1]))
+            records.append(record_of(placed[rig][1]))
         if not placed:
             return
         stops = record_type.table(records)
@@ -147,7 +167,7 @@ class _Together:
                 if following is not None:
                     tag, plan, unit = following
                     placed[rig] = tag, self._place(rig, plan, unit)
-                    record_type.write(stops, rig, self._record(placed[rig][1]))
+                    record_type.write(stops, rig, record_of(placed[rig][1]))
                 else:
                     del placed[rig]
             # fewer stops than places: those in the last places move up
@@ -160,15 +180,8 @@ class _Together:
 
     def _place(self, rig: int, plan: Scenario, unit: free.Unit) -> free.Stop:
         """Give a place to a stop that has not begun."""
-        no_ring = Memory(1, plan.table)
-        data = tick_data.build(plan, no_ring, seat=(self._buffer, rig))
         self._clocks[rig] = 0
-        data = data._replace(
-            command=data.commands.values,  # commands act when they are written
-            kept=self._kept,
-            ring_rows=np.empty((free.most_samples(plan), self._kept.size)),
-        )
-        return free.Stop(plan, data, unit)
+        return waiting_stop(plan, unit, self._kept, free.most_samples(plan), (self._buffer, rig))
 
     def _move(self, before: int, rig: int, stop: free.Stop, stops: record_type.Table) -> None:
         """Give another place to a stop that has begun."""
@@ -181,15 +194,40 @@ class _Together:
         self._clocks[rig] = self._clocks[before]
         record_type.write(stops, rig, stops.records[before]._replace(m=stop.data))
 
-    def _record(self, stop: free.Stop) -> ticks_in_lanes.Stop:
-        """Return a stop as the ticks need it."""
-        data = stop.data
-        units = stop.reference_units
-        return ticks_in_lanes.Stop(
-            m=data,
-            units=units or tick.Units(np.zeros((0, logic.SIZE)), self._no_unit),
-            inputs=np.zeros(2 * MOST_AXLES, dtype=np.int64),
-            sync_ticks=stop.plan.sync_ticks if units else 0,
-            is_observed=ticks_in_lanes.is_observed(data),
-            cleans=ticks_in_lanes.cleans(data.params),
-        )
+
+def waiting_stop(
+    plan: Scenario, unit: free.Unit, kept: np.ndarray, samples: int, seat: tuple[np.ndarray, int]
+) -> free.Stop:
+    """Return a stop that has not begun, for the ticks of `ticks_in_lanes`.
+
+    kept: the columns of a sample, int64 (n,). samples: for so many there is room. seat: as for
+    `plant.Plant`.
+    """
+    no_ring = Memory(1, plan.table)
+    data = tick_data.build(plan, no_ring, seat=seat)
+    data = data._replace(
+        command=data.commands.values,  # commands act when they are written
+        kept=kept,
+        ring_rows=np.empty((samples, kept.size)),
+    )
+    return free.Stop(plan, data, unit)
+
+
+def record_of(stop: free.Stop) -> ticks_in_lanes.Stop:
+    """Return a stop as the ticks need it."""
+    data = stop.data
+    units = stop.reference_units
+    return ticks_in_lanes.Stop(
+        m=data,
+        units=units or tick.Units(np.zeros((0, logic.SIZE)), _parameters_without_unit()),
+        inputs=np.zeros(2 * MOST_AXLES, dtype=np.int64),
+        sync_ticks=stop.plan.sync_ticks if units else 0,
+        is_observed=ticks_in_lanes.is_observed(data),
+        cleans=ticks_in_lanes.cleans(data.params),
+    )
+
+
+@functools.cache
+def _parameters_without_unit() -> logic.Params:
+    """Return parameters, which a record has even where no unit reads them."""
+    return logic.load()
