@@ -32,7 +32,7 @@ def can_be_seen(a: Aligned) -> bool:
 def smallest(a: Aligned, v: np.ndarray) -> np.ndarray:
     """Return the smallest slip that counts at each sample, m/s, (n, m)."""
     by_speed = (limit.slip_share(v) * v)[:, None]
-    return np.maximum(slides.smallest(a, v, _noise(a)), by_speed)
+    return np.maximum(slides.smallest(a, v, slides.by_noise(a, _noise(a))), by_speed)
 
 
 def _noise(a: Aligned) -> np.ndarray:
