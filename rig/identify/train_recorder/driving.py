@@ -54,7 +54,7 @@ def find(
     found: list[Finding] = []
     flags = []
     for a, slides_at in zip(aligned, sliding, strict=True):
-        v = a.reference if a.has_reference else sampling.median(a.speed.T)
+        v = _by_slowest(a, a.reference) if a.has_reference else sampling.median(a.speed.T)
         slip = a.speed - v[:, None]
         slips_at = _flags(a, v, slip)
         if not a.has_reference:
@@ -63,6 +63,20 @@ def find(
         for first, last in slides.episodes(a, np.any(slips_at, axis=1)):
             found.append(_episode(a, v, slip, slips_at, first, last))
     return found, flags
+
+
+def _by_slowest(a: Aligned, reference: np.ndarray) -> np.ndarray:
+    """Return the speed of the vehicle (n,): at low speed at least that of two wheels that agree.
+
+    A receiver shows little of the speed near 0. The wheels that are not driven are the slowest
+    ones, and agree with each other.
+    """
+    if len(a.names) < _LEAST_SPEEDS:
+        return reference
+    ordered = np.sort(a.speed, axis=1)
+    agree = ordered[:, 1] - ordered[:, 0] < limit.SLIDE_M_S
+    is_slow = reference < min(limit.SLOWEST_M_S, limit.SLOW_SHARE * a.run.fastest_m_s)
+    return np.where(agree & is_slow, np.fmax(reference, ordered[:, 1]), reference)
 
 
 def near(a: Aligned, flag: np.ndarray) -> np.ndarray:
@@ -80,7 +94,9 @@ def _flags(a: Aligned, v: np.ndarray, slip: np.ndarray) -> np.ndarray:
     """Return where each speed slips for long enough, flags (n, m)."""
     if not can_be_seen(a):
         return np.zeros(a.speed.shape, bool)
-    flag = np.where(np.isfinite(slip), slip > smallest(a, v), False)
+    least_m_s = smallest(a, v)
+    flag = np.where(np.isfinite(slip), slip > least_m_s, False)
+    flag &= ~slides.agreeing(a, v, slip, least_m_s)[:, None]
     flag &= (v > a.slowest_m_s)[:, None]
 
     shortest = max(round(limit.slide_s(a.step_s) / a.step_s), 2)
