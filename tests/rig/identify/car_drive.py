@@ -107,12 +107,12 @@ def in_hard_braking(of, seed, depth_m_s, duration_s):
     Depth and duration are ranges.
     """
     rng = np.random.default_rng(seed + 3000)
-    is_hard = (of.change_m_s2 < -6.0) & (of.speed_m_s > 15.0)
+    is_hard = (of.change_m_s2 < -6.0) & (of.speed_m_s > 8.0)
     samples = np.flatnonzero(is_hard)
     slides = []
     for part in np.split(samples, np.flatnonzero(np.diff(samples) > 1) + 1):
         if part.size > 60:
-            start = int(rng.integers(part[5], part[-40]))
+            start = int(rng.integers(part[5], part[-45]))
             slides.append(
                 PlantedSlide(
                     wheel=int(rng.integers(4)),
