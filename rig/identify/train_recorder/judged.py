@@ -366,7 +366,8 @@ def _slide_check(aligned: list[Aligned], sliding: list[np.ndarray]) -> Check:
         places = planted.places(runs, braked, inside)
     smallest = planted.smallest_m_s(places)
     if not np.isfinite(smallest):
-        return _not_judged("slide", NO_PLANTED)
+        is_one = all(len(a.names) == 1 and not a.has_reference for a in runs)
+        return _not_judged("slide", ONE_SPEED if is_one else NO_PLANTED)
     return Check("slide", True, smallest, "m/s", "", (shortest_s, braked_s))
 
 

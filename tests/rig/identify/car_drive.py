@@ -40,9 +40,12 @@ def drive(seed, stops=5, hard_m_s2=(7.0, 9.0), top_m_s=(20.0, 30.0)):
     speeds = [0.0]
     changes = [0.0]
 
-    def hold(target_m_s2, is_done):
+    def hold(target_m_s2, for_s=np.inf, until_m_s=np.nan):
         start = len(speeds)
-        while not is_done(speeds[-1], STEP_S * (len(speeds) - start)):
+        sign = np.sign(target_m_s2)
+        while STEP_S * (len(speeds) - start) <= for_s:
+            if sign * (speeds[-1] - until_m_s) >= 0.0:
+                break
             change = changes[-1] + (target_m_s2 - changes[-1]) * STEP_S / 0.12
             changes.append(change)
             speeds.append(max(speeds[-1] + change * STEP_S, 0.0))
@@ -50,13 +53,13 @@ def drive(seed, stops=5, hard_m_s2=(7.0, 9.0), top_m_s=(20.0, 30.0)):
     for _ in range(stops):
         top = rng.uniform(*top_m_s)
         slower = top * rng.uniform(0.6, 0.85)
-        hold(0.0, lambda v, s: s > 2.0)
-        hold(rng.uniform(1.5, 3.0), lambda v, s, top=top: v >= top)
-        hold(0.0, lambda v, s, end=rng.uniform(6.0, 10.0): s > end)
-        hold(-rng.uniform(1.0, 2.5), lambda v, s, slower=slower: v <= slower)
-        hold(0.0, lambda v, s, end=rng.uniform(6.0, 10.0): s > end)
-        hold(-rng.uniform(*hard_m_s2), lambda v, s: v <= 0.4)
-        hold(0.0, lambda v, s: s > 0.5)
+        hold(0.0, for_s=2.0)
+        hold(rng.uniform(1.5, 3.0), until_m_s=top)
+        hold(0.0, for_s=rng.uniform(6.0, 10.0))
+        hold(-rng.uniform(1.0, 2.5), until_m_s=slower)
+        hold(0.0, for_s=rng.uniform(6.0, 10.0))
+        hold(-rng.uniform(*hard_m_s2), until_m_s=0.4)
+        hold(0.0, for_s=0.5)
         speeds[-1] = 0.0
         changes[-1] = 0.0
     speed = np.array(speeds)

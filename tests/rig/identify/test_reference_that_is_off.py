@@ -1,4 +1,4 @@
-"""Wheels that agree with each other do not slide or slip: a reference that is off is the finding."""
+"""Wheels that agree with each other do not slide: a reference that is off is the finding."""
 
 import car_drive
 import numpy as np

@@ -41,9 +41,7 @@ def test_slides_of_some_m_s_for_a_tenth_of_a_second_are_seen(has_reference, tmp_
 @pytest.mark.parametrize("seed", [6, 7])
 def test_hard_braking_without_slides_shows_none(seed, tmp_path):
     of = car_drive.drive(seed, hard_m_s2=(3.0, 9.0))
-    account = account_of(
-        tmp_path, of, car_drive.wheels(of, seed), car_drive.reference(of, seed)
-    )
+    account = account_of(tmp_path, of, car_drive.wheels(of, seed), car_drive.reference(of, seed))
     assert not account.slides
     assert not account.unknown
 
@@ -84,9 +82,7 @@ def share_found(folder, of, read, size_m_s, count, drives):
             wheel = int(rng.integers(4))
             speeds[wheel] = planted.with_slide(speeds[wheel], start, count, size_m_s)
             time_s = float(of.time_s[start])
-            slides.append(
-                car_drive.PlantedSlide(wheel, time_s, count * car_drive.STEP_S, size_m_s)
-            )
+            slides.append(car_drive.PlantedSlide(wheel, time_s, count * car_drive.STEP_S, size_m_s))
         account = account_of(folder, of, speeds, read)
         found += sum(is_found(account, slide) for slide in slides)
         total += len(slides)
