@@ -39,7 +39,7 @@ from rollerrig.rig.identify.train_recorder.findings import (
     WheelRadius,
     WrongUnit,
 )
-from rollerrig.rig.identify.train_recorder.slides import Slide
+from rollerrig.rig.identify.train_recorder.sliding.slides import Slide
 from rollerrig.rig.identify.train_recorder.verdict import Account
 
 # name of a finding -> its words

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import clock_rate, driving, planted, scales, slides
+from rollerrig.rig.identify.train_recorder import clock_rate, scales
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
 from rollerrig.rig.identify.train_recorder.faults import held, stamps, units
@@ -18,6 +18,7 @@ from rollerrig.rig.identify.train_recorder.findings import Finding, OffsetOrDela
 from rollerrig.rig.identify.train_recorder.recording import Run
 from rollerrig.rig.identify.train_recorder.rolling import Rolling
 from rollerrig.rig.identify.train_recorder.scales import ChannelFit
+from rollerrig.rig.identify.train_recorder.sliding import driving, planted, slides
 
 # checks of the motion. The others are checks of the file.
 OF_MOTION = (

@@ -8,11 +8,9 @@ from scipy.stats import chi2
 
 from rollerrig.rig.identify.train_recorder import (
     clock_rate,
-    driving,
     judged,
     rolling,
     sampling,
-    slides,
 )
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, base_speed, slope
@@ -29,7 +27,8 @@ from rollerrig.rig.identify.train_recorder.findings import (
 from rollerrig.rig.identify.train_recorder.judged import Check
 from rollerrig.rig.identify.train_recorder.recording import Recording, Run
 from rollerrig.rig.identify.train_recorder.rolling import Rolling
-from rollerrig.rig.identify.train_recorder.slides import Slide
+from rollerrig.rig.identify.train_recorder.sliding import driving, slides
+from rollerrig.rig.identify.train_recorder.sliding.slides import Slide
 
 # samples of a speed. A run in which no speed has more is left out after the checks of the sensors.
 _LEAST_SAMPLES = 50

@@ -4,7 +4,8 @@ import car_drive
 import numpy as np
 import pytest
 
-from rollerrig.rig.identify.train_recorder import findings, planted, recording, verdict
+from rollerrig.rig.identify.train_recorder import findings, recording, verdict
+from rollerrig.rig.identify.train_recorder.sliding import planted
 
 
 def account_of(folder, of, speeds, read=None):

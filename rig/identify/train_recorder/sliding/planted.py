@@ -10,10 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import slides
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned
-from rollerrig.rig.identify.train_recorder.slides import Noise
+from rollerrig.rig.identify.train_recorder.sliding import slides
+from rollerrig.rig.identify.train_recorder.sliding.slides import Noise
 
 # planted slides of each size
 PLACES = 60

@@ -8,11 +8,12 @@ Two speeds without a reference show driving slip as little as one: the slower on
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import sampling, slides
+from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, slope
 from rollerrig.rig.identify.train_recorder.findings import Finding, Slipping
 from rollerrig.rig.identify.train_recorder.sampling import stretches
+from rollerrig.rig.identify.train_recorder.sliding import slides
 
 # m/s^2. A vehicle that loses more speed is braked and not driven.
 _BRAKED_M_S2 = -1.0

@@ -19,11 +19,12 @@ from scipy.ndimage import maximum_filter1d
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig.identify.statistics import robust_line
-from rollerrig.rig.identify.train_recorder import drops, sampling
+from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
 from rollerrig.rig.identify.train_recorder.findings import Cycle, Finding, SharedPlace, Sliding
 from rollerrig.rig.identify.train_recorder.sampling import stretches
+from rollerrig.rig.identify.train_recorder.sliding import drops
 
 # m/s. Scatter of a speed: the least one, and the one that is assumed where few samples show it.
 _LEAST_SCATTER_M_S = 0.02
