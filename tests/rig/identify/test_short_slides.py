@@ -92,7 +92,7 @@ def share_found(folder, of, read, size_m_s, count, drives):
 
 @pytest.mark.nightly
 @pytest.mark.parametrize("has_reference", [True, False])
-def test_half_of_the_slides_of_the_stated_size_are_found_and_nearly_all_of_twice_the_size(
+def test_slides_of_the_stated_size_are_found_as_stated_and_nearly_all_of_twice_the_size(
     has_reference, tmp_path
 ):
     of = car_drive.drive(9, stops=8)
@@ -100,8 +100,9 @@ def test_half_of_the_slides_of_the_stated_size_are_found_and_nearly_all_of_twice
     account = account_of(tmp_path, of, car_drive.wheels(of, 9), read)
     smallest_m_s = smallest_of(account).smallest
     count = round(planted.shortest_s(account.aligned[0]) / car_drive.STEP_S)
-    once, total = share_found(tmp_path, of, read, smallest_m_s, count, drives=6)
+    once, total = share_found(tmp_path, of, read, smallest_m_s, count, drives=4)
     assert total > 60
-    assert 0.4 <= once <= 0.6
-    twice, _ = share_found(tmp_path, of, read, 2.0 * smallest_m_s, count, drives=6)
+    # at least half by the rule of the size; more where the rule of twice the size decides
+    assert 0.4 <= once <= 0.8
+    twice, _ = share_found(tmp_path, of, read, 2.0 * smallest_m_s, count, drives=4)
     assert twice >= 0.95
