@@ -22,9 +22,16 @@ SPEED_M_S = 20.0 - 0.05 * np.arange(N)
 
 
 def write(
-    folder: Path, mode: Any = MODES.NONE, plugin: Any = PLUGINS.SQLITE3, zeros: int = 0
+    folder: Path,
+    mode: Any = MODES.NONE,
+    plugin: Any = PLUGINS.SQLITE3,
+    zeros: int = 0,
+    has_stamps: bool = True,
 ) -> None:
-    """Write a recording `run`, with a last message of `zeros` bytes that are 0."""
+    """Write a recording `run`, with a last message of `zeros` bytes that are 0.
+
+    Without stamps all headers have the stamp 0.
+    """
     store = typesys.get_typestore(typesys.Stores.LATEST)
     Float64 = store.types["std_msgs/msg/Float64"]
     Header = store.types["std_msgs/msg/Header"]
@@ -45,7 +52,7 @@ def write(
             bag.write(axle, at_ns, store.serialize_cdr(plain, Float64.__msgtype__))
 
             # the stamp of the header differs from the time at which the bag received the message
-            header = Header(Time(int(at_s) + 1, 0), "")
+            header = Header(Time(int(at_s) + 1 if has_stamps else 0, 0), "")
             twist = Twist(Vector3(speed, 0.0, 0.0), Vector3(0.0, 0.0, 0.0))
             stamped = TwistStamped(header, twist)
             bag.write(gnss, at_ns, store.serialize_cdr(stamped, TwistStamped.__msgtype__))

@@ -24,11 +24,13 @@ from rollerrig.rig.identify.train_recorder.findings import (
     DropOut,
     Finding,
     OffsetOrDelay,
+    ReferenceOff,
     RivalOffset,
     ScaleOrOffset,
     SharedPlace,
     Sliding,
     Slipping,
+    SpeedDrop,
     SpeedFactor,
     SpeedLine,
     SpeedOffset,
@@ -37,7 +39,7 @@ from rollerrig.rig.identify.train_recorder.findings import (
     WheelRadius,
     WrongUnit,
 )
-from rollerrig.rig.identify.train_recorder.slides import Slide
+from rollerrig.rig.identify.train_recorder.sliding.slides import Slide
 from rollerrig.rig.identify.train_recorder.verdict import Account
 
 # name of a finding -> its words
@@ -252,6 +254,17 @@ def sentence(finding: Finding) -> str:
         case SpeedOffset() as offset:
             direction = "faster" if offset.faster else "slower"
             return f"{direction} than the vehicle, which is not braked hard there"
+        case ReferenceOff() as off:
+            direction = "faster" if off.faster else "slower"
+            return (
+                f"{direction} than all {off.wheels} wheels, which agree with each other: the reference "
+                "is off, or all wheels slip by the same amount"
+            )
+        case SpeedDrop() as drop:
+            return (
+                f"drops by {finding.size:.2g} m/s for {drop.duration_s:.2g} s in braking, which is too "
+                "short to be judged as a slide"
+            )
         case SpeedFactor() as factor:
             return _factor_sentence(finding, factor)
         case OffsetOrDelay() as rivals:

@@ -44,6 +44,8 @@ _REASONS = {
     judged.NO_POSITION: "there is no position; add position_m",
     judged.FEW_RUNS: "{0:.0f} runs with a position are needed, there are {1:.0f}",
     judged.NO_SPEED: "no speed has enough samples",
+    judged.NO_PLANTED: "slides that were planted into braking of this recording do not show; brake for "
+    "longer, or from higher speeds",
     judged.SLOW: "speeds of {0:.2g} m/s and more are needed, and the recording reaches {1:.2g} m/s",
     judged.SLOW_FOR_UNIT: "more than {0:.2g} m/s in a quarter of the time is needed, the recording has "
     "{1:.2g} m/s",

@@ -137,6 +137,7 @@ def load(folder: Path | str) -> Dataset:
         )
 
     toml_tables = _take_tables(content, path)
+    missing = tables.take_missing(content, str(path))
     head = table.read(HEAD, content, str(path))
     sections = base_sections(head["vehicle_set"], toml_tables, str(path))
     dataset = Dataset(
@@ -158,7 +159,11 @@ def load(folder: Path | str) -> Dataset:
     if head["kind"] == "creep_curve":
         keys = CURVE_CHANNELS
     reading = _Reading(
-        form={"separator": head["separator"], "decimal": head["decimal"]},
+        form={
+            "separator": head["separator"],
+            "decimal": head["decimal"],
+            "missing": missing,
+        },
         sources=_read_sources(toml_tables.get("channels", {}), keys, f"{path} [channels]"),
         radius_m=sections["vehicle"]["wheel_radius_m"],
         axles=dataset.axles,

@@ -48,6 +48,15 @@ class _Text(NamedTuple):
     readings: frozenset[str]
 
 
+def is_number(text: str) -> bool:
+    """Return whether a text is a number with a decimal point."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
 def columns(
     path: Path, names: tuple[str, ...], texts: list[pa.ChunkedArray], separator: str, decimal: str
 ) -> list[pa.ChunkedArray]:

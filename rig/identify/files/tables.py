@@ -1,9 +1,11 @@
 """Reads CSV and Parquet files of loggers as tables: columns of numbers or text, and their units."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute
 import pyarrow.csv
@@ -62,13 +64,62 @@ def read(path: Path, folder: Path | None, head: dict[str, Any] | None = None) ->
             data = _read_parquet(path, folder)
         except (pa.ArrowInvalid, ValueError, OSError) as error:
             raise ConfigError(f"{path}: cannot be read as a table: {error}") from None
+        data = _without_codes(data, head.get("missing", ()))
         return Table(data, _units_of_names(data.column_names), 0, "Parquet")
     content = user_files.read_bytes(path, user_files.CSV, folder, FILE_REMEDY)
-    return parse_csv(path, content, head["separator"], head["decimal"])
+    missing = head.get("missing", ())
+    return parse_csv(path, content, head["separator"], head["decimal"], missing)
 
 
-def parse_csv(path: Path, content: bytes, separator: str = "auto", decimal: str = "auto") -> Table:
-    """Return the table of the content of a CSV file. `path` is for messages. Raises ConfigError."""
+def take_missing(content: dict[str, Any], where: str) -> tuple[str, ...]:
+    """Take the key `missing` out of dataset.toml: values of a file that mean there is none.
+
+    Raises ConfigError unless it is a list of numbers and texts.
+    """
+    given = content.pop("missing", [])
+    is_list = isinstance(given, list)
+    if not is_list or not all(type(value) in (int, float, str) for value in given):
+        raise ConfigError(
+            f"{where}: missing = {given!r} is no list of values; write the values that mean that there "
+            'is none, as missing = [65535, "n.v."]'
+        )
+    return tuple(str(value) for value in given)
+
+
+def _without_codes(data: pa.Table, missing: Sequence[str]) -> pa.Table:
+    """Return a table without the values that mean that there is none."""
+    for place, name in enumerate(data.column_names):
+        if not missing:
+            break
+        values = data.column(place)
+        is_none = np.zeros(len(values), bool)
+        is_text = pa.types.is_string(values.type) or pa.types.is_large_string(values.type)
+        for code in missing:
+            if is_text:
+                texts = pyarrow.compute.utf8_trim_whitespace(values)
+                equal = pyarrow.compute.equal(texts, code).fill_null(False)
+                is_none |= equal.to_numpy()
+            elif numbers.is_number(code) and pa.types.is_primitive(values.type):
+                floats = values.cast(pa.float64(), safe=False).fill_null(np.nan).to_numpy()
+                is_none |= floats == float(code)
+        if is_none.any():
+            nothing = pa.scalar(None, values.type)
+            kept = pyarrow.compute.if_else(pa.array(~is_none), values, nothing)
+            data = data.set_column(place, name, kept)
+    return data
+
+
+def parse_csv(
+    path: Path,
+    content: bytes,
+    separator: str = "auto",
+    decimal: str = "auto",
+    missing: Sequence[str] = (),
+) -> Table:
+    """Return the table of the content of a CSV file. `path` is for messages.
+
+    `missing` are cells that mean that there is no value. Raises ConfigError.
+    """
     text, encoding = csv_form.decode(path, content)
     form = csv_form.find(path, text, encoding, separator)
     check_columns(path, len(form.names))
@@ -79,6 +130,9 @@ def parse_csv(path: Path, content: bytes, separator: str = "auto", decimal: str 
         samples = re.sub(r"[ \t]+", "\t", re.sub(r"(?m)^[ \t]+|[ \t]+$", "", samples))
         separator = "\t"
     texts, notes = _read_cells(path, samples, separator, form)
+    texts, repeated = _without_repeated_names(texts, form)
+    notes += repeated
+    texts = _without_codes(texts, missing)
 
     kept = []
     for place, name in enumerate(form.names):
@@ -165,6 +219,31 @@ def _read_cells(
     if at_end:
         notes.append(f"the last {at_end} lines are incomplete and left out")
     return cells, notes
+
+
+def _without_repeated_names(cells: pa.Table, form: csv_form.Form) -> tuple[pa.Table, list[str]]:
+    """Return the cells without lines that repeat names or units, and notes.
+
+    A logger that begins anew writes its head into the middle of the file.
+    """
+    is_sample = np.ones(len(cells), bool)
+    for head in (form.names, form.units):
+        if not any(head):
+            continue
+        is_head = np.ones(len(cells), bool)
+        for place, name in enumerate(head):
+            column = pyarrow.compute.utf8_trim(cells.column(place), " \t#%")
+            is_head &= pyarrow.compute.equal(column, name.strip(" #%")).to_numpy()
+            if not is_head.any():
+                break
+        is_sample &= ~is_head
+    lines = form.first_line + np.flatnonzero(~is_sample)
+    if not lines.size:
+        return cells, []
+    note = f"line {lines[0]} repeats the head of the file and is left out"
+    if lines.size > 1:
+        note = f"lines {lines[0]} to {lines[-1]}: {lines.size} of them repeat the head of the file and are left out"
+    return cells.filter(pa.array(is_sample)), [note]
 
 
 def _units_of_names(names: list[str]) -> dict[str, str]:

@@ -70,6 +70,18 @@ class Aligned(NamedTuple):
         ]
         return self._replace(speed=np.column_stack(columns), scale={})
 
+    def part(self, start: int, end: int) -> "Aligned":
+        """The samples from `start` to before `end`."""
+        part = slice(start, end)
+        return self._replace(
+            time_s=self.time_s[part],
+            speed=self.speed[part],
+            reference=self.reference[part],
+            position=self.position[part],
+            demand=self.demand[part],
+            yaw_rad_s=self.yaw_rad_s[part],
+        )
+
     @property
     def vehicle(self) -> np.ndarray:
         """Speed of the vehicle while wheels roll, m/s."""

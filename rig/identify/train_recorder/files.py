@@ -5,7 +5,7 @@ and not an error. CSV and Parquet are read by `rig/identify/files`.
 
 rosbag2 needs the package rosbags (the extra `rosbag`). Its columns are written
 "/topic:field.field". Their stamps come from the message header, else they are the times of
-reception.
+reception. The times of reception also count where the headers of a topic all have the same stamp.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,6 +22,14 @@ from rollerrig.rig.identify.data import mdf
 from rollerrig.rig.identify.files import channels, numbers, tables
 
 _ROSBAG_SUFFIXES = (".db3", ".mcap", ".bag")
+
+
+class _Message(NamedTuple):
+    """A value of a field with the stamp of its header, or NaN, and its time of reception, s."""
+
+    stamp_s: float
+    received_s: float
+    value: float
 
 
 class Column(NamedTuple):
@@ -136,7 +144,7 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
                 f"{path}: column '{name}' names no field of a topic; write \"/topic:field.field\""
             )
 
-    samples: dict[str, list[tuple[float, float]]] = {name: [] for name in names}
+    samples: dict[str, list[_Message]] = {name: [] for name in names}
     try:
         unpacking = rosbag_limits.check(path)
         typestore = get_typestore(Stores.LATEST)
@@ -160,18 +168,31 @@ def _read_rosbag(path: Path, names: Sequence[str]) -> dict[str, Column]:
     for name, rows in samples.items():
         if not rows:
             raise ConfigError(f"{path}: '{name}' has no message")
-        table_of_rows = np.array(rows)
-        columns[name] = Column(table_of_rows[:, 0], table_of_rows[:, 1], "")
+        columns[name] = _column_of_messages(path, name, rows)
     return columns
+
+
+def _column_of_messages(path: Path, name: str, rows: list[_Message]) -> Column:
+    """Return the column of a field. Headers whose stamps never change hold no time."""
+    stamp_s, received_s, values = np.array(rows).T
+    if np.isnan(stamp_s).any():
+        return Column(received_s, values, "")
+    if stamp_s.size > 1 and np.ptp(stamp_s) == 0.0 and np.ptp(received_s) > 0.0:
+        note = (
+            f"{path.name}: the headers of {name.partition(':')[0]} all have the stamp {stamp_s[0]:g} s, so "
+            "the times of reception are used"
+        )
+        return Column(received_s, values, "", (note,))
+    return Column(stamp_s, values, "")
 
 
 def _collect_messages(
     path: Path,
     bag: Any,
-    samples: dict[str, list[tuple[float, float]]],
+    samples: dict[str, list[_Message]],
     unpack: Callable[[bytes], bytes] | None,
 ) -> None:
-    """Append (stamp s, value) of every message to the samples of its fields.
+    """Append every message to the samples of its fields.
 
     `unpack` unpacks the messages if they are compressed.
     """
@@ -191,11 +212,10 @@ def _collect_messages(
             raw = unpack(raw)
         message: Any = bag.deserialize(raw, connection.msgtype)
 
-        # the stamp of the header, if the message has one, else the time of reception
-        time_s = received_ns * 1e-9
+        stamp_s = np.nan
         stamp = getattr(getattr(message, "header", None), "stamp", None)
         if stamp is not None:
-            time_s = stamp.sec + stamp.nanosec * 1e-9
+            stamp_s = stamp.sec + stamp.nanosec * 1e-9
 
         for name in samples:
             if topic_of[name] == connection.topic:
@@ -206,4 +226,4 @@ def _collect_messages(
                         f"{path}: {error}; name a field that is a single number: "
                         '"/topic:field.field"'
                     ) from None
-                samples[name].append((time_s, float(value)))
+                samples[name].append(_Message(stamp_s, received_ns * 1e-9, float(value)))

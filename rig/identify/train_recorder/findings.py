@@ -164,6 +164,19 @@ class SpeedOffset(NamedTuple):
     faster: bool
 
 
+class ReferenceOff(NamedTuple):
+    """`unknown`: the reference differs from all wheels, which agree with each other."""
+
+    wheels: int
+    faster: bool  # the reference
+
+
+class SpeedDrop(NamedTuple):
+    """`unknown`: a speed drops in braking for less than a slide lasts."""
+
+    duration_s: float
+
+
 class SpeedFactor(NamedTuple):
     """`unknown`: a speed differs by a factor from the others while the vehicle brakes."""
 
@@ -208,6 +221,8 @@ Details = (
     | Slipping
     | SharedPlace
     | SpeedOffset
+    | ReferenceOff
+    | SpeedDrop
     | SpeedFactor
     | OffsetOrDelay
     | ScaleOrOffset

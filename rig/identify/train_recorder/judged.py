@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import clock_rate, driving, scales, slides
+from rollerrig.rig.identify.train_recorder import clock_rate, scales
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
 from rollerrig.rig.identify.train_recorder.faults import held, stamps, units
@@ -18,6 +18,7 @@ from rollerrig.rig.identify.train_recorder.findings import Finding, OffsetOrDela
 from rollerrig.rig.identify.train_recorder.recording import Run
 from rollerrig.rig.identify.train_recorder.rolling import Rolling
 from rollerrig.rig.identify.train_recorder.scales import ChannelFit
+from rollerrig.rig.identify.train_recorder.sliding import driving, planted, slides
 
 # checks of the motion. The others are checks of the file.
 OF_MOTION = (
@@ -63,6 +64,7 @@ NO_POSITION = "no_position"
 FEW_RUNS = "few_runs"
 NO_SPEED = "no_speed"
 SLOW = "slow"
+NO_PLANTED = "no_planted"
 SLOW_FOR_UNIT = "slow_for_unit"
 
 
@@ -88,14 +90,17 @@ def _not_judged(
     return Check(name, False, np.nan, "", reason, values, channels)
 
 
-def checks(runs: list[Run], fit: Rolling) -> list[Check]:
-    """Return the checks of a recording: runs without faults, and the fit of their channels."""
+def checks(runs: list[Run], fit: Rolling, sliding: list[np.ndarray]) -> list[Check]:
+    """Return the checks of a recording: runs without faults, and the fit of their channels.
+
+    `sliding` are the flags (n, m) of wheels that slide, by run.
+    """
     fastest_m_s = max(run.fastest_m_s for run in runs)
     found = [
         *_file_checks(runs),
         _delay_check(fit),
         *_scale_checks(fit),
-        _slide_check(fit.aligned),
+        _slide_check(fit.aligned, sliding),
         _driving_check(fit.aligned),
         _place_check(runs),
     ]
@@ -334,25 +339,36 @@ def _offset_check(steady: list[ChannelFit], unknown: list[Finding]) -> Check:
 # --- sliding wheels ---
 
 
-def _slide_check(aligned: list[Aligned]) -> Check:
-    visible = [a for a in aligned if slides.can_be_seen(a)]
+def _slide_check(aligned: list[Aligned], sliding: list[np.ndarray]) -> Check:
+    """Return the check of slides; the smallest size is measured by planted slides."""
+    visible = [k for k, a in enumerate(aligned) if slides.can_be_seen(a)]
     if not visible:
         reason = TURNS if any(slides.turns(a) for a in aligned) else NO_HARDEST
         return _not_judged("slide", reason)
-    sizes = []
+    braked = []
+    near = []
     braked_s = 0.0
     shortest_s = 0.0
-    for a in visible:
+    runs = [aligned[k] for k in visible]
+    for k, a in zip(visible, runs, strict=True):
         v = slides.vehicle(a)
         change_m_s2 = np.nan_to_num(slope(a.time_s, v, max(1.5, 2.5 * a.step_s)))
         is_braked = (change_m_s2 < _BRAKED_M_S2) & np.isfinite(v)
         braked_s += np.count_nonzero(is_braked) * a.step_s
-        if is_braked.any():
-            sizes.append(np.max(slides.smallest(a, v, slides.scatter(a))[is_braked], axis=1))
+        braked.append(is_braked)
+        near.append(driving.near(a, np.any(sliding[k], axis=1)))
         shortest_s = max(shortest_s, limit.slide_s(a.step_s))
     if braked_s < _LEAST_S:
         return _not_judged("slide", NOT_BRAKED, (braked_s,))
-    smallest = float(np.median(np.concatenate(sizes)))
+    places = planted.places(runs, braked, near)
+    if not places:
+        # all braking is near slides
+        inside = [np.any(sliding[k], axis=1) for k in visible]
+        places = planted.places(runs, braked, inside)
+    smallest = planted.smallest_m_s(places)
+    if not np.isfinite(smallest):
+        is_one = all(len(a.names) == 1 and not a.has_reference for a in runs)
+        return _not_judged("slide", ONE_SPEED if is_one else NO_PLANTED)
     return Check("slide", True, smallest, "m/s", "", (shortest_s, braked_s))
 
 

@@ -250,7 +250,8 @@ def load(folder: Path | str) -> Recording:
     content = dataset.parse(path)
     run_tables = content.pop("run", [])
     channel_tables = content.pop("channels", None)
-    head = table.read(HEAD, content, str(path))
+    missing = tables.take_missing(content, str(path))
+    head = table.read(HEAD, content, str(path)) | {"missing": missing}
     run_rows = _read_runs(place, path, run_tables)
 
     if channel_tables is None:
@@ -455,7 +456,8 @@ def _load_channels(
             quantum=scale * quantum(column.values),
             axle=source.axle,
         )
-    notes = [*columns[sources[0].column].notes, *notes_of_values]
+    notes_of_file = [note for column in columns.values() for note in column.notes]
+    notes = [*dict.fromkeys(notes_of_file), *notes_of_values]
     other_units: dict[tuple[str, str], list[str]] = {}
     for source in sources:
         found = units.find(columns[source.column].unit)

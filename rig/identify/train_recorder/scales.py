@@ -21,7 +21,7 @@ import numpy as np
 
 from rollerrig.rig.identify.statistics import resampling, robust_line
 from rollerrig.rig.identify.statistics.interval import Estimate, freedom_of_sum
-from rollerrig.rig.identify.train_recorder import four_wheels
+from rollerrig.rig.identify.train_recorder import four_wheels, sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import (
     AS_RECORDED,
@@ -42,8 +42,12 @@ from rollerrig.rig.identify.train_recorder.findings import (
 )
 from rollerrig.rig.identify.train_recorder.recording import Run
 
-# share of the common difference by which wheels may differ if the reference is wrong. Chosen.
+# share of the common difference by which a wheel may be away from it if the reference is wrong.
+# Chosen.
 _COMMON_SPREAD = 0.25
+
+# the mean of all wheels as a channel
+_ALL_WHEELS = "all wheels"
 
 
 class Wheel(NamedTuple):
@@ -418,6 +422,9 @@ def _fit_channel(
 
     middle = level - is_date @ robust_line.fit(is_date, level, weight)
     scatter = np.sqrt(max(robust_line.spread(middle) ** 2 - noise**2, 0.0))
+    if name == _ALL_WHEELS:
+        # a single wheel that slips in braking would look like a late reference
+        share_in_motion = _without_normal_delay(share_in_motion, in_motion, normal_late_s)
     noise_in_motion = float(np.median([row.error for row in in_motion]))
     scatter_in_motion = np.sqrt(
         max(robust_line.spread(share_in_motion) ** 2 - noise_in_motion**2, 0.0)
@@ -521,6 +528,22 @@ def _late_s(
     return late_s if explains and abs(late_s) <= limit.LATEST_S else None
 
 
+def _without_normal_delay(
+    share_in_motion: np.ndarray, in_motion: list[_Block], normal_late_s: float
+) -> np.ndarray:
+    """Return shares (n,) less what a delay of the vehicle's speed explains, if it is normal.
+
+    In hard braking a receiver that is 0.2 s late differs from the wheels by a few percent.
+    """
+    by_late = np.array([row.change_m_s2 / row.speed for row in in_motion])
+    columns = np.column_stack([np.ones(by_late.size), by_late])
+    weight = np.sqrt([row.speed for row in in_motion])
+    late_s = float(robust_line.fit(columns, share_in_motion, weight)[-1])
+    if not 0.0 <= late_s <= normal_late_s:
+        return share_in_motion
+    return share_in_motion - late_s * by_late
+
+
 def _error_of_choice(
     level: np.ndarray, share_in_motion: np.ndarray, speed_in_motion: np.ndarray
 ) -> float:
@@ -539,45 +562,65 @@ def _error_of_choice(
 # --- the reference ---
 
 
+def _together(group: list[Aligned]) -> ChannelFit | None:
+    """Return the fit of the mean of all wheels to the reference; None if it has few blocks.
+
+    In a curve the wheels of one side run faster and those of the other side slower, so their mean
+    is steady where the ratio of a single wheel is not.
+    """
+    means = []
+    for a in group:
+        if not a.has_reference or len(a.names) < 2:
+            continue
+        mean = a.speed.mean(axis=1)
+        error = float(np.sqrt(np.sum(np.square(a.noise_m_s)))) / len(a.names)
+        coarsest = max(a.run.of("speed"), key=lambda channel: channel.quantum)
+        channel = coarsest._replace(name=_ALL_WHEELS)
+        means.append(
+            a._replace(
+                run=sampling.replaced(a.run, [channel]),
+                names=(_ALL_WHEELS,),
+                speed=mean[:, None],
+                noise_m_s=(error,),
+            )
+        )
+    fits = fit_channels(means) if means else []
+    return fits[0] if fits else None
+
+
 def _reference_finding(
     group: list[Aligned], fits: list[ChannelFit]
 ) -> tuple[Finding, Scale] | None:
     """Return the finding that the reference differs from all wheels, and the scale to correct."""
     references = [channel for a in group for channel in a.run.of("reference")]
-    steady = [channel for channel in fits if channel.is_steady]
-    if not references or len(steady) < 2 or len(steady) < len(fits):
+    together = _together(group)
+    if not references or together is None or len(fits) < 2 or not together.is_steady:
         return None
 
-    typical = np.array([channel.typical for channel in steady])
-    middle = float(np.median(typical))
-    is_common = bool(np.ptp(typical) < _COMMON_SPREAD * abs(middle))
-    offsets = np.array([channel.offset_m_s for channel in steady])
-    offset = float(np.median(offsets))
-    has_offsets = all(
-        channel.offset_is_significant and channel.late_s is None for channel in steady
+    typical = np.array([channel.typical for channel in fits])
+    middle = together.typical
+    is_common = bool(np.max(np.abs(typical - middle)) < _COMMON_SPREAD * abs(middle))
+    has_offset = together.offset_is_significant and together.late_s is None
+    offsets = np.array([channel.offset_m_s for channel in fits])
+    offset = together.offset_m_s
+    offset_is_common = has_offset and bool(
+        np.max(np.abs(offsets - offset)) < _COMMON_SPREAD * abs(offset)
     )
-    offset_is_common = has_offsets and bool(np.ptp(offsets) < _COMMON_SPREAD * abs(offset))
+    is_common |= offset_is_common
     if not is_common or not (abs(middle) > limit.COMMON_SHARE or offset_is_common):
         return None
 
-    blocks = min(channel.line.blocks for channel in steady)
-    speeds_m_s = (
-        min(channel.speeds_m_s[0] for channel in steady),
-        max(channel.speeds_m_s[1] for channel in steady),
-    )
-    if not all(channel.has_range for channel in steady):
+    name = references[0].name
+    if not together.has_range:
         error = float(max(np.ptp(typical), limit.SYSTEMATIC_RADIUS))
-        half = Wheel(middle, error, blocks).half_width
-        return _scale_or_offset(references[0].name, middle, half, speeds_m_s)
-
-    ratio = float(np.median([channel.line.radius for channel in steady]))
-    error = max(channel.line.error for channel in steady)
-    offset_error = max(channel.offset_error_m_s for channel in steady)
+        half = Wheel(middle, error, together.line.blocks).half_width
+        return _scale_or_offset(name, middle, half, together.speeds_m_s)
 
     # wheels read (1 + ratio) V + offset of the reference: the inverse line is that of the reference
+    ratio = together.line.radius
     scale = Scale(1.0 / (1.0 + ratio) - 1.0, -offset / (1.0 + ratio))
-    of_ratio = Wheel(ratio, float(error), blocks)
-    of_offset = Estimate(scale.offset_m_s, offset_error, of_ratio.freedom)
+    of_ratio = together.line
+    of_offset = together.offset._replace(value=scale.offset_m_s)
     # a small ratio is one of the radii of the wheels
     has_small_ratio = abs(ratio) < limit.COMMON_SHARE and offset_is_common
     if has_small_ratio:
@@ -586,11 +629,10 @@ def _reference_finding(
         is_finding = of_ratio.estimate.is_finding(limit.ALPHA, len(fits))
     if not is_finding:
         # together they differ from nothing, and either of them alone may be nothing
-        half = Wheel(middle, float(error), blocks).half_width
-        return _scale_or_offset(references[0].name, middle, half, speeds_m_s)
+        return _scale_or_offset(name, middle, of_ratio.half_width, together.speeds_m_s)
     finding = _line_finding(
         "speed_offset" if has_small_ratio else "speed_scale",
-        references[0].name,
+        name,
         scale,
         of_ratio.half_width,
         of_offset.half_width(),

@@ -258,6 +258,27 @@ SLIDE_DEVIATIONS = 5.0
 SLIDE_S = 0.1
 SLIDE_SAMPLES = 5.0
 
+# s. Up to this interval between samples short drops are searched for: a slide of 0.1 s has two and
+# a half samples.
+DROP_STEP_S = 0.04
+
+# s. A drop is compared with so much before and after it. Cycles of an ABS last 0.1 to 0.3 s.
+DROP_WINDOW_S = 0.75
+
+# samples and s. A shorter drop is a jump of the sensor. Chosen.
+DROP_SAMPLES = 4
+DROP_S = 0.05
+
+# samples of the shortest drop that has to be explained. Fewer are a jump of the sensor. Chosen.
+DROP_VISIBLE_SAMPLES = 2
+
+# share of their mean sliding by which all wheels may differ where the reference is off. Wheels that
+# slide differ by more. Chosen.
+AGREE_SHARE = 0.25
+
+# s. A reference that is off for less is late, or its values are too far apart. Chosen.
+REFERENCE_OFF_S = 1.0
+
 # m/s. Without a reference, wheels roll where their speeds stay closer than this for 2 s. Set on
 # twins.
 TOGETHER_M_S = 0.4
@@ -325,6 +346,11 @@ def block_s(duration_s: float, step_s: float) -> float:
 def slide_s(step_s: float) -> float:
     """Return the duration of the shortest slide."""
     return max(SLIDE_S, SLIDE_SAMPLES * step_s)
+
+
+def drop_samples(step_s: float) -> int:
+    """Return the number of samples of the shortest drop."""
+    return max(DROP_SAMPLES, math.ceil(DROP_S / step_s))
 
 
 def slide_m_s(noise_m_s: float, quantum_m_s: float, fastest_m_s: float) -> float:

@@ -8,10 +8,9 @@ from scipy.stats import chi2
 
 from rollerrig.rig.identify.train_recorder import (
     clock_rate,
-    driving,
     judged,
     rolling,
-    slides,
+    sampling,
 )
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, base_speed, slope
@@ -20,13 +19,16 @@ from rollerrig.rig.identify.train_recorder.findings import (
     NAMES,
     Details,
     Finding,
+    ReferenceOff,
+    SpeedDrop,
     SpeedOffset,
     SpeedScatter,
 )
 from rollerrig.rig.identify.train_recorder.judged import Check
 from rollerrig.rig.identify.train_recorder.recording import Recording, Run
 from rollerrig.rig.identify.train_recorder.rolling import Rolling
-from rollerrig.rig.identify.train_recorder.slides import Slide
+from rollerrig.rig.identify.train_recorder.sliding import driving, slides
+from rollerrig.rig.identify.train_recorder.sliding.slides import Slide
 
 # samples of a speed. A run in which no speed has more is left out after the checks of the sensors.
 _LEAST_SAMPLES = 50
@@ -83,14 +85,19 @@ def explain(recording: Recording) -> Account:
     found += fit.found
 
     all_slides, sliding_flags = slides.find(aligned)
+    slips, slipping_flags = driving.find(aligned, sliding_flags)
+    checks = judged.checks(runs, fit, sliding_flags)
+    smallest_m_s = next(c.smallest for c in checks if c.name == "slide")
+    all_slides = slides.at_least(all_slides, np.nan_to_num(smallest_m_s))
     found += [slide.finding for slide in all_slides]
     found += slides.places(aligned, all_slides)
-    slips, slipping_flags = driving.find(aligned, sliding_flags)
     found += slips
 
     unknown = _rivals(fit)
     for a, sliding, slipping in zip(aligned, sliding_flags, slipping_flags, strict=True):
-        unknown += _unexplained_blocks(a, sliding | slipping)
+        off, is_off = _off_references(a)
+        unknown += off + _short_drops(a, sliding)
+        unknown += _unexplained_blocks(a, sliding | slipping | is_off[:, None])
 
     found.sort(key=lambda f: (NAMES.index(f.name), f.run, f.channels, f.start_s))
     return Account(
@@ -100,7 +107,7 @@ def explain(recording: Recording) -> Account:
         findings=found,
         slides=all_slides,
         unknown=unknown,
-        checks=judged.checks(runs, fit),
+        checks=checks,
         elapsed_s=time.perf_counter() - begun_s,
     )
 
@@ -134,6 +141,49 @@ def _rivals(fit: Rolling) -> list[Finding]:
 def _has_speed(run: Run) -> bool:
     """Whether any speed has enough samples."""
     return any(np.isfinite(channel.values).sum() > _LEAST_SAMPLES for channel in run.of("speed"))
+
+
+def _off_references(a: Aligned) -> tuple[list[Finding], np.ndarray]:
+    """Return where the reference differs from all wheels, which agree; and the flags (n,)."""
+    is_off = np.zeros(a.time_s.size, bool)
+    found = []
+    for faster in (True, False):
+        off = slides.where_reference_is_off(a, faster)
+        is_off |= off
+        difference = a.reference - sampling.median(a.speed.T)
+        for first, last in slides.episodes(a, off):
+            part = slice(first, last + 1)
+            if a.time_s[last] - a.time_s[first] < limit.REFERENCE_OFF_S:
+                continue
+            finding = _unknown(
+                a,
+                a.run.of("reference")[0].name,
+                np.flatnonzero(off[part]) + first,
+                size=float(np.nanmedian(difference[part][off[part]])),
+                low=float(np.nanmin(difference[part][off[part]])),
+                high=float(np.nanmax(difference[part][off[part]])),
+                details=ReferenceOff(len(a.names), faster),
+            )
+            found.append(finding)
+    return found, is_off
+
+
+def _short_drops(a: Aligned, sliding: np.ndarray) -> list[Finding]:
+    """Return visible drops in braking that are no slides; `sliding` (n, m) are the slides."""
+    found = []
+    for drop in slides.short_drops(a, sliding):
+        duration_s = float(a.time_s[drop.last] - a.time_s[drop.first]) + a.step_s
+        finding = _unknown(
+            a,
+            drop.name,
+            np.arange(drop.first, drop.last + 1),
+            size=drop.depth_m_s,
+            low=0.5 * drop.depth_m_s,
+            high=1.5 * drop.depth_m_s,
+            details=SpeedDrop(duration_s),
+        )
+        found.append(finding)
+    return found
 
 
 def _unexplained_blocks(a: Aligned, sliding: np.ndarray) -> list[Finding]:

@@ -4,7 +4,7 @@ The forms are written here by hand, without code of the reader.
 """
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -35,6 +35,7 @@ class Form(NamedTuple):
     below: str = ""  # lines below the samples
     quoted: bool = False
     digits: int = 2
+    again: int = 0  # the head is repeated after so many samples
 
 
 BRACKETS = ("Zeit [s]", "v_Fzg [km/h]", "n_Rad1 [1/min]")
@@ -76,6 +77,8 @@ FORMS = {
     "half a last line": Form(below="6.0,8"),
     "zeros of a full disk": Form(below="\0\0\0\0"),
     "exponents": Form(digits=-1),
+    "names again in the middle": Form(separator=";", decimal=",", again=20),
+    "names and units again in the middle": Form(separator=";", units=UNITS, again=20),
     "sums at the end": Form(separator=";", below="Ende\n"),
 }
 
@@ -93,19 +96,42 @@ def written(form: Form, columns: tuple[np.ndarray, ...] = (T_S, SPEED_KM_H, TURN
     rows = [names]
     if form.units:
         rows.append(list(form.units))
-    rows += [[number(value, form) for value in row] for row in zip(*columns, strict=True)]
+    samples = [[number(value, form) for value in row] for row in zip(*columns, strict=True)]
+    if form.again:
+        samples = samples[: form.again] + rows + samples[form.again :]
+    rows = rows + samples
     text = form.above
     text += "".join(form.separator.join(row) + form.behind + "\n" for row in rows)
     text += form.below
     return text.replace("\n", form.end).encode(form.encoding)
 
 
-def parsed(content: bytes, **head: str) -> tables.Table:
+def parsed(content: bytes, **head: Any) -> tables.Table:
     return tables.parse_csv(Path("run.csv"), content, **head)
 
 
 def column(table: tables.Table, name: str) -> np.ndarray:
     return channels.values(Path("run.csv"), table, name)
+
+
+def test_names_in_the_middle_are_left_out_with_a_note() -> None:
+    table = parsed(written(FORMS["names again in the middle"]))
+    assert table.notes == ("line 22 repeats the head of the file and is left out",)
+
+
+def test_values_that_dataset_toml_calls_missing_are_none() -> None:
+    speed = SPEED_KM_H.copy()
+    speed[7] = 65535.0
+    content = written(Form(digits=1), (T_S, speed, TURNS))
+    text = content.decode().replace("512.2\n", "n.v.\n", 1).encode()
+    table = parsed(text, missing=("65535.0", "n.v."))
+    assert np.flatnonzero(np.isnan(column(table, "v_Fzg"))).tolist() == [7]
+    assert np.flatnonzero(np.isnan(column(table, "n_Rad1"))).tolist() == [0]
+
+
+def test_missing_that_is_no_list_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"no list of values.*missing = \[65535"):
+        tables.take_missing({"missing": "65535"}, "dataset.toml")
 
 
 @pytest.mark.parametrize("form", FORMS.values(), ids=list(FORMS))

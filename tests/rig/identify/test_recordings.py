@@ -86,13 +86,19 @@ def test_a_hidden_defect_is_named_with_its_channel_its_time_and_its_size(tmp_pat
         {"reference": False},
         {"axles": 1},
         {"axles": 2, "reference": False},
-        {"axles": 1, "reference": False, "position": False},
     ],
     ids=str,
 )
 def test_a_clean_recording_is_consistent(tmp_path, channels):
     _, account = explained(tmp_path, "clean", SEED, speeds=TWO, **channels)
     assert account.verdict == "consistent", report.story(account)
+
+
+def test_one_speed_alone_shows_no_slide_so_it_is_not_judged(tmp_path):
+    channels = {"axles": 1, "reference": False, "position": False}
+    _, account = explained(tmp_path, "clean", SEED, speeds=TWO, **channels)
+    assert account.verdict == "not_judged"
+    assert not account.findings
 
 
 @pytest.mark.parametrize("defect", first_of(UNLISTED), ids=name_of)

@@ -55,6 +55,15 @@ FORMS = {
 COMPRESSED = [form for form in FORMS if form.startswith("compressed")]
 
 
+def test_headers_without_stamps_have_the_time_of_reception(tmp_path):
+    recorded_bag.write(tmp_path, has_stamps=False)
+    (tmp_path / "dataset.toml").write_text(recorded_bag.DATASET.replace("RUN", "run"))
+    recorded = recording.load(tmp_path)
+    gnss = recorded.runs[0].channels["gnss"]
+    assert gnss.time_s == pytest.approx(recorded_bag.TIME_S - recorded_bag.TIME_S[0], abs=1e-6)
+    assert any("/gnss all have the stamp 0 s" in note for note in recorded.warnings)
+
+
 @pytest.mark.parametrize("form", FORMS)
 def test_a_rosbag_reads_as_the_csv(tmp_path, form):
     recorded_bag.write(tmp_path, *FORMS[form])

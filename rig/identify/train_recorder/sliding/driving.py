@@ -8,11 +8,12 @@ Two speeds without a reference show driving slip as little as one: the slower on
 
 import numpy as np
 
-from rollerrig.rig.identify.train_recorder import sampling, slides
+from rollerrig.rig.identify.train_recorder import sampling
 from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, slope
 from rollerrig.rig.identify.train_recorder.findings import Finding, Slipping
 from rollerrig.rig.identify.train_recorder.sampling import stretches
+from rollerrig.rig.identify.train_recorder.sliding import slides
 
 # m/s^2. A vehicle that loses more speed is braked and not driven.
 _BRAKED_M_S2 = -1.0
@@ -32,7 +33,7 @@ def can_be_seen(a: Aligned) -> bool:
 def smallest(a: Aligned, v: np.ndarray) -> np.ndarray:
     """Return the smallest slip that counts at each sample, m/s, (n, m)."""
     by_speed = (limit.slip_share(v) * v)[:, None]
-    return np.maximum(slides.smallest(a, v, _noise(a)), by_speed)
+    return np.maximum(slides.smallest(a, v, slides.by_noise(a, _noise(a))), by_speed)
 
 
 def _noise(a: Aligned) -> np.ndarray:
@@ -54,7 +55,7 @@ def find(
     found: list[Finding] = []
     flags = []
     for a, slides_at in zip(aligned, sliding, strict=True):
-        v = a.reference if a.has_reference else sampling.median(a.speed.T)
+        v = _by_slowest(a, a.reference) if a.has_reference else sampling.median(a.speed.T)
         slip = a.speed - v[:, None]
         slips_at = _flags(a, v, slip)
         if not a.has_reference:
@@ -63,6 +64,20 @@ def find(
         for first, last in slides.episodes(a, np.any(slips_at, axis=1)):
             found.append(_episode(a, v, slip, slips_at, first, last))
     return found, flags
+
+
+def _by_slowest(a: Aligned, reference: np.ndarray) -> np.ndarray:
+    """Return the speed of the vehicle (n,): at low speed at least that of two wheels that agree.
+
+    A receiver shows little of the speed near 0. The wheels that are not driven are the slowest
+    ones, and agree with each other.
+    """
+    if len(a.names) < _LEAST_SPEEDS:
+        return reference
+    ordered = np.sort(a.speed, axis=1)
+    agree = ordered[:, 1] - ordered[:, 0] < limit.SLIDE_M_S
+    is_slow = reference < min(limit.SLOWEST_M_S, limit.SLOW_SHARE * a.run.fastest_m_s)
+    return np.where(agree & is_slow, np.fmax(reference, ordered[:, 1]), reference)
 
 
 def near(a: Aligned, flag: np.ndarray) -> np.ndarray:
@@ -80,7 +95,9 @@ def _flags(a: Aligned, v: np.ndarray, slip: np.ndarray) -> np.ndarray:
     """Return where each speed slips for long enough, flags (n, m)."""
     if not can_be_seen(a):
         return np.zeros(a.speed.shape, bool)
-    flag = np.where(np.isfinite(slip), slip > smallest(a, v), False)
+    least_m_s = smallest(a, v)
+    flag = np.where(np.isfinite(slip), slip > least_m_s, False)
+    flag &= ~slides.agreeing(a, v, slip, least_m_s)[:, None]
     flag &= (v > a.slowest_m_s)[:, None]
 
     shortest = max(round(limit.slide_s(a.step_s) / a.step_s), 2)

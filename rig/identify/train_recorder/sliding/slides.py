@@ -15,7 +15,7 @@ and a running resistance R of at most RESISTANCE_M_S2.
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
+from scipy.ndimage import maximum_filter1d
 
 from rollerrig.configs.vehicle import GRAVITY_M_S2
 from rollerrig.rig.identify.statistics import robust_line
@@ -24,6 +24,7 @@ from rollerrig.rig.identify.train_recorder import thresholds as limit
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, quiet, slope
 from rollerrig.rig.identify.train_recorder.findings import Cycle, Finding, SharedPlace, Sliding
 from rollerrig.rig.identify.train_recorder.sampling import stretches
+from rollerrig.rig.identify.train_recorder.sliding import drops
 
 # m/s. Scatter of a speed: the least one, and the one that is assumed where few samples show it.
 _LEAST_SCATTER_M_S = 0.02
@@ -66,6 +67,34 @@ class Slide(NamedTuple):
     last: int
     finding: Finding
     adhesion: AdhesionUsed
+
+
+class Noise(NamedTuple):
+    """What hides slides in a run, for each speed (m,), m/s."""
+
+    scatter_m_s: np.ndarray  # about the vehicle's speed, without hard braking
+    smallest_m_s: np.ndarray  # smallest slide by noise and rounding
+    least_drop_m_s: np.ndarray  # smallest short drop that counts
+
+
+class Seen(NamedTuple):
+    """Where each speed slides, flags (n, m), and by how much, m/s, (n, m).
+
+    The size of a long slide is against the vehicle, that of a short drop against what the wheel did
+    before and after it.
+    """
+
+    slides_at: np.ndarray
+    size_m_s: np.ndarray
+
+
+class ShortDrop(NamedTuple):
+    """A visible drop of one speed that is too short for a slide: first and last sample, depth."""
+
+    name: str
+    first: int
+    last: int
+    depth_m_s: float
 
 
 class _Deceleration(NamedTuple):
@@ -119,8 +148,11 @@ def _fastest_before(a: Aligned, middle: np.ndarray) -> np.ndarray:
     """Return the largest median of the speeds in the 30 s before each sample, m/s, (n,)."""
     count = max(round(_BEFORE_S / a.step_s), 1)
     plain = np.where(np.isfinite(middle), middle, -np.inf)
-    padded = np.concatenate([np.full(count, -np.inf), plain])
-    return np.asarray(sliding_window_view(padded, count + 1).max(axis=1))
+    # the window of odd length ends at the sample
+    filtered = maximum_filter1d(
+        plain, 2 * (count // 2) + 1, origin=count // 2, mode="constant", cval=-np.inf
+    )
+    return np.asarray(filtered)
 
 
 def can_be_seen(a: Aligned) -> bool:
@@ -135,7 +167,7 @@ def can_be_seen(a: Aligned) -> bool:
     if a.has_reference or len(a.names) > 1 or a.run.hardest_is_given:
         return True
     v = vehicle(a)
-    return not _flags_of(a, v, _sliding(a, v), scatter(a)).any()
+    return not flags(a, v, noise_of(a, v)).slides_at.any()
 
 
 def scatter(a: Aligned) -> np.ndarray:
@@ -152,30 +184,40 @@ def scatter(a: Aligned) -> np.ndarray:
     return np.maximum(deviations, _LEAST_SCATTER_M_S)
 
 
+def noise_of(a: Aligned, v: np.ndarray) -> Noise:
+    """Return what hides slides in a run whose vehicle has the speed v (n,)."""
+    scatter_m_s = scatter(a)
+    smallest_m_s = by_noise(a, scatter_m_s)
+    if not drops.can_be_seen(a):
+        return Noise(scatter_m_s, smallest_m_s, np.full(len(a.names), np.inf))
+    of_samples_m_s = _least_m_s(a, np.array(a.noise_m_s))
+    return Noise(scatter_m_s, smallest_m_s, drops.least(a, v, of_samples_m_s))
+
+
 def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
     """Return the slides of all runs, and for each run where each speed slides, flags (n, m)."""
-    slides: list[Slide] = []
-    flags = []
+    found: list[Slide] = []
+    flags_of_runs = []
     for number_of_run, a in enumerate(aligned):
         v = vehicle(a)
-        noise = scatter(a)
-        sliding = _sliding(a, v)
-        slides_at = _sliding_flags(a, v, sliding, noise)
-        flags.append(slides_at)
-        for first, last in episodes(a, np.any(slides_at, axis=1)):
-            slides.append(
-                _slide(
-                    number_of_run=number_of_run,
-                    a=a,
-                    v=v,
-                    sliding=sliding,
-                    noise=noise,
-                    slides_at=slides_at,
-                    first=first,
-                    last=last,
-                )
-            )
-    return slides, flags
+        noise = noise_of(a, v)
+        seen = Seen(np.zeros(a.speed.shape, bool), np.zeros(a.speed.shape))
+        if can_be_seen(a):
+            seen = flags(a, v, noise)
+        flags_of_runs.append(seen.slides_at)
+        for first, last in episodes(a, np.any(seen.slides_at, axis=1)):
+            found.append(_slide(number_of_run, a, v, seen, noise.scatter_m_s, first, last))
+    return found, flags_of_runs
+
+
+def at_least(found: list[Slide], smallest_m_s: float) -> list[Slide]:
+    """Return the slides that are not below the smallest one that the recording shows.
+
+    Slides whose interval holds 0 are left out, too.
+    """
+    return [
+        slide for slide in found if slide.finding.size >= smallest_m_s and slide.finding.low > 0.0
+    ]
 
 
 def _sliding(a: Aligned, v: np.ndarray) -> np.ndarray:
@@ -192,11 +234,25 @@ def _sliding(a: Aligned, v: np.ndarray) -> np.ndarray:
     return np.column_stack(columns)
 
 
-def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
+def by_noise(a: Aligned, deviation_m_s: np.ndarray) -> np.ndarray:
+    """Return the smallest slide of each speed by its noise, of this deviation (m,), m/s."""
+    return np.maximum(_least_m_s(a, deviation_m_s), limit.SLIDE_DEVIATIONS * deviation_m_s)
+
+
+def _least_m_s(a: Aligned, noise_m_s: np.ndarray) -> np.ndarray:
+    """Return the smallest slide at low speed by noise and rounding, m/s, (m,)."""
+    quantum = max(
+        max(channel.quantum, channel.deadband_m_s) for channel in a.run.of("speed", "reference")
+    )
+    fastest_m_s = a.run.fastest_m_s
+    return np.array([limit.slide_m_s(float(noise), quantum, fastest_m_s) for noise in noise_m_s])
+
+
+def smallest(a: Aligned, v: np.ndarray, by_noise_m_s: np.ndarray) -> np.ndarray:
     """Return the smallest sliding that counts at each sample, m/s, (n, m).
 
     It grows with the speed and the deceleration, because a tyre creeps at its peak of adhesion, and
-    with what the stamps of wheel and vehicle may differ.
+    with what the stamps of wheel and vehicle may differ. `by_noise_m_s` (m,) is that of `by_noise`.
     """
     half_s = max(0.5, 2.5 * a.step_s)
     change_m_s2 = np.abs(np.nan_to_num(slope(a.time_s, v, half_s)))
@@ -209,17 +265,7 @@ def smallest(a: Aligned, v: np.ndarray, noise: np.ndarray) -> np.ndarray:
         share = np.where(np.isfinite(a.reference), share, np.maximum(share, in_curves))
     by_speed = share * v
     by_timing = change_m_s2 * a.timing_s
-    quantum = max(
-        max(channel.quantum, channel.deadband_m_s) for channel in a.run.of("speed", "reference")
-    )
-    columns = []
-    for deviation in noise:
-        by_noise = max(
-            limit.slide_m_s(float(deviation), quantum, a.run.fastest_m_s),
-            limit.SLIDE_DEVIATIONS * deviation,
-        )
-        columns.append(np.maximum(by_noise, by_speed) + by_timing)
-    return np.column_stack(columns)
+    return np.maximum(by_noise_m_s[None, :], by_speed[:, None]) + by_timing[:, None]
 
 
 def turns(a: Aligned) -> bool:
@@ -241,21 +287,17 @@ def turns(a: Aligned) -> bool:
     return bool(np.median(share) > limit.SLIDE_SHARE_CURVE)
 
 
-def _sliding_flags(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return where each speed slides for long enough in braking, flags (n, m).
+def flags(a: Aligned, v: np.ndarray, noise: Noise) -> Seen:
+    """Return where each speed slides for long enough in braking, and by how much.
 
     With a reference a wheel that is nearly locked slides also if the vehicle is not braked. A wheel
-    that another one mirrors runs in a curve.
+    that another one mirrors runs in a curve. Whether slides can be seen at all is not asked.
     """
-    if not can_be_seen(a):
-        return np.zeros(a.speed.shape, bool)
-    return _flags_of(a, v, sliding, noise)
-
-
-def _flags_of(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """Return the flags of `_sliding_flags` whether or not slides can be seen, flags (n, m)."""
-    threshold = smallest(a, v, noise)
+    sliding = _sliding(a, v)
+    threshold = smallest(a, v, noise.smallest_m_s)
     flag = np.where(np.isfinite(sliding), sliding > threshold, False)
+    all_agree = agreeing(a, v, sliding, threshold)
+    flag &= ~all_agree[:, None]
 
     shortest = max(round(limit.slide_s(a.step_s) / a.step_s), 2)
     change_m_s2 = slope(a.time_s, v, max(1.5, 2.5 * a.step_s))
@@ -284,7 +326,90 @@ def _flags_of(a: Aligned, v: np.ndarray, sliding: np.ndarray, noise: np.ndarray)
             is_none = is_short or is_together or is_alone or not is_braked
             if is_none or is_mirrored(sliding[part], j):
                 flag[part, j] = False
-    return flag
+    of_drops = _drops(a, v, noise)
+    size_m_s = np.where(flag, sliding, of_drops.size_m_s)
+    return Seen(flag | of_drops.slides_at, size_m_s)
+
+
+def _drops(a: Aligned, v: np.ndarray, noise: Noise) -> Seen:
+    """Return where each speed drops and recovers while the vehicle is braked, and by how much."""
+    if not drops.can_be_seen(a):
+        return Seen(np.zeros(a.speed.shape, bool), np.zeros(a.speed.shape))
+    of = drops.excess(a, v, noise.least_drop_m_s)
+    # without a reference v is a bound, which may rise before the vehicle drives again
+    speed = a.reference if a.has_reference else sampling.median(a.speed.T)
+    is_braked = np.nan_to_num(slope(a.time_s, speed, limit.DROP_WINDOW_S)) < _BRAKED_M_S2
+    flag = drops.flags(of, is_braked, limit.drop_samples(a.step_s))
+    for j in range(flag.shape[1]):
+        for stretch in stretches(flag[:, j]):
+            part = slice(stretch.first, stretch.last + 1)
+            # without a reference a drop of one wheel is a rise of the others
+            if a.has_reference and is_mirrored(of.excess_m_s[part], j):
+                flag[part, j] = False
+    return Seen(flag, of.excess_m_s)
+
+
+def short_drops(a: Aligned, slides_at: np.ndarray) -> list[ShortDrop]:
+    """Return drops that are visible in braking, and are no slide because they are too short.
+
+    They are twice as large as the least drop that counts. `slides_at` (n, m) are the slides.
+    """
+    if not drops.can_be_seen(a) or not can_be_seen(a):
+        return []
+    v = vehicle(a)
+    of = drops.excess(a, v, noise_of(a, v).least_drop_m_s)
+    large = of._replace(smallest_m_s=2.0 * of.smallest_m_s)
+    speed = a.reference if a.has_reference else sampling.median(a.speed.T)
+    is_braked = np.nan_to_num(slope(a.time_s, speed, limit.DROP_WINDOW_S)) < _BRAKED_M_S2
+    visible = drops.flags(large, is_braked, limit.DROP_VISIBLE_SAMPLES)
+    found = []
+    for j, name in enumerate(a.names):
+        for stretch in stretches(visible[:, j]):
+            part = slice(stretch.first, stretch.last + 1)
+            is_mirror = a.has_reference and is_mirrored(of.excess_m_s[part], j)
+            if not slides_at[part].any() and not is_mirror:
+                depth_m_s = float(of.excess_m_s[part, j].max())
+                found.append(ShortDrop(name, stretch.first, stretch.last, depth_m_s))
+    return found
+
+
+def where_reference_is_off(a: Aligned, faster: bool) -> np.ndarray:
+    """Return where the reference is faster, or slower, than wheels that agree, flags (n,)."""
+    if not a.has_reference:
+        return np.zeros(a.time_s.size, bool)
+    v = a.reference
+    sliding = v[:, None] - a.speed
+    threshold = smallest(a, v, by_noise(a, scatter(a)))
+    if faster:
+        return agreeing(a, v, sliding, threshold)
+    by_speed = (limit.slip_share(v) * v)[:, None]
+    return agreeing(a, v, -sliding, np.maximum(threshold, by_speed))
+
+
+def agreeing(
+    a: Aligned, v: np.ndarray, difference: np.ndarray, threshold: np.ndarray
+) -> np.ndarray:
+    """Return where all wheels differ from the reference by the same amount, flags (n,).
+
+    `difference` and `threshold` (n, m) are those of sliding or slipping wheels. Wheels that slide
+    differ from one another, so here the reference is off. Locked wheels agree as well, and slide.
+    """
+    if not a.has_reference or len(a.names) < 2:
+        return np.zeros(v.size, bool)
+    known = np.isfinite(difference)
+    several = known.sum(axis=1) > 1
+    most = np.max(np.where(known, difference, -np.inf), axis=1)
+    fewest = np.min(np.where(known, difference, np.inf), axis=1)
+    is_off = several & (most > np.min(threshold, axis=1))
+    found = np.zeros(v.size, bool)
+    for stretch in stretches(is_off & (fewest > 0.0)):
+        part = slice(stretch.first, stretch.last + 1)
+        middle = 0.5 * (most[part] + fewest[part])
+        is_locked = float(np.median(middle)) > limit.LOCKED_SHARE * float(np.median(v[part]))
+        spread = most[part] - fewest[part]
+        if not is_locked and np.median(spread) < limit.AGREE_SHARE * np.median(middle):
+            found[part] = True
+    return found
 
 
 def _are_together(speed: np.ndarray, threshold: np.ndarray, shortest: int) -> bool:
@@ -331,22 +456,21 @@ def episodes(a: Aligned, any_slides: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _slide(
-    *,
     number_of_run: int,
     a: Aligned,
     v: np.ndarray,
-    sliding: np.ndarray,
-    noise: np.ndarray,
-    slides_at: np.ndarray,
+    seen: Seen,
+    scatter_m_s: np.ndarray,
     first: int,
     last: int,
 ) -> Slide:
     """Return one episode; its size is the largest sliding."""
     part = slice(first, last + 1)
-    within = np.where(slides_at[part], sliding[part], 0.0)
+    slides_at = seen.slides_at
+    within = np.where(slides_at[part], seen.size_m_s[part], 0.0)
     worst = int(np.argmax(within.max(axis=0)))
     most = float(within.max())
-    half = 2.0 * float(noise[worst]) + 0.02 * most
+    half = 2.0 * float(scatter_m_s[worst]) + 0.02 * most
 
     names = [name for j, name in enumerate(a.names) if slides_at[part, j].any()]
     start_s = float(a.time_s[first])
@@ -366,7 +490,7 @@ def _slide(
             duration_s=end_s - start_s + a.step_s,
             initial_speed_m_s=float(v[first]),
             adhesion_at_least=float(adhesion.low),
-            cycles=cycles(a, sliding, slides_at, first, last),
+            cycles=cycles(a, seen.size_m_s, slides_at, first, last),
         ),
         date=a.run.date,
     )

@@ -1,0 +1,1 @@
+"""Wheels that do not roll: slides, short drops, driving slip, and the smallest size that shows."""
