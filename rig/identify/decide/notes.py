@@ -38,8 +38,6 @@ class NoteCode(Enum):
     # brakes that all vary in the same way, inside their calibration, explain the runs at least as
     # well as these causes and their remainder: they are not reported
     INSIDE_CALIBRATION = "causes.inside_calibration"
-    # a radius and a brake torque of one wheelset are what a wrong scale of its speed sensor shows
-    SPEED_SCALE = "causes.speed_scale"
     # nothing is significant in the fitted runs together, and runs differ from the others
     RUNS_DIFFER = "runs.differ"
     # the reported causes leave a small remainder
