@@ -187,8 +187,8 @@ def _inside_calibration_sentence(note: Note) -> str:
     are = "is" if len(found) == 1 else "are together"
     return (
         f"{' and '.join(found)} {are} significant but immaterial: brakes that all vary in the same "
-        f"way by {rounded(100.0 * note.share, 2)} % of the torque explain these runs at least as "
-        f"well, {_tolerance(note)}"
+        f"way by {rounded(100.0 * note.share, 2)} % of the torque explain these runs nearly as "
+        f"well or better, {_tolerance(note)}"
     )
 
 

@@ -17,6 +17,7 @@ simulation draws them again.
 the vehicle (`decide.decision`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -34,14 +35,10 @@ BRAKE = "brake"
 # common is their rival instead ([Y4]), after the search. Chosen.
 SHARE_OF_MODE = 0.25
 MODES = 3
-# Highest polynomials of [Y4] by its form. Over time it follows a swing of 18 s in a stop of 50 s.
-# Chosen.
-COMMON_MODES = {
-    CommonBrake.NONE: 0,
-    CommonBrake.TIME_OF_RUN: 6,
-    CommonBrake.TIME: 6,
-    CommonBrake.SPEED: 1,
-}
+# Highest polynomials of [Y4]. Over time it follows a swing of 18 s in a stop of 50 s. Over speed it
+# is a straight line, about as the friction of pads changes. Chosen.
+MODES_OVER_TIME = 6
+MODES_OVER_SPEED = 1
 ALL_AXLES = 0
 ALL_RUNS = -1
 # Two standard deviations contain an error in this share of the time.
@@ -77,12 +74,15 @@ def modes(design: Design) -> list[Mode]:
 
 def common_modes(design: Design) -> list[Mode]:
     """Return the modes that the brakes of a run have in common [Y4]; none in a base model."""
-    runs = range(ALL_RUNS, ALL_RUNS + 1)
+    found: list[Mode] = []
+    if design.common_brake is CommonBrake.NONE:
+        return found
+    runs: Sequence[int] = (ALL_RUNS,)
     if design.common_brake is CommonBrake.TIME_OF_RUN:
         runs = range(design.mass_kg.size)
-    found: list[Mode] = []
+    highest = MODES_OVER_SPEED if design.common_brake is CommonBrake.SPEED else MODES_OVER_TIME
     for run in runs:
-        for k in range(1, COMMON_MODES[design.common_brake] + 1):
+        for k in range(1, highest + 1):
             label = f"{BRAKE}_{run}_{ALL_AXLES}_{k}"
             found.append(Mode(label, run, ALL_AXLES, k, design.calibration))
     return found

@@ -60,7 +60,8 @@ def rival(
     """Return brakes that vary in common and explain the runs nearly as well as all causes of force.
 
     `left` are the remainders of `on_vehicle`, which the variation must explain too. The causes are
-    in the fitted `explanation`. None: the best variation is not within the calibration, or not near enough.
+    in the fitted `explanation`. None: the best variation is not within the calibration, or is not
+    near enough.
     """
     fitted = tuple(found.cause for found in causes)
     by_causes = fitting.deviance(design, explanation._replace(causes=fitted))
