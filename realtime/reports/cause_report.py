@@ -15,9 +15,10 @@ from rollerrig.realtime.reports import cause_pictures as pictures
 from rollerrig.realtime.reports import cause_sentences as sentences
 from rollerrig.realtime.reports import page as html
 from rollerrig.realtime.reports.hints import runs
+from rollerrig.rig.identify.causes import simulate
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
-from rollerrig.rig.identify.decide import estimates, evidence, gain, simulate, stopping
+from rollerrig.rig.identify.decide import estimates, evidence, gain, stopping
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.coherence import Contradicted
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict

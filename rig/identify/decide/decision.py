@@ -23,7 +23,6 @@ from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.identify.decide import (
     choice,
     coherence,
-    common_brake,
     empirical,
     estimates,
     evidence,
@@ -340,13 +339,16 @@ def _without_common_brake(
     """Return the search without forces that brakes inside their calibration explain, and a note.
 
     All causes that act on the brake or on the vehicle are judged together, with the force on the
-    vehicle that they leave, against brakes that vary in all wheelsets alike (`common_brake`).
+    vehicle that they leave, against brakes that vary in all wheelsets alike
+    (`coherence.varying_brake`).
     """
-    forces = [found for found in search.causes if common_brake.is_force(found.cause.name)]
-    on_vehicle = common_brake.on_vehicle(search.remainder)
+    forces = [found for found in search.causes if coherence.is_force(found.cause.name)]
+    on_vehicle = coherence.on_vehicle(search.remainder)
     if not forces and not on_vehicle:
         return search, []
-    rival = common_brake.rival(design, base, search.explanation, search.causes, on_vehicle)
+    rival = coherence.varying_brake(
+        design, base, search.explanation, [found.cause for found in search.causes], on_vehicle
+    )
     if rival is None:
         return search, []
 
@@ -358,7 +360,7 @@ def _without_common_brake(
         tolerance=design.calibration,
         allowed=thresholds.IMMATERIAL_DEVIATIONS * design.calibration,
     )
-    kept = [found for found in search.causes if not common_brake.is_force(found.cause.name)]
+    kept = [found for found in search.causes if not coherence.is_force(found.cause.name)]
     left = search.remainder
     if left is not None:
         # what the size of a dropped cause leaves goes with that cause
@@ -477,7 +479,7 @@ def _verdict_on(
     left = [test for test in remainder if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)]
     if not causes:
         return (Verdict.UNEXPLAINED if left else Verdict.CONSISTENT), []
-    if left and len(causes) > 1 and all(common_brake.is_force(name) for name in names):
+    if left and len(causes) > 1 and all(coherence.is_force(name) for name in names):
         return Verdict.UNEXPLAINED, [Note(NoteCode.TWO_FORCES, causes=names, remainder=left[0])]
     if measured_gain is not None and measured_gain.likelihood < 0.0:
         return Verdict.UNEXPLAINED, [Note(NoteCode.WORSE_ON_HELD_OUT_RUNS, causes=names[:1])]

@@ -27,7 +27,7 @@ from rollerrig.rig.identify.causes.columns import SensitivityMatrix
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import (
     choice,
-    common_brake,
+    coherence,
     evidence,
     fitting,
     stopping,
@@ -108,9 +108,7 @@ def _power_of_coefficients(
     bias = x.mean(axis=0)
     planted = _unit(test.name, x.shape[1])
     share_of_unit = _torque_share(planting, test)
-    of_rivals = [
-        rival.of_size(test.cause()) for rival in rivals if common_brake.is_force(test.name)
-    ]
+    of_rivals = [rival.of_size(test.cause()) for rival in rivals if coherence.is_force(test.name)]
 
     def power(size: float) -> float:
         off = x - bias + size * planted
@@ -176,7 +174,7 @@ class _Rival(NamedTuple):
 def _rivals(planting: Planting) -> list[_Rival]:
     """Return the variations of the brakes in common, with their columns beside all causes."""
     found = []
-    for form in common_brake.FORMS:
+    for form in coherence.FORMS:
         design = planting.design._replace(common_brake=form)
         normal, _, _ = fitting.normal_equations(design, planting.base)
         labels = {mode.label: mode.prior for mode in discrepancy.common_modes(design)}

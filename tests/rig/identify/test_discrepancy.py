@@ -9,17 +9,16 @@ from generator.conditions import Conditions
 from tiers import first_of
 
 from rollerrig.realtime.reports import cause_sentences
-from rollerrig.rig.identify.causes import candidates, discrepancy
+from rollerrig.rig.identify.causes import candidates, discrepancy, simulate
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation, pulses
 from rollerrig.rig.identify.data.preparation import CommonBrake
 from rollerrig.rig.identify.data.pulses import Sensor
 from rollerrig.rig.identify.decide import (
-    common_brake,
+    coherence,
     decision,
     evidence,
     fitting,
-    simulate,
     stopping,
 )
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
@@ -247,7 +246,7 @@ def test_a_wrong_gain_of_all_brakes_is_no_variation_inside_their_calibration(
 def test_a_base_model_has_no_modes_that_all_brakes_share(stops) -> None:
     _, design, base = stops
     assert discrepancy.common_modes(design) == []
-    for form in common_brake.FORMS:
+    for form in coherence.FORMS:
         modes = discrepancy.common_modes(design._replace(common_brake=form))
         labels = {mode.label for mode in modes}
         assert labels
@@ -255,13 +254,13 @@ def test_a_base_model_has_no_modes_that_all_brakes_share(stops) -> None:
         assert not labels & set(discrepancy.priors(design))
 
 
-@pytest.mark.parametrize("form", common_brake.FORMS)
+@pytest.mark.parametrize("form", coherence.FORMS)
 def test_more_free_values_of_a_variation_cost_evidence(stops, form: CommonBrake) -> None:
     _, design, base = stops
     varying = design._replace(common_brake=form)
-    assert common_brake.of_all_values(varying, base) > 0.0
+    assert coherence.of_all_values(varying, base) > 0.0
     wider = varying._replace(calibration=2.0 * design.calibration)
-    assert common_brake.of_all_values(wider, base) > common_brake.of_all_values(varying, base)
+    assert coherence.of_all_values(wider, base) > coherence.of_all_values(varying, base)
 
 
 # --- whole explanations of stops with nothing hidden ---

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify.causes import candidates, table
+from rollerrig.rig.identify.causes import candidates, simulate, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.data.preparation import Design
@@ -19,7 +19,6 @@ from rollerrig.rig.identify.decide import (
     fitting,
     null_simulations,
     shapes,
-    simulate,
 )
 
 SEED_OF_STOPS = 21

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from generator import smallest_rates
 
-from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes import candidates, simulate
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide import evidence, fitting, null_simulations, simulate, smallest
+from rollerrig.rig.identify.decide import evidence, fitting, null_simulations, smallest
 from rollerrig.rig.identify.decide.evidence import Scores
 from rollerrig.rig.identify.decide.smallest import Planting
 from rollerrig.rig.identify.replay.rail import USUAL
