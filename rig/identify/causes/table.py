@@ -174,7 +174,8 @@ TABLE = (
     Search("speed_sensor_delay", floor=0.001),
     Search("wheel_inertia", floor=0.006),
     Search("wheel_radius", floor=4e-5, single_axles_only=True),
-    Search("sensor_scale", floor=4e-5, single_axles_only=True),
+    # its price makes the radius the first of the two where the data do not distinguish them
+    Search("sensor_scale", floor=4e-5, price=1, single_axles_only=True),
     Search("load_transfer", price=1),
     Search(
         "wheel_out_of_round",
