@@ -204,7 +204,7 @@ def test_a_speed_that_swings_by_its_pole_wheel_leaves_a_remainder_that_an_out_of
         for variant in normal.matrix.variants
         if variant.cause == "along wheel_angle and speed" and variant.axle == swing.axle
     ]
-    x, S = evidence._coefficients(scores, remainder.columns)
+    x, S = evidence.estimated(scores, remainder.columns)
     statistic = float(x @ S @ x)
     # where nothing is left it is chi-squared, with a degree of freedom for each coefficient
     assert (statistic > 200.0) == (source == "pole wheel")
