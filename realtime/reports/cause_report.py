@@ -15,9 +15,10 @@ from rollerrig.realtime.reports import cause_pictures as pictures
 from rollerrig.realtime.reports import cause_sentences as sentences
 from rollerrig.realtime.reports import page as html
 from rollerrig.realtime.reports.hints import runs
+from rollerrig.rig.identify.causes import simulate
 from rollerrig.rig.identify.causes.candidates import Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
-from rollerrig.rig.identify.decide import estimates, gain, simulate, stopping
+from rollerrig.rig.identify.decide import estimates, evidence, gain, stopping
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.coherence import Contradicted
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
@@ -210,12 +211,20 @@ def _cause(diagnosis: Diagnosis, identified: IdentifiedCause) -> dict[str, Any]:
             "likelihood": identified.likelihood_ratio,
             "delta_bic": _delta_bic(diagnosis, identified.likelihood_ratio, parameter_count),
             "heldout_gain": heldout_gain,
-            "detectability": sentences.detectability(identified.deviation[0]),
+            "detectability": sentences.detectability(diagnosis, cause.name),
+            "decided": _decided(identified),
             "rivals": rivals,
         },
         "confusable_with": list(identified.confusable),
         "separating_test": "",
     }
+
+
+def _decided(identified: IdentifiedCause) -> dict[str, Any]:
+    """Return the interval that decided that a cause is reported: it excludes 0."""
+    size = estimates.family_wise(identified)
+    level = 1.0 - evidence.alpha_of(identified.score_test)
+    return {"level": level, "interval": [size.low, size.high]}
 
 
 def _estimate(estimate: Estimate) -> dict[str, Any]:
@@ -237,7 +246,7 @@ def _screened(diagnosis: Diagnosis, name: str) -> dict[str, Any]:
         "judged": True,
         "delta_bic": _delta_bic(diagnosis, test.statistic, len(test.estimate)),
         "p_value": test.p_value,
-        "detectability": sentences.detectability(test.deviation[0]),
+        "detectability": sentences.detectability(diagnosis, name),
         "rejected_because": why,
     }
 

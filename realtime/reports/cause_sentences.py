@@ -3,6 +3,7 @@
 The words for causes come from the table of mechanisms.
 """
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
@@ -149,8 +150,8 @@ def note_sentence(note: Note) -> str:
             )
         case NoteCode.INTERVAL_HOLDS_NOTHING:
             return (
-                f"the 95 % interval of {causes} holds 0, although it would fit the runs better: not "
-                "reported as a cause"
+                f"the size of {causes} is not certain: its interval holds 0 at the level of the decision, "
+                "although it would fit the runs better, so it is not reported as a cause"
             )
         case NoteCode.IMMATERIAL:
             return (
@@ -172,12 +173,6 @@ def note_sentence(note: Note) -> str:
             )
         case NoteCode.INSIDE_CALIBRATION:
             return _inside_calibration_sentence(note)
-        case NoteCode.SPEED_SCALE:
-            return (
-                f"{causes} are together what a speed sensor with a wrong scale shows: the speed is "
-                "wrong, and the brake acts at the stated radius. Measure the radius of this "
-                "wheelset: if it is the stated one, correct its sensor, and both causes go"
-            )
         case NoteCode.RUNS_DIFFER:
             return "the runs differ from each other, so the base model is not consistent with all of them"
         case NoteCode.SMALL_REMAINDER:
@@ -192,8 +187,8 @@ def _inside_calibration_sentence(note: Note) -> str:
     are = "is" if len(found) == 1 else "are together"
     return (
         f"{' and '.join(found)} {are} significant but immaterial: brakes that all vary in the same "
-        f"way by {rounded(100.0 * note.share, 2)} % of the torque explain these runs at least as "
-        f"well, {_tolerance(note)}"
+        f"way by {rounded(100.0 * note.share, 2)} % of the torque explain these runs nearly as "
+        f"well or better, {_tolerance(note)}"
     )
 
 
@@ -266,12 +261,15 @@ def score_test_of(diagnosis: Diagnosis, name: str) -> ScoreTest | None:
     return None
 
 
-def detectability(deviation: float) -> float:
-    """Return the smallest size of an effect that is found in nine of ten data sets.
+def detectability(diagnosis: Diagnosis, name: str) -> float | None:
+    """Return the smallest size of a cause that the runs would show in half of the cases.
 
-    `deviation` is the standard deviation of the estimate of this effect.
+    It was measured by planting the cause (`decide.smallest`). None if no size would be found.
     """
-    return thresholds.DETECTABLE_DEVIATIONS * deviation
+    test = score_test_of(diagnosis, name)
+    if test is None or not math.isfinite(test.smallest):
+        return None
+    return test.smallest
 
 
 def rejected_because(diagnosis: Diagnosis, name: str) -> str:
@@ -280,10 +278,12 @@ def rejected_because(diagnosis: Diagnosis, name: str) -> str:
     if test is None:
         return not_judged_because(name)
     if not evidence.is_significant(test):
-        smallest = sizes.in_words(name, detectability(test.deviation[0]))
+        because = f"not statistically significant (p = {test.p_value:.2g})"
+        if not math.isfinite(test.smallest):
+            return f"{because}; these runs would show no size of it"
         return (
-            f"not statistically significant (p = {test.p_value:.2g}); these runs would have shown "
-            f"{smallest}, or more"
+            f"{because}; these runs would show {first_screen.smallest_in_words(test)} in half of the "
+            "cases, and larger sizes more often"
         )
     if diagnosis.causes:
         return (
@@ -338,11 +338,17 @@ def story(diagnosis: Diagnosis) -> list[str]:
             "Nothing is statistically significant in the fitted runs together "
             f"(p = {diagnosis.p_value:.2g}), but the runs differ: no model is right for all of them."
         )
+    elif first_screen.is_near_limit(diagnosis):
+        lines.append(
+            "The base model is possibly wrong: something is statistically significant, but near the "
+            f"limit (p = {diagnosis.p_value:.2g}). It depends most on {', '.join(worst)}. Repeat one stop."
+        )
     elif diagnosis.verdict == Verdict.UNEXPLAINED:
         lines.append(
             "The base model is wrong, and no mechanism of the library explains the error. The error "
             f"depends most significantly on {', '.join(worst)}."
         )
+    if diagnosis.verdict == Verdict.UNEXPLAINED and not only_runs_differ(diagnosis):
         nearest = first_screen.nearest(diagnosis)
         if nearest:
             lines.append(nearest)

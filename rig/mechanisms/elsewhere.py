@@ -61,6 +61,14 @@ ROWS = (
         "assumption",
     ),
     Mechanism(
+        "sensor_scale",
+        SENSOR,
+        (number("fraction", -0.06, 0.06, "-"), AXLE),
+        "measured omega = (1 + fraction) omega",
+        "the speed sensor of one wheelset has a wrong scale",
+        "assumption",
+    ),
+    Mechanism(
         "torque_sensor_delay",
         SENSOR,
         (number("delay_s", 0.0, 0.2, "s"),),

@@ -19,7 +19,13 @@ from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
 
 
-def score_test(name: str, size: float = 0.1, p_value: float = 0.5, statistic: float = 2.0):
+def score_test(
+    name: str,
+    size: float = 0.1,
+    p_value: float = 0.5,
+    statistic: float = 2.0,
+    smallest: float = 0.05,
+):
     return ScoreTest(
         name=name,
         axle=0,
@@ -31,6 +37,7 @@ def score_test(name: str, size: float = 0.1, p_value: float = 0.5, statistic: fl
         p_value=p_value,
         expected=1.0,
         spread=1.0,
+        smallest=smallest,
     )
 
 
@@ -172,7 +179,13 @@ def test_the_headline_of_sand_has_a_range_of_times_and_no_time_of_each_run() -> 
 def test_what_was_ruled_out_says_in_words_which_size_would_have_shown() -> None:
     found = diagnosis(verdict=Verdict.CONSISTENT, tests=[score_test("brake_gain")])
     why = cause_sentences.rejected_because(found, "brake_gain")
-    assert "a brake torque that is 5 % off" in why
+    assert "a brake torque that is 5 % off in half of the cases" in why
+    unseen = diagnosis(
+        verdict=Verdict.CONSISTENT, tests=[score_test("brake_gain", smallest=np.inf)]
+    )
+    assert "no size of it" in cause_sentences.rejected_because(unseen, "brake_gain")
+    entries = {entry["name"]: entry for entry in cause_report.as_json(unseen)["screened"]}
+    assert entries["brake_gain"]["detectability"] is None
     assert cause_sentences.rejected_because(found, "sanding").startswith("not judged")
     entries = {entry["name"]: entry for entry in cause_report.as_json(found)["screened"]}
     assert entries["brake_gain"]["judged"]
@@ -222,6 +235,34 @@ def test_an_unexplained_speed_of_the_vehicle_is_drawn_as_speed_with_its_suspects
     assert "Measure next: let the vehicle coast" in story
     assert "Nearest in the library" in story
     assert "a resistance that is 900 N off (running_resistance, 89 %" in story
+
+
+def test_covariates_with_the_same_suspects_share_one_line() -> None:
+    tests = [
+        score_test("along vehicle speed", 5.0, 1e-12, 90.0),
+        score_test("along vehicle time", 5.0, 1e-11, 80.0),
+        score_test("along sliding", 0.1, 1e-9, 60.0),
+    ]
+    found = diagnosis(verdict=Verdict.UNEXPLAINED, tests=tests)
+    lines = first_screen.what_next(found, cause_sentences.worst_covariates(found))
+    assert len(lines) == 2
+    assert lines[0].startswith("Suspect along vehicle speed and vehicle time: ")
+    assert "hysteresis of the brake" in lines[0]
+    texts = [line.partition(": ")[2] for line in lines]
+    assert len(set(texts)) == len(texts)
+
+
+@pytest.mark.parametrize(("p_value", "is_near"), [(0.015, True), (1e-6, False)])
+def test_an_error_near_the_limit_is_possible_and_one_stop_is_to_be_repeated(
+    p_value: float, is_near: bool
+) -> None:
+    tests = [score_test("along vehicle speed", 5.0, p_value / 30.0, 17.0)]
+    found = diagnosis(verdict=Verdict.UNEXPLAINED, tests=tests)._replace(p_value=p_value)
+    story = " ".join(cause_sentences.story(found))
+    assert ("possibly wrong" in story) == is_near
+    assert ("repeat one stop unchanged" in story) == is_near
+    assert ("The base model is wrong" in story) != is_near
+    assert ("Suspect along" in story) != is_near
 
 
 def test_the_measured_adhesion_of_another_inertia_is_that_of_the_extended_model() -> None:

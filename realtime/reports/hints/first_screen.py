@@ -3,6 +3,8 @@
 The verdict and the causes come before them.
 """
 
+import math
+
 from rollerrig.realtime.reports.hints import runs, sizes, suspects
 from rollerrig.rig.identify.causes import table
 from rollerrig.rig.identify.decide import decision, evidence, stopping, thresholds
@@ -12,13 +14,16 @@ from rollerrig.rig.identify.decide.notes import NoteCode
 
 MOST_SUSPECTS = 3
 MOST_NAMES = 6
+# a p-value is near the limit if it is above this share of the family-wise level
+CLEARLY_BELOW = 0.01
+FAMILY_WISE_ALPHA = thresholds.ALPHA_CAUSE * thresholds.CAUSES_SEARCHED
 # smaller p-values differ only by rounding
 LEAST_P = 1e-12
 
 
 def smallest_in_words(test: ScoreTest) -> str:
-    """Return the smallest size of a cause that these runs would have shown, in words."""
-    return sizes.in_words(test.name, thresholds.DETECTABLE_DEVIATIONS * test.deviation[0])
+    """Return the smallest size of a cause that these runs would show in half of the cases."""
+    return sizes.in_words(test.name, test.smallest)
 
 
 def p_in_words(p_value: float) -> str:
@@ -103,19 +108,38 @@ def what_next(diagnosis: Diagnosis, worst: list[str]) -> list[str]:
             "Measure next: one more stop, after the cause is corrected if it can be (--next 1 "
             "proposes one)."
         ]
-    lines = []
-    for covariate in worst[:MOST_SUSPECTS]:
-        one = suspects.suspect(covariate)
-        lines.append(f"Suspect along {covariate}: {one.suspects}. Measure next: {one.measure}.")
+    if is_near_limit(diagnosis):
+        return [
+            "Measure next: repeat one stop unchanged, three times, and explain all stops together. A "
+            "real error becomes clearer, one by chance goes."
+        ]
     # two covariates may have the same suspects
-    return list(dict.fromkeys(lines))
+    along: dict[suspects.Suspect, list[str]] = {}
+    for covariate in worst[:MOST_SUSPECTS]:
+        along.setdefault(suspects.suspect(covariate), []).append(covariate)
+    return [
+        f"Suspect along {' and '.join(covariates)}: {one.suspects}. Measure next: {one.measure}."
+        for one, covariates in along.items()
+    ]
 
 
 def _hardest_to_see(diagnosis: Diagnosis) -> str:
     """Return the smallest visible sizes of the most usual causes of friction and brake."""
     usual = ("brake_gain", "rail_cleaning", "wheel_radius")
     found = {test.name: test for test in diagnosis.score_tests}
-    return " or ".join(smallest_in_words(found[name]) for name in usual if name in found)
+    names = [name for name in usual if name in found and math.isfinite(found[name].smallest)]
+    return " or ".join(smallest_in_words(found[name]) for name in names)
+
+
+def is_near_limit(diagnosis: Diagnosis) -> bool:
+    """Return whether an unexplained error may be one by chance: its p-value is near the limit.
+
+    A cause that won a fit, or that was contradicted, is no chance.
+    """
+    is_bare = diagnosis.verdict == Verdict.UNEXPLAINED and not diagnosis.set_aside
+    if not is_bare or any(note.contradicted is not None for note in diagnosis.notes):
+        return False
+    return diagnosis.p_value > CLEARLY_BELOW * FAMILY_WISE_ALPHA
 
 
 def nearest(diagnosis: Diagnosis) -> str:

@@ -43,6 +43,7 @@ WORDS = {
     ),
     "adhesion_memory": Words(1.0, "a recovery that lags by ", " m"),
     "speed_sensor_delay": Words(_MILLISECONDS, "wheel speeds that are ", " ms late"),
+    "sensor_scale": Words(_PERCENT, "a speed sensor of one wheelset that is ", " % off"),
     "torque_sensor_delay": Words(_MILLISECONDS, "torques that are ", " ms late"),
     "wheel_out_of_round": Words(_PERCENT, "a load that swings by ", " % once a turn"),
     "load_transfer": Words(

@@ -14,10 +14,10 @@ class Suspect(NamedTuple):
 
 
 _VEHICLE = Suspect(
-    "a force on the vehicle that is missing (gradient, wind, another brake, the train), or a scale "
-    "of torque, mass or clock",
-    "let the vehicle coast without a brake on the same track, log position_m and other brakes, and "
-    "weigh the vehicle",
+    "a force on the vehicle that is missing (gradient, wind, another brake, the train), hysteresis "
+    "of the brake where torques are computed from pressures, or a scale of torque, mass or clock",
+    "let the vehicle coast without a brake on the same track, raise and lower the brake demand "
+    "slowly in one stop, log position_m and other brakes, and weigh the vehicle",
 )
 SUSPECTS = {
     "vehicle time": _VEHICLE,

@@ -131,6 +131,8 @@ def _with_cause(design: Design, i: Inputs, cause: Cause) -> Inputs:
         return i._replace(torque_Nm=shifted(design, i.torque_Nm, by_s))
     if cause.name == "speed_sensor_delay":
         return _with_late_speed(design, i, cause.axle, value)
+    if cause.name == "sensor_scale":
+        return _with_sensor_scale(design, i, cause.axle, value)
     return _with_courses(design, i, cause)
 
 
@@ -155,6 +157,21 @@ def _with_late_speed(design: Design, i: Inputs, axle: int, late_s: float) -> Inp
         torque_Nm=shifted(design, i.torque_Nm, by_s),
         speed_m_s=shifted(design, i.speed_m_s, by_s),
     )
+
+
+def _with_sensor_scale(design: Design, i: Inputs, axle: int, fraction: float) -> Inputs:
+    """Return inputs for a wheel speed that reads too high by a fraction.
+
+    The replay predicts the measured speed omega_m = (1 + fraction) omega. With r' = r / (1 +
+    fraction), J' = J / (1 + fraction)^2 and C' = C / (1 + fraction), the balance of the wheel holds
+    for omega_m: J' d omega_m/dt = r' N f - C'. The vehicle feels C' / r' = C / r, as before.
+    """
+    factors = 1.0 + fraction * courses.acts_on(design, axle)
+    p = i.parameters.copy()
+    p[:, parameters.RADIUS] /= factors
+    p[:, parameters.INERTIA] /= factors * factors
+    torque_Nm = i.torque_Nm / np.repeat(factors, np.diff(design.start))
+    return i._replace(torque_Nm=torque_Nm, parameters=p)
 
 
 def _with_late_inputs(

@@ -349,19 +349,21 @@ def _add_discrepancy(writer: _Writer) -> None:
     """Add the columns of the model discrepancy, which are base parameters too."""
     design = writer.design
     of_vehicle = np.repeat(np.arange(design.mass_kg.size), np.diff(design.vehicle_start))
-    parts = {}
-    modes = discrepancy.modes(design)
-    for number in sorted({mode.number for mode in modes}):
-        part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, number))
-        parts[number] = (writer.add_course(part.wheel), part.felt)
-    for mode in modes:
-        course, felt = parts[mode.number]
+    parts: dict[tuple[bool, int], tuple[int, np.ndarray | None]] = {}
+    for mode in discrepancy.modes(design):
+        is_common = mode.axle == discrepancy.ALL_AXLES
+        kind = (is_common, mode.number)
+        if kind not in parts:
+            part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, mode))
+            parts[kind] = (writer.add_course(part.wheel), part.felt)
+        course, felt = parts[kind]
         vehicle = writer.vehicle_acceleration(felt, mode.axle)
         assert vehicle is not None
-        vehicle = vehicle * (of_vehicle == mode.run)
-        writer.add(
-            BASE, mode.label, course, vehicle, prior=mode.prior, axle=mode.axle, run=mode.run
-        )
+        run = None
+        if mode.run != discrepancy.ALL_RUNS:
+            run = mode.run
+            vehicle = vehicle * (of_vehicle == run)
+        writer.add(BASE, mode.label, course, vehicle, prior=mode.prior, axle=mode.axle, run=run)
 
     if design.wheel_sensor.is_pulses:
         late = _speed_delay_part(writer).wheel
@@ -437,12 +439,23 @@ def _radius_part(writer: _Writer) -> Part:
     return Part(writer.rate("radius"), None)
 
 
+def _sensor_scale_part(writer: _Writer) -> Part:
+    """Return the part of a speed sensor that reads too high (`candidates._with_sensor_scale`).
+
+    It is that of a smaller radius, with inertia and torque that keep the balance of the wheel.
+    """
+    inertia_kgm2 = writer.inputs.parameters[0, parameters.INERTIA]
+    of_torque = writer.torque_Nm / inertia_kgm2
+    return Part(2.0 * writer.rate("irregularity") - writer.rate("radius") - of_torque, None)
+
+
 # causes whose part does not follow from a course or from constants
 _SPECIAL_PARTS: dict[str, Callable[[_Writer], Part]] = {
     "torque_sensor_delay": _torque_delay_part,
     "speed_sensor_delay": _speed_delay_part,
     "wheel_inertia": _inertia_part,
     "wheel_radius": _radius_part,
+    "sensor_scale": _sensor_scale_part,
 }
 
 

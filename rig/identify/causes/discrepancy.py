@@ -9,18 +9,21 @@ simulation draws them again.
     [Y2] phi_k = T_k(2 t / t_end - 1), Chebyshev's polynomial, of each wheelset in each run
     [Y3] wheel speeds from pulses are late [D3]
     [Y4] acting torque of all wheelsets of a run = recorded torque (1 + sum_k x_k phi_k), k from 1,
-         x_k with the deviation of the declared calibration
+         x_k with the deviation of the declared calibration. Three forms: phi_k over the time of
+         each run with x_k of this run; over the time, T_k(2 t / t_max - 1), with x_k of all runs;
+         and over the speed of the vehicle, T_k(2 v / v_max - 1), with x_k of all runs
 
 [Y4] is in no base and in no null simulation. It is the rival of causes that act on the brake or on
 the vehicle (`decide.decision`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from rollerrig.rig.identify.data import parameters, pulses
-from rollerrig.rig.identify.data.preparation import Design
+from rollerrig.rig.identify.data.preparation import CommonBrake, Design
 
 # --- the shape of the brake inside its calibration ---
 
@@ -32,9 +35,12 @@ BRAKE = "brake"
 # common is their rival instead ([Y4]), after the search. Chosen.
 SHARE_OF_MODE = 0.25
 MODES = 3
-# Highest polynomial of [Y4]: it follows a swing of 18 s in a stop of 50 s. Chosen.
-COMMON_MODES = 6
+# Highest polynomials of [Y4]. Over time it follows a swing of 18 s in a stop of 50 s. Over speed it
+# is a straight line, about as the friction of pads changes. Chosen.
+MODES_OVER_TIME = 6
+MODES_OVER_SPEED = 1
 ALL_AXLES = 0
+ALL_RUNS = -1
 # Two standard deviations contain an error in this share of the time.
 SHARE_OF_TIME = 0.95
 
@@ -49,7 +55,7 @@ class Mode(NamedTuple):
     """A mode of the brake of a wheelset in a run: a base parameter."""
 
     label: str
-    run: int
+    run: int  # ALL_RUNS: the same in all runs
     axle: int  # 1 is the leading wheelset; ALL_AXLES: the wheelsets of the run in common
     number: int  # k of [Y2] or [Y4]
     prior: float
@@ -69,20 +75,30 @@ def modes(design: Design) -> list[Mode]:
 def common_modes(design: Design) -> list[Mode]:
     """Return the modes that the brakes of a run have in common [Y4]; none in a base model."""
     found: list[Mode] = []
-    if not design.brake_is_common:
+    if design.common_brake is CommonBrake.NONE:
         return found
-    for run in range(design.mass_kg.size):
-        for k in range(1, COMMON_MODES + 1):
+    runs: Sequence[int] = (ALL_RUNS,)
+    if design.common_brake is CommonBrake.TIME_OF_RUN:
+        runs = range(design.mass_kg.size)
+    highest = MODES_OVER_SPEED if design.common_brake is CommonBrake.SPEED else MODES_OVER_TIME
+    for run in runs:
+        for k in range(1, highest + 1):
             label = f"{BRAKE}_{run}_{ALL_AXLES}_{k}"
             found.append(Mode(label, run, ALL_AXLES, k, design.calibration))
     return found
 
 
-def course(design: Design, number: int) -> np.ndarray:
-    """Return mode k [Y2] at each sample of each wheelset, shape (n,)."""
-    last_s = design.time_s[design.start[1:] - 1]
-    ends_s = np.repeat(last_s, np.diff(design.start))
-    return _chebyshev(2.0 * design.time_s / ends_s - 1.0, number)
+def course(design: Design, mode: Mode) -> np.ndarray:
+    """Return a mode [Y2] at each sample of each wheelset, shape (n,)."""
+    if mode.run == ALL_RUNS and design.common_brake is CommonBrake.SPEED:
+        x = 2.0 * design.speed_m_s / design.speed_m_s.max() - 1.0
+    elif mode.run == ALL_RUNS:
+        x = 2.0 * design.time_s / design.time_s.max() - 1.0
+    else:
+        last_s = design.time_s[design.start[1:] - 1]
+        ends_s = np.repeat(last_s, np.diff(design.start))
+        x = 2.0 * design.time_s / ends_s - 1.0
+    return _chebyshev(x, mode.number)
 
 
 def _chebyshev(x: np.ndarray, number: int) -> np.ndarray:
@@ -102,13 +118,17 @@ def brake_share(design: Design, base: dict[str, float]) -> np.ndarray | None:
     if not present:
         return None
     change = np.zeros(design.time_s.size)
-    found = modes(design)
-    courses = {number: course(design, number) for number in {mode.number for mode in found}}
-    for mode in found:
+    courses: dict[tuple[bool, int], np.ndarray] = {}
+    for mode in modes(design):
+        kind = (mode.axle == ALL_AXLES, mode.number)
+        if kind not in courses:
+            courses[kind] = course(design, mode)
         axles = range(1, design.axles + 1) if mode.axle == ALL_AXLES else (mode.axle,)
-        for axle in axles:
-            at = design.span(design.axles * mode.run + axle - 1)
-            change[at] += present.get(mode.label, 0.0) * courses[mode.number][at]
+        runs = range(design.mass_kg.size) if mode.run == ALL_RUNS else (mode.run,)
+        for run in runs:
+            for axle in axles:
+                at = design.span(design.axles * run + axle - 1)
+                change[at] += present.get(mode.label, 0.0) * courses[kind][at]
     return change
 
 
@@ -124,8 +144,8 @@ def common_share(design: Design, base: dict[str, float]) -> float:
         at = design.span(first)
         change = np.zeros(design.time_s[at].size)
         for mode in common_modes(design):
-            if mode.run == run:
-                change += base.get(mode.label, 0.0) * course(design, mode.number)[at]
+            if mode.run in (run, ALL_RUNS):
+                change += base.get(mode.label, 0.0) * course(design, mode)[at]
         of_run = range(first, first + design.axles)
         torque_Nm = np.mean([design.brake_Nm[design.span(s)] for s in of_run], axis=0)
         shares.append(np.abs(change * torque_Nm) / np.sqrt(np.mean(torque_Nm**2)))

@@ -14,6 +14,7 @@ momentum of vehicle and wheelsets together, divided by M. Adhesion does not chan
 no adhesion. d is a slow disturbance, an unknown acceleration.
 """
 
+from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,15 @@ LEAST_RELEASED_S = 0.3  # a shorter beginning gives no value
 LEAST_SPEED_NOISE_M_S = 1e-4
 LEAST_WHEEL_NOISE_RAD_S = 1e-3
 LEAST_TORQUE_NOISE_NM = 5.0
+
+
+class CommonBrake(StrEnum):
+    """Along what the torques of all wheelsets vary in common."""
+
+    NONE = "none"
+    TIME_OF_RUN = "time of a run"  # in each run differently
+    TIME = "time"  # in all runs alike
+    SPEED = "speed"  # in all runs alike
 
 
 class Design(NamedTuple):
@@ -95,8 +105,8 @@ class Design(NamedTuple):
     released_sd_Nm: np.ndarray  # (segments,) standard error of this mean
     places_m: tuple[float, float]  # where the bins of place begin and end
     ends_s: tuple[float, ...]  # where the bins of time of each run end
-    # the brakes of a run may vary in common (`causes.discrepancy`, [Y4]); not in the base model
-    brake_is_common: bool
+    # how the brakes may vary in common (`causes.discrepancy`, [Y4]); not in the base model
+    common_brake: CommonBrake
 
     @property
     def segments(self) -> int:
@@ -310,7 +320,7 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
         wheel_sensor=wheel_sensor,
         torque_noise_Nm=torque_noise.copy(),
         calibration=data.accuracy["calibration_fraction"],
-        brake_is_common=False,
+        common_brake=CommonBrake.NONE,
         form=data.accuracy["form_fraction"],
         base=base_parameters(data),
         resistance=resistance,

@@ -74,6 +74,7 @@ class IdentifiedCause(NamedTuple):
     deviation: tuple[float, ...]  # standard deviation of each coefficient
     confusable: tuple[str, ...]  # names of the rivals that cannot be distinguished from it
     rivals: tuple[Rival, ...]
+    form: float = 0.0  # of the dataset: how far the law may differ, as a share of the effect
 
     @property
     def unbiased(self) -> Cause:
@@ -260,10 +261,7 @@ def choose(
     """
     ratios = []
     for test, fit in candidates:
-        # The mean statistic without any effect is the number of coefficients. Null simulations may
-        # show a larger one: the excess comes by chance and does not count.
-        chance = max(test.expected - len(test.estimate), 0.0)
-        ratios.append(deviance - fit.deviance - chance - _price(test))
+        ratios.append(deviance - fit.deviance - by_chance(test) - price(test))
     if max(ratios, default=0.0) < thresholds.LEAST_RATIO:
         return explanation, []
 
@@ -296,6 +294,7 @@ def choose(
         deviation=_deviation(test, best.covariance, first_coefficient),
         confusable=tuple(dict.fromkeys(_confusable(rivals, design.form) + alike)),
         rivals=rivals,
+        form=design.form,
     )
     return best.explanation, [identified]
 
@@ -318,7 +317,16 @@ def refine_scales(
     return fit.explanation, refined
 
 
-def _price(test: ScoreTest) -> float:
+def by_chance(test: ScoreTest) -> float:
+    """Return the likelihood ratio that comes by chance and does not count.
+
+    The mean statistic without any effect is the number of coefficients. Null simulations may show a
+    larger one.
+    """
+    return max(test.expected - len(test.estimate), 0.0)
+
+
+def price(test: ScoreTest) -> float:
     """Return the likelihood ratio that the choice of a cause's shape and axle costs."""
     of_shape = thresholds.PRICE_OF_COEFFICIENT * table.BY_NAME[test.name].price
     return of_shape + 2.0 * float(np.log(test.trials))
@@ -331,7 +339,7 @@ def _deviation(test: ScoreTest, covariance: np.ndarray, at: int) -> tuple[float,
     that null simulations show, and by the numerical errors of the filter (`floor`).
     """
     nominal = np.sqrt(np.diag(covariance)[at : at + len(test.estimate)])
-    widening = max(test.spread, 1.0)
+    widening = max(test.spread_by_chance, 1.0)
     floor = table.BY_NAME[test.name].floor
     return tuple(float(np.hypot(deviation * widening, floor)) for deviation in nominal)
 
@@ -622,11 +630,11 @@ def _choose_first_again(
     )
 
     # what each candidate wins more than the first cause, both less the price of their shapes
-    price_of_first = _price(first.score_test)
+    price_of_first = price(first.score_test)
     priced_deviance = fitting.deviance(workspace.design, explanation) + price_of_first
     gains = []
     for other, fit in zip(others, fits, strict=True):
-        gains.append(priced_deviance - fit.deviance - _price(other.test))
+        gains.append(priced_deviance - fit.deviance - price(other.test))
 
     place_of_first = next(k for k, other in enumerate(others) if other.test == first.score_test)
     top = place_of_first
@@ -655,6 +663,7 @@ def _choose_first_again(
         deviation=_deviation(test, fits[top].covariance, 0),
         confusable=confusable,
         rivals=rivals,
+        form=workspace.design.form,
     )
     return better, [new_first, second._replace(cause=better.causes[1])]
 

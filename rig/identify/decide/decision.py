@@ -16,7 +16,7 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.base import check as base_checks
 from rollerrig.rig.identify.base import rolling
-from rollerrig.rig.identify.causes import candidates, discrepancy, table
+from rollerrig.rig.identify.causes import candidates, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
@@ -31,6 +31,7 @@ from rollerrig.rig.identify.decide import (
     goodness,
     null_simulations,
     side_by_side,
+    smallest,
     stopping,
     thresholds,
 )
@@ -43,7 +44,7 @@ from rollerrig.rig.identify.decide.notes import Note, NoteCode
 from rollerrig.rig.identify.decide.null_simulations import Workspace
 from rollerrig.rig.identify.decide.side_by_side import SideBySide
 from rollerrig.rig.identify.replay import sensitivity
-from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
+from rollerrig.rig.mechanisms.mechanism import TORQUE
 
 _MEDIAN_OF_CHI_SQUARED = 0.455  # of one degree of freedom
 
@@ -118,7 +119,6 @@ def explain_braking_runs(
         if data.group("validate"):
             held_out = prepare(data, data.group("validate"))
         notes = inside + immaterial + _notes_on_gain(held_out, search.causes)
-        notes += _notes_on_speed_scale(search.causes)
         measured_gain = None
         can_judge_gain = not any(note.code is NoteCode.GAIN_NOT_JUDGED for note in notes)
         if held_out is not None and search.causes and can_judge_gain:
@@ -135,7 +135,7 @@ def explain_braking_runs(
             search.causes, search.remainder, measured_gain, contradicted
         )
         notes += more_notes
-        unclear = [f.cause.name for f in search.causes if not estimates.excludes_nothing(f)]
+        unclear = [f.cause.name for f in search.causes if not estimates.is_finding(f)]
         if unclear and verdict in (Verdict.EXPLAINED, Verdict.PARTLY):
             verdict = Verdict.UNEXPLAINED
             notes.append(Note(NoteCode.INTERVAL_HOLDS_NOTHING, causes=tuple(unclear)))
@@ -215,22 +215,23 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
     # score tests on the rail that the most promising causes leave
     normal, *_ = fitting.normal_equations(design, base)
     promising = evidence.most_promising(design, normal, thresholds.MOST_PROMISING)
-    radius = _rolling_radius(workspace.data)
-    if radius is not None:
-        promising = [cause for cause in promising if cause.name != radius.name] + [radius]
+    rolling_causes = _causes_of_rolling(workspace.data)
+    names = {cause.name for cause in rolling_causes}
+    promising = [cause for cause in promising if cause.name not in names] + rolling_causes
     smoother_base, promising_fits = choice.with_remaining_irregularity(workspace, base, promising)
     tests, normal, nulls = null_simulations.score_against_nulls(
         workspace, smoother_base, thresholds.MOST_NULL_SIMULATIONS, seed
     )
+    tests = smallest.with_smallest(smallest.Planting(design, smoother_base, normal, nulls), tests)
 
     # the most likely cause
     fitted = choice.fit_significant(
         workspace, base, tests, thresholds.MOST_FITTED, ready=promising_fits
     )
     fitted = choice.add_ready_fits(base_deviance, fitted, promising_fits, normal, nulls)
-    if radius is not None:
-        [ready] = [fit for fit in promising_fits if fit.explanation.causes[-1].name == radius.name]
-        fitted = _with_rolling_radius(design, base_deviance, fitted, ready)
+    for ready in promising_fits:
+        if ready.explanation.causes[-1].name in names:
+            fitted = _with_rolling_cause(design, base_deviance, fitted, ready)
     explanation, causes, rejected = _choose_coherent(design, base_fit, fitted)
 
     # a second cause, and the remainder
@@ -249,20 +250,27 @@ def _search_causes(workspace: Workspace, base_fit: fitting.Fit, seed: int) -> _S
     )
 
 
-def _rolling_radius(data: Dataset) -> Cause | None:
-    """Return the radius that the rolling wheels of one wheelset show; None if all are nearly alike.
+def _causes_of_rolling(data: Dataset) -> list[Cause]:
+    """Return the radius, and the scale of the sensor, that the rolling wheels of a wheelset show.
 
-    A radius that is wrong by more than the creepage at which adhesion is largest is far from what
-    the linearised replay shows of it. While the brake is released, the wheels show it directly.
+    The list is empty if all wheelsets are nearly alike. A radius that is wrong by more than the
+    creepage at which adhesion is largest is far from what the linearised replay shows of it. While
+    the brake is released, the wheels show it directly.
     """
     odd = rolling.odd_radius(data)
-    return None if odd is None else Cause("wheel_radius", odd.axle, {}, (odd.fraction,))
+    if odd is None:
+        return []
+    fraction = 1.0 / (1.0 + odd.fraction) - 1.0
+    return [
+        Cause("wheel_radius", odd.axle, {}, (odd.fraction,)),
+        Cause("sensor_scale", odd.axle, {}, (fraction,)),
+    ]
 
 
-def _with_rolling_radius(
+def _with_rolling_cause(
     design: Design, base_deviance: float, fitted: list[Candidate], ready: BlockwiseFit
 ) -> list[Candidate]:
-    """Return the candidates with the best fit that began at the radius of the rolling wheels.
+    """Return the candidates with the best fit that began at what the rolling wheels show.
 
     `ready` began at the fitted base, which explains the wrong radius by other parameters. So
     another fit begins at the untuned base. Null simulations on a base with a wrong radius do not
@@ -331,43 +339,28 @@ def _without_common_brake(
     """Return the search without forces that brakes inside their calibration explain, and a note.
 
     All causes that act on the brake or on the vehicle are judged together, with the force on the
-    vehicle that they leave. Their rival is a brake whose torque varies in all wheelsets alike
-    ([Y4] of `causes.discrepancy`). They are dropped if this rival is at least as likely, and if it
-    stays within the declared calibration.
+    vehicle that they leave, against brakes that vary in all wheelsets alike
+    (`coherence.varying_brake`).
     """
-    forces = [found for found in search.causes if _is_force(found.cause.name)]
-    on_vehicle = []
-    for test in search.remainder or []:
-        is_clear = evidence.is_significant(test, thresholds.CLEAR_REMAINDER)
-        if is_clear and test.name in (stopping.TIME, stopping.SPEED):
-            on_vehicle.append(test)
+    forces = [found for found in search.causes if coherence.is_force(found.cause.name)]
+    on_vehicle = coherence.on_vehicle(search.remainder)
     if not forces and not on_vehicle:
         return search, []
-
-    fitted = tuple(found.cause for found in search.causes)
-    by_causes = fitting.deviance(design, search.explanation._replace(causes=fitted))
-    # the remainder could win as much as its largest test
-    by_causes -= max((test.statistic for test in on_vehicle), default=0.0)
-
-    others = tuple(found.cause for found in search.causes if not _is_force(found.cause.name))
-    with_brake = design._replace(brake_is_common=True)
-    start = search.explanation._replace(base=base.base, causes=others)
-    by_brake = fitting.fit(with_brake, start, thresholds.STEPS_OF_COMMON_BRAKE)
-    share = discrepancy.common_share(with_brake, by_brake.explanation.base)
-    most = thresholds.IMMATERIAL_DEVIATIONS * design.calibration
-    # negated, so that a value that is not a number drops nothing
-    if not (by_brake.deviance <= by_causes and share <= most):
+    rival = coherence.varying_brake(
+        design, base, search.explanation, [found.cause for found in search.causes], on_vehicle
+    )
+    if rival is None:
         return search, []
 
     note = Note(
         NoteCode.INSIDE_CALIBRATION,
         causes=tuple(found.cause.name for found in forces),
         remainder=on_vehicle[0] if on_vehicle else None,
-        share=share,
+        share=rival.share,
         tolerance=design.calibration,
-        allowed=most,
+        allowed=thresholds.IMMATERIAL_DEVIATIONS * design.calibration,
     )
-    kept = [found for found in search.causes if not _is_force(found.cause.name)]
+    kept = [found for found in search.causes if not coherence.is_force(found.cause.name)]
     left = search.remainder
     if left is not None:
         # what the size of a dropped cause leaves goes with that cause
@@ -383,21 +376,18 @@ def _without_common_brake(
 def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[Note]]:
     """Return the search without what lies inside the declared calibration, and the notes on that.
 
-    Such a cause changes the torque, or the force on the vehicle, by no more than the dataset
-    declares as its error. So does such a remaining force on the vehicle. It is no error of the
-    model, however significant it is.
+    Such a cause changes the torque by no more than the dataset declares as its error. So does such
+    a remaining force on the vehicle. It is no error of the model, however significant it is. A
+    cause that acts on the vehicle was judged against such brakes before.
     """
     kept = []
     notes = []
     for place, found in enumerate(search.causes):
         mechanism = table.BY_NAME[found.cause.name].mechanism
         share = 0.0
-        most = design.calibration
+        most = thresholds.IMMATERIAL_DEVIATIONS * design.calibration
         if mechanism.acts_on == TORQUE:
             share = stopping.torque_share(design, search.explanation, place)
-            most *= thresholds.IMMATERIAL_DEVIATIONS
-        elif mechanism.acts_on == VEHICLE:
-            share = stopping.force_share(design, search.explanation, place)
         if 0.0 < share <= most:
             notes.append(
                 Note(
@@ -434,23 +424,6 @@ def _without_immaterial(design: Design, search: _Search) -> tuple[_Search, list[
 
 def _smooth_functions(tests: list[ScoreTest]) -> list[ScoreTest]:
     return [test for test in tests if evidence.is_smooth_function(test.name)]
-
-
-def _notes_on_speed_scale(causes: list[IdentifiedCause]) -> list[Note]:
-    """Return a note if a radius and a brake torque are what a wrong scale of a sensor shows.
-
-    Wheels that are larger by a share turn slower, and brake with less force by the same share. A
-    sensor whose scale is wrong shows slower wheels only: a radius, and a brake that compensates it.
-    """
-    by_name = {found.cause.name: found.cause for found in causes}
-    radius = by_name.get("wheel_radius")
-    brake = by_name.get("brake_gain") or by_name.get("torque_offset")
-    if radius is None or brake is None or radius.axle != brake.axle:
-        return []
-    # an offset is no share: of it only the sign is compared
-    ratio = brake.values[0] / radius.values[0]
-    is_alike = abs(ratio - 1.0) <= 0.5 if brake.name == "brake_gain" else ratio > 0.0
-    return [Note(NoteCode.SPEED_SCALE, causes=(radius.name, brake.name))] if is_alike else []
 
 
 def _notes_on_gain(held_out: Design | None, causes: list[IdentifiedCause]) -> list[Note]:
@@ -506,7 +479,7 @@ def _verdict_on(
     left = [test for test in remainder if evidence.is_significant(test, thresholds.CLEAR_REMAINDER)]
     if not causes:
         return (Verdict.UNEXPLAINED if left else Verdict.CONSISTENT), []
-    if left and len(causes) > 1 and all(_is_force(name) for name in names):
+    if left and len(causes) > 1 and all(coherence.is_force(name) for name in names):
         return Verdict.UNEXPLAINED, [Note(NoteCode.TWO_FORCES, causes=names, remainder=left[0])]
     if measured_gain is not None and measured_gain.likelihood < 0.0:
         return Verdict.UNEXPLAINED, [Note(NoteCode.WORSE_ON_HELD_OUT_RUNS, causes=names[:1])]
@@ -535,11 +508,6 @@ def _verdict_on(
     if left:
         return Verdict.EXPLAINED, [Note(NoteCode.SMALL_REMAINDER, remainder=left[0])]
     return Verdict.EXPLAINED, []
-
-
-def _is_force(name: str) -> bool:
-    """Return whether a cause is a torque or a force on the vehicle."""
-    return table.BY_NAME[name].mechanism.acts_on in (TORQUE, VEHICLE)
 
 
 def _remaining_swing(names: tuple[str, ...], left: list[ScoreTest]) -> ScoreTest | None:

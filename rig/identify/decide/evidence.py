@@ -12,6 +12,7 @@ Source: Engle, Wald, likelihood ratio and Lagrange multiplier tests, Handbook of
 (1984).
 """
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -53,6 +54,16 @@ class ScoreTest(NamedTuple):
     spread: float  # standard deviation of a coefficient over its nominal one
     trials: int = 1  # number of shapes and axles of which this is the best
     near: tuple["ScoreTest", ...] = ()  # of the same cause in other shapes, nearly as significant
+    # degrees of freedom of `deviation`: null simulations less 1
+    freedom: float = math.inf
+    smallest: float = math.nan  # size that these runs show in half of the cases (`decide.smallest`)
+
+    @property
+    def spread_by_chance(self) -> float:
+        """The spread without the numerical errors of the filter (`floor`)."""
+        nominal = self.deviation[0] / self.spread
+        floor = table.BY_NAME[self.name].floor if self.name in table.BY_NAME else 0.0
+        return math.sqrt(max(self.spread**2 - (floor / nominal) ** 2, 0.0))
 
     def cause(self) -> Cause:
         """Return the cause from which a fit starts."""
@@ -68,10 +79,15 @@ class Window(NamedTuple):
     statistic: float
 
 
-def scores(normal: fitting.NormalEquations, keep: Sequence[str] = ()) -> Scores:
-    """Return the scores of all columns [E1]; causes in the model already (`keep`) join the base."""
+def scores(
+    normal: fitting.NormalEquations, keep: Sequence[str] = (), without: Sequence[int] = ()
+) -> Scores:
+    """Return the scores of all columns [E1]; causes in the model already (`keep`) join the base.
+
+    The columns `without` of the base do not absorb anything.
+    """
     kept = [c for c, column in enumerate(normal.matrix.columns) if column.cause in keep]
-    base = fitting.base_columns(normal.matrix) + kept
+    base = [c for c in fitting.base_columns(normal.matrix) if c not in without] + kept
     A = normal.A
     b = normal.b
 
@@ -87,7 +103,7 @@ def scores(normal: fitting.NormalEquations, keep: Sequence[str] = ()) -> Scores:
         )
 
 
-def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+def estimated(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
     """Return the estimates [E1] of some columns and their part of S.
 
     The scores are those of one data set, or of many that are stacked.
@@ -105,7 +121,7 @@ def _coefficients(s: Scores, at: Sequence[int]) -> tuple[np.ndarray, np.ndarray]
     return -scale * np.linalg.solve(scaled, (scale * g)[..., None])[..., 0], S
 
 
-def _stacked(nulls: Sequence[Scores]) -> Scores:
+def stacked(nulls: Sequence[Scores]) -> Scores:
     """Return the scores of many data sets as one, with the data sets along the first dimension."""
     return Scores(S=np.array([s.S for s in nulls]), g=np.array([s.g for s in nulls]))
 
@@ -121,13 +137,13 @@ def score_tests(
     Each is in its best shape. `known` causes are in the model already and are left out.
     """
     measured = scores(normal, known)
-    stacked = _stacked(nulls)
+    all_nulls = stacked(nulls)
 
     by_name: dict[str, list[ScoreTest]] = {}
     for variant in normal.matrix.variants:
         if variant.cause not in known:
             tests = by_name.setdefault(variant.cause, [])
-            tests.append(_test_variant(measured, stacked, variant))
+            tests.append(_test_variant(measured, all_nulls, variant))
     for window in _test_windows(design, normal, measured, nulls):
         if window.name not in known:
             by_name[window.name] = [window]
@@ -159,7 +175,7 @@ def most_promising(design: Design, normal: fitting.NormalEquations, count: int) 
     for variant in normal.matrix.variants:
         if is_smooth_function(variant.cause):
             continue
-        x, S = _coefficients(measured, list(variant.columns))
+        x, S = estimated(measured, list(variant.columns))
         statistic = 0.0
         if not _has_wrong_sign(variant.cause, float(x[0])):
             statistic = float(x @ S @ x)
@@ -189,8 +205,8 @@ def _test_variant(measured: Scores, nulls: Scores, variant: columns.Variant) -> 
     at = list(variant.columns)
     size = len(at)
     freedom = len(nulls.g) - 1
-    x, S = _coefficients(measured, at)
-    null_x, null_S = _coefficients(nulls, at)
+    x, S = estimated(measured, at)
+    null_x, null_S = estimated(nulls, at)
 
     bias = null_x.mean(axis=0)
     nominal = np.sqrt(np.maximum(np.diag(np.linalg.pinv(S)), 1e-30))
@@ -214,6 +230,7 @@ def _test_variant(measured: Scores, nulls: Scores, variant: columns.Variant) -> 
         p_value=float(fdtrc(size, freedom, max(statistic, 0.0) / size)),
         expected=float(np.einsum("ki,kij,kj->k", null_x, null_S, null_x).mean()),
         spread=float(np.sqrt(scale)),
+        freedom=float(freedom),
     )
 
 
@@ -224,7 +241,7 @@ def score_test_of(
     variant = normal.matrix.variant_of(cause)
     if variant is None:
         return None
-    return _test_variant(scores(normal), _stacked(nulls), variant)
+    return _test_variant(scores(normal), stacked(nulls), variant)
 
 
 def _has_wrong_sign(cause: str, value: float) -> bool:
@@ -249,12 +266,17 @@ def _test_windows(
     return [test for test in tests if test is not None]
 
 
-def _bins(normal: fitting.NormalEquations, owner: str) -> list[int]:
+def bins(normal: fitting.NormalEquations, owner: str) -> list[int]:
     """Return the numbers of the columns of bins."""
     return [c for c, column in enumerate(normal.matrix.columns) if column.cause == owner]
 
 
-def _best_window(S: np.ndarray, g: np.ndarray, longest: int, sign: float) -> Window | None:
+def runs_of_bins(normal: fitting.NormalEquations, at: Sequence[int]) -> list[int]:
+    """Return the number of the run of each bin of time; `at` are the numbers of their columns."""
+    return [int(normal.matrix.columns[c].label.split()[0]) for c in at]
+
+
+def best_window(S: np.ndarray, g: np.ndarray, longest: int, sign: float) -> Window | None:
     """Return the neighbouring bins of the largest statistic whose coefficient has this sign."""
     best = None
     for low in range(len(g)):
@@ -270,7 +292,7 @@ def _best_window(S: np.ndarray, g: np.ndarray, longest: int, sign: float) -> Win
     return best
 
 
-def _gumbel_tail(value: float, null: np.ndarray) -> float:
+def gumbel_tail(value: float, null: np.ndarray) -> float:
     """Return the probability of a larger maximum, by a Gumbel law with the moments of the nulls."""
     mean = float(null.mean())
     least_width = thresholds.LEAST_GUMBEL_SHARE * mean + thresholds.LEAST_GUMBEL_WIDTH
@@ -279,27 +301,27 @@ def _gumbel_tail(value: float, null: np.ndarray) -> float:
     return float(-np.expm1(-np.exp(-(value - mode) / width)))
 
 
+def best_patch(s: Scores, at: Sequence[int], bias: np.ndarray) -> Window | None:
+    """Return the best patch, where friction is lower; `at` are the numbers of the bins of place."""
+    places = np.ix_(at, at)
+    return best_window(s.S[places], s.g[at] - bias, thresholds.MOST_PATCH_BINS, sign=-1.0)
+
+
 def _test_patch(
     normal: fitting.NormalEquations, measured: Scores, nulls: list[Scores]
 ) -> ScoreTest | None:
     """Return the test of a contaminated patch, None if the runs are too short for a patch."""
-    at = _bins(normal, PLACE_BINS)
+    at = bins(normal, PLACE_BINS)
     if len(at) < 4:
         return None
     bias = np.mean([s.g[at] for s in nulls], axis=0)
 
-    def search(s: Scores) -> Window | None:
-        """Return the best patch, where friction is lower."""
-        return _best_window(
-            s.S[np.ix_(at, at)], s.g[at] - bias, thresholds.MOST_PATCH_BINS, sign=-1.0
-        )
-
-    window = search(measured)
+    window = best_patch(measured, at, bias)
     if window is None:
         return None
     null_statistics = []
     for null_scores in nulls:
-        null_window = search(null_scores)
+        null_window = best_patch(null_scores, at, bias)
         null_statistics.append(0.0 if null_window is None else null_window.statistic)
     null = np.array(null_statistics)
 
@@ -317,9 +339,10 @@ def _test_patch(
         bias=(0.0,),
         deviation=(deviation,),
         statistic=window.statistic,
-        p_value=_gumbel_tail(window.statistic, null),
+        p_value=gumbel_tail(window.statistic, null),
         expected=float(null.mean()),
         spread=spread,
+        freedom=float(len(nulls) - 1),
     )
 
 
@@ -335,6 +358,28 @@ def _test_sand(
     return max(tests, key=lambda test: test.statistic - test.expected, default=None)
 
 
+def best_sand(
+    s: Scores, at: Sequence[int], run_of_bin: Sequence[int], bias: np.ndarray
+) -> dict[int, Window]:
+    """Return the best window of each run, where friction is higher.
+
+    `at` are the numbers of the bins of time, `run_of_bin` and `bias` their runs and biases.
+    """
+    windows = {}
+    for run in sorted(set(run_of_bin)):
+        places = [k for k, of_run in enumerate(run_of_bin) if of_run == run]
+        picked = [at[k] for k in places]
+        window = best_window(
+            s.S[np.ix_(picked, picked)],
+            s.g[picked] - bias[places],
+            thresholds.MOST_SAND_BINS,
+            sign=1.0,
+        )
+        if window is not None:
+            windows[run] = window
+    return windows
+
+
 def _test_sand_on(
     design: Design,
     normal: fitting.NormalEquations,
@@ -344,28 +389,15 @@ def _test_sand_on(
     shape: dict[str, float],
 ) -> ScoreTest | None:
     """Return the test of sand at one time in each run, None if friction is higher nowhere."""
-    at = _bins(normal, owner)
+    at = bins(normal, owner)
     if not at:
         return None
-    run_of_bin = [int(normal.matrix.columns[c].label.split()[0]) for c in at]
+    run_of_bin = runs_of_bins(normal, at)
     bias = np.mean([s.g[at] for s in nulls], axis=0)
     runs = design.mass_kg.size
 
     def search(s: Scores) -> dict[int, Window]:
-        """Return the best window of each run, where friction is higher."""
-        windows = {}
-        for run in range(runs):
-            places = [k for k, of_run in enumerate(run_of_bin) if of_run == run]
-            picked = [at[k] for k in places]
-            window = _best_window(
-                s.S[np.ix_(picked, picked)],
-                s.g[picked] - bias[places],
-                thresholds.MOST_SAND_BINS,
-                sign=1.0,
-            )
-            if window is not None:
-                windows[run] = window
-        return windows
+        return best_sand(s, at, run_of_bin, bias)
 
     def total(windows: dict[int, Window]) -> float:
         return float(sum(window.statistic for window in windows.values()))
@@ -398,9 +430,10 @@ def _test_sand_on(
         bias=(0.0,),
         deviation=(spread / np.sqrt(sum(weights)),),
         statistic=statistic,
-        p_value=_gumbel_tail(statistic, null),
+        p_value=gumbel_tail(statistic, null),
         expected=float(null.mean()),
         spread=spread,
+        freedom=float(len(nulls) - 1),
     )
 
 
@@ -414,10 +447,10 @@ def is_smooth_function(name: str) -> bool:
 
 def is_significant(test: ScoreTest, floor: float = thresholds.SCORE_FLOOR) -> bool:
     """Return whether a test counts by itself."""
-    return test.p_value < _alpha(test) and test.statistic - len(test.estimate) > floor
+    return test.p_value < alpha_of(test) and test.statistic - len(test.estimate) > floor
 
 
-def _alpha(test: ScoreTest) -> float:
+def alpha_of(test: ScoreTest) -> float:
     """Return the largest p-value with which a test counts."""
     if is_smooth_function(test.name):
         return thresholds.ALPHA_SMOOTH_FUNCTION
@@ -448,7 +481,7 @@ def is_settled(tests: Sequence[ScoreTest]) -> bool:
 def _is_near_limit(test: ScoreTest) -> bool:
     """Return whether more null simulations could change whether a test counts."""
     least = thresholds.NEAR_SHARE * thresholds.SCORE_FLOOR
-    is_likely = test.p_value < thresholds.NEAR_FACTOR * _alpha(test)
+    is_likely = test.p_value < thresholds.NEAR_FACTOR * alpha_of(test)
     return is_likely and test.statistic - len(test.estimate) > least
 
 

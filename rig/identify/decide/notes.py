@@ -35,11 +35,9 @@ class NoteCode(Enum):
     IMMATERIAL = "cause.immaterial"
     # a remaining force on the vehicle is smaller than that calibration of the brake
     IMMATERIAL_REMAINDER = "remainder.immaterial"
-    # brakes that all vary in the same way, inside their calibration, explain the runs at least as
+    # brakes that all vary in the same way, inside their calibration, explain the runs nearly as
     # well as these causes and their remainder: they are not reported
     INSIDE_CALIBRATION = "causes.inside_calibration"
-    # a radius and a brake torque of one wheelset are what a wrong scale of its speed sensor shows
-    SPEED_SCALE = "causes.speed_scale"
     # nothing is significant in the fitted runs together, and runs differ from the others
     RUNS_DIFFER = "runs.differ"
     # the reported causes leave a small remainder

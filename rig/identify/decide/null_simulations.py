@@ -13,12 +13,12 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children, cores
-from rollerrig.rig.identify.causes import columns, discrepancy
+from rollerrig.rig.identify.causes import columns, discrepancy, simulate
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.pulses import Sensor
 from rollerrig.rig.identify.data.runs import Dataset, Run
-from rollerrig.rig.identify.decide import evidence, fitting, goodness, simulate, thresholds
+from rollerrig.rig.identify.decide import evidence, fitting, goodness, thresholds
 from rollerrig.rig.identify.decide.evidence import Scores, ScoreTest
 from rollerrig.rig.identify.replay import rail, sensitivity
 from rollerrig.rig.identify.replay.rail import USUAL, RailShares

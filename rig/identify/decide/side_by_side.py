@@ -164,7 +164,7 @@ def _by_run(
     if cause is None or table.BY_NAME[cause.name].edge_step or table.BY_NAME[cause.name].phase:
         return None
     with_cause = explanation._replace(causes=(cause, *explanation.causes[1:]))
-    spread = max((test.spread for test in tests if test.name == cause.name), default=1.0)
+    spread = max((test.spread_by_chance for test in tests if test.name == cause.name), default=1.0)
     data = workspace.data
     tasks = [(data, run, workspace.design, with_cause) for run in data.runs]
     fits = workspace.run_all(size_in_run, tasks, "each run by itself")

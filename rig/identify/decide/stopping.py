@@ -114,14 +114,6 @@ def torque_share(design: Design, explanation: Explanation, place: int) -> float:
     return float(np.sqrt(np.mean(change_Nm**2) / np.mean(design.torque_Nm**2)))
 
 
-def force_share(design: Design, explanation: Explanation, place: int) -> float:
-    """Return how much cause number `place` adds to the braking force, as a share of it (rms)."""
-    causes = explanation.causes
-    without = explanation._replace(causes=(*causes[:place], *causes[place + 1 :]))
-    change_N = inputs(design, explanation).force_N - inputs(design, without).force_N
-    return float(np.sqrt(np.mean(change_N**2) / np.mean(_braking_N(design) ** 2)))
-
-
 def remaining_force_share(design: Design, along: str, coefficients: Sequence[float]) -> float:
     """Return a remaining force on the vehicle as a share of the braking force (rms).
 

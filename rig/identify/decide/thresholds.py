@@ -244,9 +244,8 @@ RATIO_OF_SCALE_MOVE = 1.0
 # --- materiality ---
 
 # A cause that changes the torque, or a remaining force on the vehicle, by up to this number of
-# declared standard deviations of the calibration is no error of the model. For a cause that acts on
-# the vehicle it is one deviation: brakes within their calibration do not act before they are
-# applied, and such a cause does. Chosen: two deviations are what a declared accuracy means.
+# declared standard deviations of the calibration is no error of the model. Chosen: two deviations
+# are what a declared accuracy means.
 IMMATERIAL_DEVIATIONS = 2.0
 
 # Steps of the fit of brakes that vary in common: the change is small, so few are enough. Chosen.
@@ -275,10 +274,6 @@ SWING_REMAINDER_SHARE = 0.02
 # Set by the first and the second generator. Two causes that leave a remainder above REMAINDER_SHARE
 # are never reported: on the first generator only an effect outside the library left that much.
 PARTLY_SHARE = 0.15
-
-# Standard deviations that an effect must be away from 0 to be found in nine of ten data sets.
-# Chosen.
-DETECTABLE_DEVIATIONS = 5.0
 
 # --- gain on runs that were never fitted ---
 

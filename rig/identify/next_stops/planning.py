@@ -22,12 +22,12 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.configs.vehicle import wheelsets_of
-from rollerrig.rig.identify.causes import discrepancy
+from rollerrig.rig.identify.causes import discrepancy, simulate
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.causes.columns import BASE, Variant
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.runs import Dataset
-from rollerrig.rig.identify.decide import fitting, simulate
+from rollerrig.rig.identify.decide import fitting
 from rollerrig.rig.identify.decide.decision import Diagnosis
 from rollerrig.rig.identify.decide.evidence import ScoreTest, is_smooth_function
 from rollerrig.rig.identify.next_stops import prototype

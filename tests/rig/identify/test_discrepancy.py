@@ -9,11 +9,18 @@ from generator.conditions import Conditions
 from tiers import first_of
 
 from rollerrig.realtime.reports import cause_sentences
-from rollerrig.rig.identify.causes import candidates, discrepancy
+from rollerrig.rig.identify.causes import candidates, discrepancy, simulate
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation, pulses
+from rollerrig.rig.identify.data.preparation import CommonBrake
 from rollerrig.rig.identify.data.pulses import Sensor
-from rollerrig.rig.identify.decide import decision, evidence, fitting, simulate, stopping
+from rollerrig.rig.identify.decide import (
+    coherence,
+    decision,
+    evidence,
+    fitting,
+    stopping,
+)
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
 from rollerrig.rig.identify.replay import rail, sensitivity
@@ -165,7 +172,7 @@ def test_a_remaining_force_inside_the_calibration_of_the_brake_is_a_note(stops) 
 
 def with_varying_brakes(design: preparation.Design, share: float) -> preparation.Design:
     """The design of brakes that act by up to this share more or less than recorded."""
-    common = design._replace(brake_is_common=True)
+    common = design._replace(common_brake=CommonBrake.TIME_OF_RUN)
     modes = {mode.label: share for mode in discrepancy.common_modes(common) if mode.number == 2}
     acting = discrepancy.brake_share(common, modes)
     assert acting is not None
@@ -239,12 +246,21 @@ def test_a_wrong_gain_of_all_brakes_is_no_variation_inside_their_calibration(
 def test_a_base_model_has_no_modes_that_all_brakes_share(stops) -> None:
     _, design, base = stops
     assert discrepancy.common_modes(design) == []
-    labels = {
-        mode.label for mode in discrepancy.common_modes(design._replace(brake_is_common=True))
-    }
-    assert labels
-    assert not labels & set(base.base)
-    assert not labels & set(discrepancy.priors(design))
+    for form in coherence.FORMS:
+        modes = discrepancy.common_modes(design._replace(common_brake=form))
+        labels = {mode.label for mode in modes}
+        assert labels
+        assert not labels & set(base.base)
+        assert not labels & set(discrepancy.priors(design))
+
+
+@pytest.mark.parametrize("form", coherence.FORMS)
+def test_more_free_values_of_a_variation_cost_evidence(stops, form: CommonBrake) -> None:
+    _, design, base = stops
+    varying = design._replace(common_brake=form)
+    assert coherence.of_all_values(varying, base) > 0.0
+    wider = varying._replace(calibration=2.0 * design.calibration)
+    assert coherence.of_all_values(wider, base) > coherence.of_all_values(varying, base)
 
 
 # --- whole explanations of stops with nothing hidden ---

@@ -109,6 +109,27 @@ def test_a_long_memory_and_one_larger_wheel_of_another_form_are_both_identified(
 
 
 @pytest.mark.nightly
+def test_a_wrong_scale_of_a_speed_sensor_is_a_cause_and_a_wrong_radius_is_another(
+    tmp_path: Path,
+) -> None:
+    wrong_scale = shutil.copytree(dataset.find("open_none"), tmp_path / "scale")
+    for run in wrong_scale.glob("runs/*.csv"):
+        names, *rows = [line.split(",") for line in run.read_text().splitlines()]
+        at = names.index("wheel_speed_2_rad_s")
+        for row in rows:
+            row[at] = repr(1.015 * float(row[at]))
+        run.write_text("\n".join(",".join(row) for row in [names, *rows]) + "\n")
+    [scale] = explain(wrong_scale).causes
+    assert (scale.cause.name, scale.cause.axle) == ("sensor_scale", 2)
+    size = estimates.parameters(scale)["fraction"]
+    assert size.low < 0.015 < size.high
+
+    wrong_radius = braking_stops.make(tmp_path / "radius", {"wheel_radius": 0.015}, 107_200)
+    radius, *_ = explain(wrong_radius).causes
+    assert radius.cause.name == "wheel_radius"
+
+
+@pytest.mark.nightly
 def test_a_brake_that_is_stronger_in_half_of_the_runs_only_is_not_explained_by_a_stronger_brake(
     tmp_path: Path,
 ) -> None:

@@ -12,11 +12,11 @@ from scipy.linalg import expm
 
 from rollerrig.rig.contact import adhesion
 from rollerrig.rig.contact.patch import patch_for
-from rollerrig.rig.identify.causes import candidates
+from rollerrig.rig.identify.causes import candidates, simulate
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, parameters, preparation
 from rollerrig.rig.identify.data.parameters import WheelModel
-from rollerrig.rig.identify.decide import evidence, fitting, simulate
+from rollerrig.rig.identify.decide import evidence, fitting
 from rollerrig.rig.identify.replay import lanes, sensitivity, wheel
 
 SPEED_M_S = 25.0

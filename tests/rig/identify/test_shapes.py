@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from generator import braking_stops, other_stops
 
-from rollerrig.rig.identify.causes import candidates, table
+from rollerrig.rig.identify.causes import candidates, simulate, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data import dataset, preparation
 from rollerrig.rig.identify.data.preparation import Design
@@ -19,7 +19,6 @@ from rollerrig.rig.identify.decide import (
     fitting,
     null_simulations,
     shapes,
-    simulate,
 )
 
 SEED_OF_STOPS = 21
@@ -205,7 +204,7 @@ def test_a_speed_that_swings_by_its_pole_wheel_leaves_a_remainder_that_an_out_of
         for variant in normal.matrix.variants
         if variant.cause == "along wheel_angle and speed" and variant.axle == swing.axle
     ]
-    x, S = evidence._coefficients(scores, remainder.columns)
+    x, S = evidence.estimated(scores, remainder.columns)
     statistic = float(x @ S @ x)
     # where nothing is left it is chi-squared, with a degree of freedom for each coefficient
     assert (statistic > 200.0) == (source == "pole wheel")

@@ -1,7 +1,10 @@
 """The verdict as a law of the likelihood that causes win and of the remainder that they leave."""
 
+import math
+
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from rollerrig.realtime.reports import cause_sentences
 from rollerrig.rig.identify.causes import table
@@ -10,6 +13,7 @@ from rollerrig.rig.identify.decide import choice, decision, estimates, evidence
 from rollerrig.rig.identify.decide.choice import IdentifiedCause
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
+from rollerrig.rig.identify.statistics import interval
 
 
 def score_test(name: str, statistic: float) -> ScoreTest:
@@ -88,27 +92,44 @@ def test_every_cause_whose_shape_other_runs_do_not_show_has_a_note_on_the_gain()
             assert "the gain cannot be judged there" in cause_sentences.note_sentence(note)
 
 
-@pytest.mark.parametrize(
-    ("name", "axle", "value", "has_note"),
-    [
-        ("brake_gain", 2, 0.017, True),
-        ("torque_offset", 2, 90.0, True),
-        ("brake_gain", 2, -0.02, False),  # wheels that are larger do not brake with more force
-        ("brake_gain", 2, 0.05, False),  # more than a wrong scale explains
-        ("brake_gain", 3, 0.02, False),
-        ("pad_fade", 2, 0.02, False),
-    ],
-)
-def test_a_radius_with_a_brake_that_compensates_it_has_a_note_on_the_speed_sensor(
-    name: str, axle: int, value: float, has_note: bool
-) -> None:
-    radius = identified(1000.0, "wheel_radius")
-    radius = radius._replace(cause=Cause("wheel_radius", 2, {}, (0.02,)))
-    other = identified(500.0, name)._replace(cause=Cause(name, axle, {}, (value,)))
-    notes = decision._notes_on_speed_scale([radius, other])
-    assert [note.code for note in notes] == [NoteCode.SPEED_SCALE] * has_note
-    for note in notes:
-        assert "a speed sensor with a wrong scale" in cause_sentences.note_sentence(note)
+def of_size(
+    name: str, value: float, deviation: float, freedom: float = math.inf, form: float = 0.0
+):
+    """A cause of this size, whose coefficient has this standard deviation."""
+    found = identified(99.0, name)
+    return found._replace(
+        score_test=found.score_test._replace(freedom=freedom),
+        cause=found.cause._replace(values=(value,)),
+        deviation=(deviation,),
+        form=form,
+    )
+
+
+@pytest.mark.parametrize("freedom", [19.0, 59.0, math.inf])
+def test_a_cause_is_a_finding_if_its_family_wise_interval_excludes_0(freedom: float) -> None:
+    quantile = float(student.isf(0.5 * table.ALPHA_CAUSE, freedom))
+    for factor in (0.99, 1.01):
+        found = of_size("brake_gain", factor * quantile * 0.01, 0.01, freedom)
+        size = estimates.family_wise(found)
+        assert interval.excludes(size.low, size.high) == (factor > 1.0)
+        assert estimates.is_finding(found) == (factor > 1.0)
+
+
+def test_the_interval_of_a_report_is_inside_the_one_that_decides() -> None:
+    for name in ("brake_gain", "wheel_radius", "speed_sensor_delay", "contaminated_patch"):
+        found = of_size(name, 0.004, 0.001, freedom=19.0, form=0.07)
+        reported = next(iter(estimates.parameters(found).values()))
+        decided = estimates.family_wise(found)
+        assert decided.low < reported.low < reported.value < reported.high < decided.high
+
+
+def test_another_form_widens_the_interval_of_a_large_size_and_decides_nothing() -> None:
+    exact = next(iter(estimates.parameters(of_size("brake_gain", 0.1, 1e-5)).values()))
+    wide = next(iter(estimates.parameters(of_size("brake_gain", 0.1, 1e-5, form=0.07)).values()))
+    assert wide.high - wide.low > 10.0 * (exact.high - exact.low)
+    # uniform within 7 %: the standard deviation is 4 %
+    assert wide.high / wide.value - 1.0 == pytest.approx(1.96 * 0.07 / 3.0**0.5, rel=0.01)
+    assert estimates.is_finding(of_size("brake_gain", 0.1, 1e-5, form=0.07))
 
 
 def test_two_causes_that_leave_a_large_remainder_are_noted_and_not_reported() -> None:
