@@ -20,6 +20,7 @@ from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
     from rollerrig.realtime.bench.options import Progress
+    from rollerrig.realtime.train.plan import Train
 
 _SPREAD_HEAD = ("figure", "unit", "runs", *output.SPREAD.values())
 
@@ -249,6 +250,9 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
     from rollerrig.realtime.reports import without_wsp
     from rollerrig.rig.compiled import compile_progress
 
+    train = _train_of(options)
+    if train is not None:
+        return _run_train(train, options)
     compile_progress.expect(tick_data.KERNELS[options.pacing])
     plan = scenario.load(
         options.scenario,
@@ -300,6 +304,59 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
         folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
         items.append(f"compare both with: rollerrig compare {folders}")
     return Recorded(summary, result, items)
+
+
+def _train_of(options: argparse.Namespace) -> "Train | None":
+    """Return the train that is to be run; None where the scenario is that of one vehicle.
+
+    Raises ConfigError, also for options that a train does not have.
+    """
+    from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.train import plan
+
+    if plan.find(options.scenario) is None:
+        return None
+    plan.check_options(
+        {
+            "--pacing wall": options.pacing == "wall",
+            "--live": options.live,
+            "--hold": options.hold,
+            "--start modbus": options.start != "now",
+            "--harness": options.harness,
+            "--also-without-wsp": options.also_without_wsp,
+            "--fault": bool(options.fault),
+            "--wsp fmu": options.wsp not in ("reference", "none", "external"),
+        }
+    )
+    return plan.load(
+        options.scenario,
+        options.model,
+        tuple(options.set),
+        scenario.PYTHON if options.from_python else scenario.COMMAND_LINE,
+    )
+
+
+def _run_train(train: "Train", options: argparse.Namespace) -> Recorded:
+    """Run a train, write its report, and return it."""
+    from rich.text import Text
+
+    from rollerrig.realtime.reports import train as report
+    from rollerrig.realtime.train import run
+
+    out = options.out or free_folder(train.name)
+    _announce_replacement(out, options)
+    progress_line = ProgressLine()
+    summary = run.record_run(train, options.wsp, out, options.seed, progress_line)
+    progress_line.close()
+    page = report.write(out)
+    items: list[Any] = []
+    if not options.json:
+        items = [
+            *report.tables(summary),
+            f"recorded in {out}, each car in {out}/car_1 and so on; report: {page}",
+        ]
+        items += [Text(f"not valid: {reason}", "bold red") for reason in summary["invalid_because"]]
+    return Recorded(summary, summary | {"folder": str(out), "report": str(page)}, items)
 
 
 def _announce_replacement(out: Path, options: argparse.Namespace) -> None:

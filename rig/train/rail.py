@@ -1,0 +1,113 @@
+"""The rail under a train: the work of all wheels so far on each metre, which cleans it.
+
+The rail is a row of cells that travels with the train. A wheelset that enters a cell meets the work
+of all wheelsets before, of its own car and of the cars ahead [L1]. It leaves its own work when it
+leaves the cell. Between two wheelsets the film comes back [L2]. What the work does to the friction
+is the mechanism `rail_cleaning` of each car.
+
+    [L1] W of a cell = sum of the specific work of the wheelsets that have passed, W_sp of [A3] in
+         `contact.adhesion`, J/m of one wheel
+    [L2] dW/dt = -W / T_recovery
+
+Doubt: [L2] is an assumption; the work of a wheel cleans the rail in the same form as it cleans the
+wheel's contact.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from rollerrig.configs.vehicle import MOST_AXLES
+from rollerrig.rig.compiled import record_type
+from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.surface import CELL_M, cell_at
+from rollerrig.rig.train.motion import Car
+
+# cells ahead of the first and behind the last wheelset, for couplers that stretch
+_SPARE = 64
+
+
+class Rail(NamedTuple):
+    """The rail from the first to the last wheelset of a train."""
+
+    acts: bool  # whether a car has the mechanism
+    recovery_1_s: float  # 1 / T_recovery; 0: the film does not come back
+    work_J_m: np.ndarray  # (cells,): a ring, cell n at n modulo its size
+    written_s: np.ndarray  # (cells,): when the work was written last
+    front: np.ndarray  # (1,): number of the foremost cell
+    cell: np.ndarray  # (cars, MOST_AXLES): the cell under each wheelset
+    own_J: np.ndarray  # (cars, MOST_AXLES): work of each wheelset in its cell so far
+    laid_J: np.ndarray  # (1,): work laid on the rail so far
+
+
+record_type.register(Rail)
+
+
+def build(cars: Sequence[Car], acts: bool, recovery_s: float) -> Rail:
+    """Return the rail, dirty, under cars at their places; recovery_s 0: the film stays away."""
+    first_m = float(cars[0].state.position[0])
+    last = cars[-1]
+    last_m = float(last.state.position[0] - last.params.axle_position_m[-1])
+    cell = np.zeros((len(cars), MOST_AXLES))
+    for number, car in enumerate(cars):
+        car.state.has_train_rail[0] = 1.0
+        for axle, behind_m in enumerate(car.params.axle_position_m):
+            cell[number, axle] = cell_at(car.state.position[0] - behind_m)
+    cells = math.ceil((first_m - last_m) / CELL_M) + _SPARE
+    return Rail(
+        acts=acts,
+        recovery_1_s=1.0 / recovery_s if recovery_s > 0.0 else 0.0,
+        work_J_m=np.zeros(cells),
+        written_s=np.zeros(cells),
+        front=np.array([float(cell_at(first_m))]),
+        cell=cell,
+        own_J=np.zeros((len(cars), MOST_AXLES)),
+        laid_J=np.zeros(1),
+    )
+
+
+@kernel
+def left_J_m(rail, cell, time_s):
+    """Return the work on a cell that the film has not yet covered again [L2]."""
+    at = int(cell) % rail.work_J_m.size
+    work_J_m = rail.work_J_m[at]
+    if rail.recovery_1_s > 0.0 and work_J_m > 0.0:
+        work_J_m *= math.exp(-rail.recovery_1_s * (time_s - rail.written_s[at]))
+    return work_J_m
+
+
+@kernel
+def roll(rail, cars, tick_s):
+    """Let all wheelsets roll for a tick: they lay their work, and meet that of the others [L1].
+
+    `cars` is a table of `motion.Car`, whose specific work is that of the tick before.
+    """
+    for number in range(len(cars)):
+        state = cars[number].state
+        way_m = tick_s * state.vehicle_speed[0]
+        time_s = state.time[0]
+        for j in range(state.axles):
+            rail.own_J[number, j] += max(state.dissipated_energy[j], 0.0) * way_m
+            cell = cell_at(state.position[0] - cars[number].params.axle_position_m[j])
+            old = rail.cell[number, j]
+            if cell > old:
+                extend(rail, cell)
+                at = int(old) % rail.work_J_m.size
+                rail.work_J_m[at] = left_J_m(rail, old, time_s) + rail.own_J[number, j] / CELL_M
+                rail.written_s[at] = time_s
+                rail.laid_J[0] += rail.own_J[number, j]
+                rail.own_J[number, j] = 0.0
+                rail.cell[number, j] = cell
+                state.rail_work[j] = left_J_m(rail, cell, time_s)
+
+
+@kernel
+def extend(rail, cell):
+    """Add cells that no wheelset has entered, up to this one."""
+    while rail.front[0] < cell:
+        rail.front[0] += 1.0
+        at = int(rail.front[0]) % rail.work_J_m.size
+        rail.work_J_m[at] = 0.0
+        rail.written_s[at] = 0.0
