@@ -56,6 +56,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     # for the record: the command with which another program starts an external unit
     parser.add_argument("--started-unit", default="", help=argparse.SUPPRESS)
     wsp.map_argument(parser)
+    parser.add_argument(
+        "--car",
+        type=int,
+        default=1,
+        metavar="N",
+        help="of a train in lockstep: the car, from the front, whose unit is on the bus; all other "
+        "cars have reference units (default: 1)",
+    )
     parser.add_argument("--model", default="", metavar="FILE", help="load an extended model")
     parser.add_argument(
         "--out",
@@ -252,7 +260,7 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
 
     train = _train_of(options)
     if train is not None:
-        return _run_train(train, options)
+        return _run_train(train, options, processes)
     compile_progress.expect(tick_data.KERNELS[options.pacing])
     plan = scenario.load(
         options.scenario,
@@ -315,17 +323,21 @@ def _train_of(options: argparse.Namespace) -> "Train | None":
     from rollerrig.realtime.train import plan
 
     if plan.find(options.scenario) is None:
+        plan.check_name(options.scenario)
         return None
     plan.check_options(
         {
             "--pacing wall": options.pacing == "wall",
+            f"--wsp {options.wsp} with --pacing free": options.pacing == "free"
+            and options.wsp not in ("reference", "none"),
+            "--wsp none with --pacing lockstep": options.pacing == "lockstep"
+            and options.wsp == "none",
             "--live": options.live,
             "--hold": options.hold,
             "--start modbus": options.start != "now",
             "--harness": options.harness,
             "--also-without-wsp": options.also_without_wsp,
             "--fault": bool(options.fault),
-            "--wsp fmu": options.wsp not in ("reference", "none", "external"),
         }
     )
     return plan.load(
@@ -336,17 +348,32 @@ def _train_of(options: argparse.Namespace) -> "Train | None":
     )
 
 
-def _run_train(train: "Train", options: argparse.Namespace) -> Recorded:
+def _run_train(train: "Train", options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
     """Run a train, write its report, and return it."""
     from rich.text import Text
 
+    from rollerrig.realtime.bench.options import Options
     from rollerrig.realtime.reports import train as report
     from rollerrig.realtime.train import run
 
     out = options.out or free_folder(train.name)
     _announce_replacement(out, options)
     progress_line = ProgressLine()
-    summary = run.record_run(train, options.wsp, out, options.seed, progress_line)
+    if options.pacing == "free":
+        summary = run.record_free(train, options.wsp, out, options.seed, progress_line)
+    else:
+        of_car = Options(
+            pacing=options.pacing,
+            unit=options.wsp,
+            out=out,
+            seed=options.seed,
+            unit_wait_s=options.wait,
+            answer_wait_s=options.answer_wait,
+            unit_map=options.unit_map,
+            started_unit=options.started_unit,
+            **processes,
+        )
+        summary = run.record_on_bus(train, options.car, of_car, progress_line)
     progress_line.close()
     page = report.write(out)
     items: list[Any] = []

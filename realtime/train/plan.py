@@ -142,14 +142,24 @@ def find(name: str) -> Path | None:
     return path if TRAIN in store.parse(path) else None
 
 
+def check_name(name: str) -> None:
+    """Raise ConfigError for a name that is no scenario, but similar to that of a train."""
+    meant = table.similar(name, names())
+    if meant and name not in store.names("scenarios") and len(Path(name).parts) == 1:
+        raise ConfigError(
+            f"no scenario or train is called '{name}'{table.nearest(name, names(), 'Trains')}; or give "
+            "the path of a TOML file"
+        )
+
+
 def check_options(given: Mapping[str, bool]) -> None:
     """Raise ConfigError for an option of a run that is given and that a train does not have."""
     for option, is_given in given.items():
         if is_given:
             raise ConfigError(
                 f"{option}: a train does not have this yet; allowed is --pacing free with the reference "
-                "units or without units, and no --live, --hold, --start, --harness, --fault or "
-                "--also-without-wsp"
+                "units or without units, or --pacing lockstep with a unit on the bus of one car; without "
+                "--live, --hold, --start, --harness, --fault and --also-without-wsp"
             )
 
 

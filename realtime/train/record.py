@@ -28,6 +28,8 @@ _OF_CAR = {
     "air_consumption_NL": "air_consumption_NL",
     "reservoir_pressure_Pa": "reservoir_pressure_Pa",
 }
+# parts of a summary that only the bench of the car on the bus knows
+_OF_BENCH = ("ended", "loop", "bus", "modbus", "recorder", "unit_played", "random", "seed")
 # signals of axles that the record of the train has; the folders of the cars have all
 _OF_AXLES = (
     "wheel_speed",
@@ -45,6 +47,11 @@ _OF_AXLES = (
 def folder_of_car(folder: Path, number: int) -> Path:
     """Return the folder of a car, counted from 1, in the folder of a train's run."""
     return folder / f"car_{number}"
+
+
+def name_of_car(train: Train, number: int) -> str:
+    """Return the name of a car in its summary."""
+    return f"{train.name} car {number}"
 
 
 def begin(train: Train, folder: Path) -> None:
@@ -99,6 +106,8 @@ def write(stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: int = 0
     """
     train = stop.train
     samples = stop.samples()
+    if on_bus:
+        samples = _with_recorded(samples, folder_of_car(folder, on_bus), on_bus)
     of_cars = []
     for number, (car, one) in enumerate(zip(train.cars, samples.cars, strict=True), start=1):
         of_car = folder_of_car(folder, number)
@@ -109,10 +118,25 @@ def write(stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: int = 0
         of_cars.append(result)
         _write_channels(of_car, one, result)
         records.write_summary(of_car, result)
-    result = summary_of(stop, samples, of_cars, counters)
+    result = summary_of(stop, samples, of_cars, counters, on_bus)
     _write_channels(folder, train_channels(train, samples), result)
     records.write_summary(folder, result)
     return result
+
+
+def _with_recorded(samples: Samples, of_car: Path, number: int) -> Samples:
+    """Return the samples with those of a car that a recorder has written, as far as all go."""
+    columns = channels.Columns(of_car)
+    recorded = {name: channels.values(columns[name]) for name in columns}
+    cars = list(samples.cars)
+    cars[number - 1] = recorded
+    count = min(len(one["time_s"]) for one in cars)
+    return Samples(
+        cars=[{name: values[:count] for name, values in one.items()} for one in cars],
+        force_N=samples.force_N[:count],
+        displacement_m=samples.displacement_m[:count],
+        pipe_Pa=samples.pipe_Pa[:count],
+    )
 
 
 def _write_channels(
@@ -134,7 +158,7 @@ def _summary_of_car(
     unit = counters["unit"] if car.has_unit else plan.NO_UNIT
     of_car = {
         **counters,
-        "scenario": f"{train.name} car {number}",
+        "scenario": name_of_car(train, number),
         "unit": unit,
         "unit_played": played.unit_of(unit)._asdict(),
         "config_hash": scenario.digest(car.plan),
@@ -152,13 +176,22 @@ def summary_of(
     samples: Samples,
     of_cars: list[dict[str, Any]],
     counters: Mapping[str, Any],
+    on_bus: int = 0,
 ) -> dict[str, Any]:
     """Return the summary of a train: that of the first car, with the axles of all cars.
 
-    In addition it has `train`, `cars` and `couplers`.
+    In addition it has `train`, `cars` and `couplers`. Loop, bus, unit and seed are those of the car
+    on the bus, where there is one.
     """
     train = stop.train
-    first = of_cars[0]
+    first = {
+        **of_cars[0],
+        "car_on_bus": on_bus or None,
+        "unit_played": counters["unit_played"],
+    }
+    if on_bus:
+        of_bench = of_cars[on_bus - 1]
+        first |= {key: of_bench[key] for key in _OF_BENCH}
     axles = [axle for one in of_cars for axle in one["axles"]]
     invalid = [
         f"car {number}: {reason}"
@@ -173,10 +206,9 @@ def summary_of(
         "title": train.resolved.get("title") or None,
         "vehicle": None,
         "config_hash": digest(train),
-        "unit_played": counters["unit_played"],
         "axles": axles,
         "wsp": {
-            "unit": counters["unit"],
+            "unit": of_cars[on_bus - 1]["wsp"]["unit"] if on_bus else counters["unit"],
             "active_s": max(one["wsp"]["active_s"] for one in of_cars),
             "vents": sum(vents),
         },

@@ -59,7 +59,8 @@ class Stop:
     ) -> None:
         self.train = train
         self._seed = seed
-        self.groups = motion.groups([car.plan.params.axles for car in train.cars])
+        axles = [car.plan.params.axles for car in train.cars]
+        self.groups = motion.groups(axles, on_bus - 1)
         self.data: list[TickData] = []
         self._memories: list[Memory] = []
         for first, count in self.groups.tolist():
@@ -69,10 +70,12 @@ class Stop:
                 car = train.cars[number]
                 memory = Memory(free.most_samples(car.plan), car.plan.table)
                 self._memories.append(memory)
-                made = tick_data.build(car.plan, memory, seed=seed + number, seat=(buffer, seat))
-                if number + 1 == on_bus and data is not None:
-                    made = _with_state_of(made, data)
+                if data is not None and number + 1 == on_bus:
+                    made = data
                 else:
+                    made = tick_data.build(
+                        car.plan, memory, seed=seed + number, seat=(buffer, seat)
+                    )
                     made = made._replace(command=made.commands.values)
                 _place(made, car.place_m)
                 self.data.append(made)
@@ -189,17 +192,6 @@ def _place(data: TickData, behind_m: float) -> None:
     state.position[0] = -behind_m
     plant.start(state, data.params, float(state.vehicle_speed[0]))
     tick.publish(data)
-
-
-def _with_state_of(made: TickData, data: TickData) -> TickData:
-    """Return the tick data of the car on the bus, with the state of its place in the train."""
-    return data._replace(
-        state=made.state,
-        buffer=made.buffer,
-        gather=made.gather,
-        roller_state=made.roller_state,
-        roller_buffer=made.roller_buffer,
-    )
 
 
 def _as_ticks_need(data: TickData, plan: Scenario, unit: str, is_on_bus: bool) -> ticks.Car:

@@ -63,16 +63,17 @@ def begin(cars: int) -> Motion:
     return Motion(**{name: np.zeros(size) for name, size in sizes.items()})
 
 
-def groups(axles: list[int]) -> np.ndarray:
+def groups(axles: list[int], alone: int = -1) -> np.ndarray:
     """Return the groups of cars that share a buffer, int64 (groups, 2): first car, and number.
 
     `axles` are those of each car. Cars of a group follow one another and have the same number of
-    axles, and a buffer has room for all of them.
+    axles, and a buffer has room for all of them. The car `alone`, counted from 0, shares no buffer.
     """
     found: list[list[int]] = []
     for car, count in enumerate(axles):
         has_room = found and axles[found[-1][0]] == count
-        if has_room and (found[-1][1] + 1) * count <= MOST_LANES:
+        shares = alone not in (car - 1, car)
+        if shares and has_room and (found[-1][1] + 1) * count <= MOST_LANES:
             found[-1][1] += 1
         else:
             found.append([car, 1])

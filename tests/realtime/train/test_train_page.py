@@ -1,7 +1,9 @@
 """The page of trains: each of its commands runs, on the file that it lets its reader write."""
 
+import os
 import re
 import shlex
+import sys
 from pathlib import Path
 
 from rollerrig.realtime import cli
@@ -15,6 +17,9 @@ COMMANDS = re.findall(r"^ {4}(rollerrig .+)$", PAGE, re.MULTILINE)
 
 def test_the_commands_of_the_page_run_one_after_another(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    # the page starts `rollerrig wsp` as a unit
+    programs = Path(sys.executable).parent
+    monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
     assert FILE
     content = re.sub(r"^ {4}", "", FILE[1], flags=re.MULTILINE)
     Path("my_train.toml").write_text(content, encoding="utf-8")
