@@ -16,7 +16,7 @@ import tomli_w
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
-from rollerrig.configs.vehicle import EQUIPMENT_KEYS, TRAIN, axle_positions_m
+from rollerrig.configs.vehicle import EQUIPMENT_KEYS, MOST_AXLES, TRAIN, axle_positions_m
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.scenario import COMMAND_LINE, Scenario, Sources
 from rollerrig.rig.params import TRACK
@@ -29,6 +29,8 @@ ELECTRO_PNEUMATIC = "electro_pneumatic"
 BRAKE_PIPE = "brake_pipe"
 REFERENCE = "reference"
 NO_UNIT = "none"
+# a mask of sanders without one: such a car only meets the sand of others
+_NO_AXLE = 1 << MOST_AXLES
 # the rig of a train that states none
 _RIG = "plain_track"
 
@@ -341,7 +343,6 @@ def _check_car(plan: Scenario, where: str) -> None:
         (plan.rollers is not None, "rig.mode = virtual_track", 'rig = "plain_track"'),
         (params.coach is not None, "vehicle.model = multibody", 'model = "planar"'),
         (params.patch.model is not None, "contact.model", 'contact.model = "degraded"'),
-        (params.sanders.axles != 0, "[sanders]", "axle = 0"),
         (plan["rig"]["speed"] == "held", "rig.speed = held", "a speed that the brakes change"),
         (plan["bus"]["arbitration"], "bus.arbitration", "arbitration = false"),
     ):
@@ -375,7 +376,22 @@ def _placed(
         acting = _acting(plan, row, head, delay_s, f"{path} car {ahead + 1}")
         cars.append(Car(row, acting, front_m, place_m, length_m))
         front_m += length_m
-    return cars
+    return _sanded(cars)
+
+
+def _sanded(cars: list[Car]) -> list[Car]:
+    """Return the cars; where one has sanders, all others meet its sand, too."""
+    sanding = [car.plan.params.sanders for car in cars if car.plan.params.sanders.axles != 0]
+    if not sanding:
+        return cars
+    no_sander = sanding[0]._replace(axles=_NO_AXLE)
+    found = []
+    for car in cars:
+        params = car.plan.params
+        if params.sanders.axles == 0:
+            params = params._replace(sanders=no_sander)
+        found.append(dataclasses.replace(car, plan=dataclasses.replace(car.plan, params=params)))
+    return found
 
 
 def _acting(

@@ -82,6 +82,8 @@ def run_tick(cars, bodies, train):
     """Run one tick of all cars."""
     now = cars[0].m.control[TICK]
     params = cars[0].m.params
+    if train.rail.has_sand:
+        extend_for_sand(train, bodies)
     if train.rail.acts:
         for g in range(len(train.groups)):
             plants = part_of(bodies, train.groups[g, 0], train.groups[g, 1]).params
@@ -96,6 +98,15 @@ def run_tick(cars, bodies, train):
     watch(train)
     for i in range(len(cars)):
         end(cars[i], now)
+    if train.rail.has_sand:
+        rail.pass_sand_on(train.rail, bodies)
+
+
+@kernel
+def extend_for_sand(train, bodies):
+    """Add cells up to the first wheelset, also where no wheel cleans the rail."""
+    first = bodies[0].state
+    rail.extend(train.rail, rail.cell_at(first.position[0]))
 
 
 @kernel

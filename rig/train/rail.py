@@ -1,4 +1,4 @@
-"""The rail under a train: the work of all wheels so far on each metre, which cleans it.
+"""The rail under a train: the work of all wheels so far on each metre, and the sand on it.
 
 The rail is a row of cells that travels with the train. A wheelset that enters a cell meets the work
 of all wheelsets before, of its own car and of the cars ahead [L1]. It leaves its own work when it
@@ -8,6 +8,11 @@ is the mechanism `rail_cleaning` of each car.
     [L1] W of a cell = sum of the specific work of the wheelsets that have passed, W_sp of [A3] in
          `contact.adhesion`, J/m of one wheel
     [L2] dW/dt = -W / T_recovery
+
+Sand lies in the cells of the car above it, as for a vehicle alone (`surface`). What its last
+wheelset leaves there lies on the rail of the train, until the next car has it below its front [L3].
+
+    [L3] sand of a cell: of car n while it is above the cell, else of the rail
 
 Doubt: [L2] is an assumption; the work of a wheel cleans the rail in the same form as it cleans the
 wheel's contact.
@@ -22,6 +27,7 @@ import numpy as np
 from rollerrig.configs.vehicle import MOST_AXLES
 from rollerrig.rig.compiled import record_type
 from rollerrig.rig.compiled.kernel import kernel
+from rollerrig.rig.state import CELLS
 from rollerrig.rig.surface import CELL_M, cell_at
 from rollerrig.rig.train.motion import Car
 
@@ -40,6 +46,11 @@ class Rail(NamedTuple):
     cell: np.ndarray  # (cars, MOST_AXLES): the cell under each wheelset
     own_J: np.ndarray  # (cars, MOST_AXLES): work of each wheelset in its cell so far
     laid_J: np.ndarray  # (1,): work laid on the rail so far
+    has_sand: bool  # whether a car has sanders
+    sand_kg: np.ndarray  # (cells,): sand between the cars, and behind the last one
+    sand_front: np.ndarray  # (cars,): the foremost cell that each car has taken over
+    sand_rear: np.ndarray  # (cars,): the cell under its last wheelset
+    sand_left_kg: np.ndarray  # (1,): sand that the train has left behind
 
 
 record_type.register(Rail)
@@ -56,6 +67,7 @@ def build(cars: Sequence[Car], acts: bool, recovery_s: float) -> Rail:
         for axle, behind_m in enumerate(car.params.axle_position_m):
             cell[number, axle] = cell_at(car.state.position[0] - behind_m)
     cells = math.ceil((first_m - last_m) / CELL_M) + _SPARE
+    rears = [cell[number, len(car.params.axle_position_m) - 1] for number, car in enumerate(cars)]
     return Rail(
         acts=acts,
         recovery_1_s=1.0 / recovery_s if recovery_s > 0.0 else 0.0,
@@ -65,6 +77,11 @@ def build(cars: Sequence[Car], acts: bool, recovery_s: float) -> Rail:
         cell=cell,
         own_J=np.zeros((len(cars), MOST_AXLES)),
         laid_J=np.zeros(1),
+        has_sand=any(car.params.sanders.axles != 0 for car in cars),
+        sand_kg=np.zeros(cells),
+        sand_front=np.array([float(car.state.rail_front[0]) for car in cars]),
+        sand_rear=np.array(rears),
+        sand_left_kg=np.zeros(1),
     )
 
 
@@ -111,3 +128,24 @@ def extend(rail, cell):
         at = int(rail.front[0]) % rail.work_J_m.size
         rail.work_J_m[at] = 0.0
         rail.written_s[at] = 0.0
+        rail.sand_left_kg[0] += rail.sand_kg[at]
+        rail.sand_kg[at] = 0.0
+
+
+@kernel
+def pass_sand_on(rail, cars):
+    """Pass the sand behind each car on to the rail, and that on the rail to the next car [L3]."""
+    cells = rail.sand_kg.size
+    for number in range(len(cars)):
+        state = cars[number].state
+        while rail.sand_front[number] < state.rail_front[0]:
+            rail.sand_front[number] += 1.0
+            cell = int(rail.sand_front[number])
+            state.rail_sand[cell % CELLS] += rail.sand_kg[cell % cells]
+            rail.sand_kg[cell % cells] = 0.0
+        # a car whose last wheelset is in a cell may still sand or crush there
+        while rail.sand_rear[number] < state.rail_cell[state.axles - 1]:
+            cell = int(rail.sand_rear[number])
+            rail.sand_kg[cell % cells] += state.rail_sand[cell % CELLS]
+            state.rail_sand[cell % CELLS] = 0.0
+            rail.sand_rear[number] += 1.0

@@ -115,7 +115,6 @@ CAR = {"car": [{}]}
         (CAR, {"fault": [{"kind": "speed_sensor_stuck", "axle": 1}]}, "has no .*fault"),
         (CAR, {"friction": [{"from_s": 1.0, "mu_cd": 0.1, "axles": [1]}]}, "remove axles"),
         (CAR, {"contact": {"model": "polach"}}, "contact.model"),
-        (CAR, {"sanders": {"axle": 1}}, r"\[sanders\]"),
     ],
 )
 def test_what_a_train_does_not_have_is_refused_by_name(train, changes, message):

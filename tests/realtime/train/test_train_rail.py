@@ -103,3 +103,43 @@ def test_a_place_with_other_friction_is_met_by_each_axle_when_it_is_there():
         for axle, behind_m in enumerate(car.plan.params.axle_position_m, start=1):
             first = np.flatnonzero(channels[f"friction_degraded_{axle}"] > 0.09)[0]
             assert channels["position_m"][first] - behind_m == pytest.approx(60.0, abs=0.06)
+
+
+SAND = {"axle": 1, "rate_kg_s": 0.07, "from_s": 1.0, "until_s": 4.0}
+
+
+def test_sand_of_the_first_car_reaches_the_cars_behind_and_none_is_lost():
+    train = read(train={"car": [{"sanders": SAND}, {"count": 2}]}, loop={"record_hz": 1000})
+    run = stop.simulate(train)
+    cars = run.samples().cars
+    doses = [[one[f"sand_dose_{axle}_kg_m"].max() for axle in (1, 4)] for one in cars]
+    # each axle crushes a share of what it meets
+    assert doses[0][0] > doses[0][1] > doses[1][0] > doses[1][1] > doses[2][0] > 0.0
+    states = [body.state for body in run.bodies]
+    rail = run.link.rail
+    found_kg = np.sum(rail.sand_kg) + rail.sand_left_kg[0]
+    for state in states:
+        found_kg += np.sum(state.sand_hose + state.sand_used) + np.sum(state.rail_sand)
+        found_kg += state.sand_blown[0] + state.sand_left[0]
+    taken_kg = sum(np.sum(state.sand_taken) for state in states)
+    assert taken_kg == pytest.approx(0.07 * 3.0, rel=1e-2)
+    assert found_kg == pytest.approx(taken_kg, rel=1e-9)
+
+    # the last axle meets at a place what all before have left of the sand there
+    share = 1.0 - train.cars[0].plan.params.sanders.used_share
+    place_m = [one["position_m"] for one in cars]
+    first = np.interp(40.0, place_m[0], cars[0]["sand_dose_1_kg_m"])
+    behind_m = train.cars[2].plan.params.axle_position_m[0]
+    third = np.interp(40.0, place_m[2] - behind_m, cars[2]["sand_dose_1_kg_m"])
+    assert third == pytest.approx(first * share**8, rel=0.1)
+
+
+def test_a_train_whose_first_car_sands_stops_shorter():
+    sanded, plain = (
+        stop.simulate(read(train={"car": [first, {"count": 3}]}))
+        for first in ({"sanders": {**SAND, "until_s": 60.0}}, {})
+    )
+    ways = [run.samples().cars[0]["position_m"][-1] for run in (sanded, plain)]
+    assert ways[0] < 0.99 * ways[1]
+    # the cars behind sand nothing
+    assert np.sum(sanded.bodies[1].state.sand_taken) == 0.0
