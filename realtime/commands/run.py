@@ -33,7 +33,7 @@ _PROGRESS_S = 5.0
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `rollerrig run`."""
-    parser.add_argument("scenario", help="name of a packaged scenario, or a TOML file")
+    parser.add_argument("scenario", help="name of a packaged scenario or train, or a TOML file")
     parser.add_argument(
         "--pacing",
         choices=("wall", "lockstep", "free"),

@@ -178,7 +178,7 @@ def _draw_couplers(figure: Figure, columns: channels.Columns, summary: Mapping[s
     curves = []
     for number in range(1, len(summary["couplers"]) + 1):
         force_N = channels.values(columns[f"coupler_{number}_N"])[kept]
-        curves.append((f"{number}", 1e-3 * force_N))
+        curves.append((f"coupler {number}", 1e-3 * force_N))
     _lines(figure.subplots(), time_s, curves, "force, kN (tension positive)")
 
 

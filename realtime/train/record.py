@@ -5,6 +5,7 @@ records of the cars, as `rollerrig run` writes them for one vehicle. A quantity 
 prefix car_n_, and axles count through.
 """
 
+import contextlib
 import hashlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -58,12 +59,25 @@ def begin(train: Train, folder: Path) -> None:
     """Make the folder of a run and those of its cars. Raises ConfigError."""
     run_folder.begin(folder)
     with writing(folder):
+        _remove_further_cars(folder, len(train.cars))
         write_text(folder / run_folder.SCENARIO, plan.dump(train))
         for number, car in enumerate(train.cars, start=1):
             of_car = folder_of_car(folder, number)
             make_folder(of_car)
             run_folder.begin(of_car)
             write_text(of_car / run_folder.SCENARIO, scenario.dump(car.plan))
+
+
+def _remove_further_cars(folder: Path, cars: int) -> None:
+    """Remove the records of cars that an earlier run in this folder had behind so many cars."""
+    for number in range(cars + 1, plan.MOST_CARS + 1):
+        of_car = folder_of_car(folder, number)
+        if (of_car / run_folder.MARK).is_file():
+            run_folder.begin(of_car)
+            (of_car / run_folder.MARK).unlink()
+            # a folder with files of the user is kept
+            with contextlib.suppress(OSError):
+                of_car.rmdir()
 
 
 def train_channels(train: Train, samples: Samples) -> dict[str, np.ndarray]:

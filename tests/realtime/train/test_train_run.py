@@ -65,6 +65,15 @@ def test_the_resolved_train_repeats_the_run_to_the_byte(tmp_path, capsys):
     assert hashes[0] == hashes[1]
 
 
+def test_a_shorter_train_in_the_same_folder_leaves_no_car_of_the_longer_one(tmp_path, capsys):
+    folder = tmp_path / "run"
+    for name, cars in (("four_car_unit", 4), ("two_car_unit", 2)):
+        words = ["run", name, "--pacing", "free", "--set", "initial_speed_m_s=3"]
+        assert cli.main([*words, "--out", str(folder), "--replace"]) == output.PASS
+        capsys.readouterr()
+        assert len(list(folder.glob("car_*"))) == cars
+
+
 def test_without_units_wheels_slide_more(tmp_path, capsys):
     # a brake that demands more than this rail has
     faster = ("--set", "initial_speed_m_s=25", "--set", "brake.lever_ratio=2.5")
