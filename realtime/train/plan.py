@@ -17,6 +17,7 @@ from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
 from rollerrig.configs.vehicle import EQUIPMENT_KEYS, MOST_AXLES, TRAIN, axle_positions_m
+from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.scenario import COMMAND_LINE, Scenario, Sources
 from rollerrig.rig.params import TRACK
@@ -71,6 +72,8 @@ EMERGENCY = (
     number("from_s", 0.0, 0.0, 36000.0, "an emergency valve opens and stays open"),
     integer("car", 1, 1, MOST_CARS, "at this car"),
 )
+# faults of a car
+FAULT = "fault"
 # keys of [train] that are lists of tables
 LISTS = ("car", "emergency")
 
@@ -212,7 +215,7 @@ def read(
 def _refuse(shared: Mapping[str, Any], where: str) -> None:
     """Raise ConfigError for what a train does not have yet."""
     for key, remedy in (
-        ("fault", "run the car alone with --fault"),
+        ("fault", "[[train.car.fault]], a fault of one car"),
         ("sealed", "a rig with hidden effects is one vehicle"),
         ("traction", "[[demand]]"),
     ):
@@ -256,7 +259,7 @@ def _checked(
         if isinstance(content.get("vehicle"), str):
             # the name of a file, which reads better, as in a scenario
             content["vehicle_set"] = content.pop("vehicle")
-        table.known(content, [*car_keys, *scenario.SECTIONS], lambda key, here=here: here)
+        table.known(content, [*car_keys, *scenario.SECTIONS, FAULT], lambda key, here=here: here)
         own = {key: content[key] for key in content if key not in car_keys}
         shared_by_all = [key for key in ("loop", "bus", "modbus", "rig") if key in own]
         if shared_by_all:
@@ -323,6 +326,9 @@ class _Loads:
             if row["wsp_config"]:
                 given["wsp_config"] = row["wsp_config"]
             for section, content in own.items():
+                if section == FAULT:
+                    given[section] = content
+                    continue
                 earlier = given.get(section, {})
                 given[section] = {**(earlier if isinstance(earlier, Mapping) else {}), **content}
                 if isinstance(earlier, str):
@@ -337,6 +343,10 @@ class _Loads:
 
 def _check_car(plan: Scenario, where: str) -> None:
     """Raise ConfigError for a car with what a train does not have yet."""
+    remedy = "run the car alone in lockstep"
+    panel.check_without_bus(plan.faults, f"{where}, a car of a train,", remedy)
+    for fault in plan.faults:
+        catalogue.check_equipped(fault, plan.resolved, where)
     params = plan.params
     for refused, what, allowed in (
         (params.mode != TRACK, "rig.mode = contaminated_rollers", 'rig = "plain_track"'),
@@ -486,7 +496,7 @@ def _resolved(
 ) -> dict[str, Any]:
     """Return the whole train as plain data, which reads again as the same train."""
     first = plans[0].resolved
-    of_cars = {"vehicle_set", "wsp_config", *EQUIPMENT_KEYS}
+    of_cars = {"vehicle_set", "wsp_config", FAULT, *EQUIPMENT_KEYS}
     common = {
         key: value
         for key, value in first.items()
@@ -500,7 +510,7 @@ def _resolved(
         different = {
             key: value
             for key, value in plan.resolved.items()
-            if key in scenario.SECTIONS and key not in common
+            if (key in scenario.SECTIONS and key not in common) or (key == FAULT and value)
         }
         names = {key: plan.resolved[key] for key in ("vehicle_set", "wsp_config")}
         cars.append({**row, **names, **different})

@@ -7,6 +7,7 @@ prefix car_n_, and axles count through.
 
 import contextlib
 import hashlib
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from rollerrig.realtime.record import channels, played, records, run_folder, sum
 from rollerrig.realtime.train import plan
 from rollerrig.realtime.train.plan import Car, Train
 from rollerrig.realtime.train.stop import Samples, Stop
+from rollerrig.wsp_interface.events import Event
 
 # channels of a car, and their names behind car_n_
 _OF_CAR = {
@@ -128,8 +130,13 @@ def write(stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: int = 0
         if number == on_bus:
             of_cars.append(records.summary(of_car))
             continue
-        result = _summary_of_car(train, car, number, one, counters)
+        of_stop = stop.cars[number - 1]
+        events = of_stop.events if of_stop else []
+        result = _summary_of_car(train, car, number, one, counters, events)
+        result["events"] = [event._asdict() for event in events]
         of_cars.append(result)
+        lines = [json.dumps(event._asdict()) + "\n" for event in events]
+        write_text(of_car / run_folder.EVENTS, "".join(lines))
         _write_channels(of_car, one, result)
         records.write_summary(of_car, result)
     result = summary_of(stop, samples, of_cars, counters, on_bus)
@@ -167,6 +174,7 @@ def _summary_of_car(
     number: int,
     one: Mapping[str, np.ndarray],
     counters: Mapping[str, Any],
+    events: list[Event],
 ) -> dict[str, Any]:
     """Return the summary of a car as that of a run of its own."""
     unit = counters["unit"] if car.has_unit else plan.NO_UNIT
@@ -177,7 +185,7 @@ def _summary_of_car(
         "unit_played": played.unit_of(unit)._asdict(),
         "config_hash": scenario.digest(car.plan),
     }
-    return summary.of(one, of_car, car.plan.resolved)
+    return summary.of(one, of_car, car.plan.resolved, events)
 
 
 def digest(train: Train) -> str:
@@ -200,6 +208,7 @@ def summary_of(
     train = stop.train
     first = {
         **of_cars[0],
+        "events": [{**event, "car": number} for number, event in _events(of_cars)],
         "car_on_bus": on_bus or None,
         "unit_played": counters["unit_played"],
     }
@@ -245,6 +254,16 @@ def summary_of(
         "couplers": _couplers(stop),
         "alone": _alone(train, counters["unit"]),
     }
+
+
+def _events(of_cars: list[dict[str, Any]]) -> list[tuple[int, dict[str, Any]]]:
+    """Return the events of all cars in the order of their times, each with its car."""
+    found = [
+        (number, event)
+        for number, one in enumerate(of_cars, start=1)
+        for event in one.get("events", [])
+    ]
+    return sorted(found, key=lambda pair: pair[1]["time_s"])
 
 
 def _alone(train: Train, unit: str) -> dict[str, Any] | None:

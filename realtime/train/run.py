@@ -39,6 +39,7 @@ def record_free(
     while not stop.is_done:
         stop.run(_TICKS)
         on_progress(stop.progress())
+    stop.end()
     return record.write(stop, out, counters(stop, unit, seed, "free"))
 
 
@@ -76,6 +77,7 @@ def record_on_bus(
             # nothing has moved; the record of the car says why
             raise
         failure = error
+    stop.end()
     of_run = counters(stop, plan.REFERENCE, options.seed, options.pacing)
     result = record.write(stop, out, of_run, car)
     if failure is not None:

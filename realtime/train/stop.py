@@ -23,6 +23,8 @@ from rollerrig.rig.state import size_of
 from rollerrig.rig.train import coupler, motion, pipe, rail
 
 _MOST_TICKS = 1 << 20
+# with no fault to come, ticks are run for at most this time
+_LONGEST_S = 3600.0
 _HEADER = 16
 # the form of a pipe that a train without one has: it demands nothing
 _NO_PIPE = pipe.Form(250.0, 1.0, 0.0, 1.0, 5e5, 1.5e5, 0.0)
@@ -79,16 +81,17 @@ class Stop:
                     made = made._replace(command=made.commands.values)
                 _place(made, car.place_m)
                 self.data.append(made)
-        plans = [car.plan for car in train.cars]
         self.bodies = [motion.Car(one.state, one.params) for one in self.data]
         self.couplers = coupler.build(train.couplers)
         self.link = self._link()
+        self.cars = [
+            _stop_of(made, car.plan, unit if car.has_unit else "none", number == on_bus)
+            for number, (made, car) in enumerate(zip(self.data, train.cars, strict=True), start=1)
+        ]
         self._cars = record_type.table(
             [
-                _as_ticks_need(made, plan, unit if car.has_unit else "none", number == on_bus)
-                for number, (made, plan, car) in enumerate(
-                    zip(self.data, plans, train.cars, strict=True), start=1
-                )
+                _as_ticks_need(made, car.plan, one)
+                for made, car, one in zip(self.data, train.cars, self.cars, strict=True)
             ]
         )
         self._bodies = record_type.table(self.bodies)
@@ -135,12 +138,37 @@ class Stop:
 
     def run(self, most: int = _MOST_TICKS) -> int:
         """Run some ticks, fewer if the train is done; return how many were run."""
-        return int(ticks.run(self._cars, self._bodies, self._trains, most))
+        ran = 0
+        while ran < most and not self.is_done:
+            count = min(most - ran, self._poll_faults())
+            now = int(ticks.run(self._cars, self._bodies, self._trains, count))
+            if now == 0:
+                break
+            ran += now
+        return ran
+
+    def _poll_faults(self) -> int:
+        """Let the faults of this tick begin and end; return the ticks until the next change."""
+        tick_hz = self.train["loop"]["tick_hz"]
+        now_s = self.ticks / tick_hz
+        until_s = _LONGEST_S
+        for one in self.cars:
+            if one is not None and one.plan.faults:
+                one.faults.poll(now_s)
+                until_s = min(until_s, one.faults.next_change_s() - now_s)
+        return max(1, round(until_s * tick_hz))
+
+    def end(self) -> None:
+        """Record the faults that have not begun, when the train is done."""
+        for one in self.cars:
+            if one is not None:
+                one.faults.report_waiting()
 
     def run_to_end(self) -> None:
         """Run until the train is done."""
         while not self.is_done:
             self.run()
+        self.end()
 
     @property
     def is_random(self) -> bool:
@@ -194,18 +222,22 @@ def _place(data: TickData, behind_m: float) -> None:
     tick.publish(data)
 
 
-def _as_ticks_need(data: TickData, plan: Scenario, unit: str, is_on_bus: bool) -> ticks.Car:
-    """Return a car as the ticks need it."""
-    params = logic.load(plan["wsp_config"])
-    is_called = unit == "reference" and not is_on_bus
-    groups = plan.kind.groups if is_called else 0
+def _stop_of(data: TickData, plan: Scenario, unit: str, is_on_bus: bool) -> free.Stop | None:
+    """Return the stop of a car, with its units and faults; None where a bench has them."""
+    return None if is_on_bus else free.Stop(plan, data, unit)
+
+
+def _as_ticks_need(data: TickData, plan: Scenario, stop: free.Stop | None) -> ticks.Car:
+    """Return a car as the ticks need it; `stop` None: it is on the bus."""
+    units = stop.reference_units if stop is not None else None
+    no_units = Units(np.zeros((0, logic.SIZE)), logic.load())
     return ticks.Car(
         m=data,
-        units=Units(np.zeros((groups, logic.SIZE)), params),
+        units=units or no_units,
         inputs=np.zeros(2 * MOST_AXLES, dtype=np.int64),
-        sync_ticks=plan.sync_ticks if is_called else 0,
-        is_observed=ticks_in_lanes.is_observed(data),
-        is_on_bus=is_on_bus,
+        sync_ticks=plan.sync_ticks if units else 0,
+        is_observed=bool(plan.faults) or ticks_in_lanes.is_observed(data),
+        is_on_bus=stop is None,
     )
 
 

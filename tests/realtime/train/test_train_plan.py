@@ -112,7 +112,12 @@ CAR = {"car": [{}]}
         ({"car": [{"length_m": 10.0}]}, {}, "is not more than the 21.56 m"),
         (CAR, {"rig": "full_scale"}, "rig.mode = contaminated_rollers"),
         (CAR, {"rig": "virtual_track"}, "rig.mode = virtual_track"),
-        (CAR, {"fault": [{"kind": "speed_sensor_stuck", "axle": 1}]}, "has no .*fault"),
+        (CAR, {"fault": [{"kind": "speed_sensor_stuck", "axle": 1}]}, r"\[\[train.car.fault\]\]"),
+        (
+            {"car": [{"fault": [{"kind": "bus_off", "node": 17, "at_s": 1.0}]}]},
+            {},
+            "acts on the bus",
+        ),
         (CAR, {"friction": [{"from_s": 1.0, "mu_cd": 0.1, "axles": [1]}]}, "remove axles"),
         (CAR, {"contact": {"model": "polach"}}, "contact.model"),
     ],
@@ -138,3 +143,36 @@ def test_settings_reach_the_train_and_its_cars():
     assert np.diff(starts) == pytest.approx(0.3)
     assert {car.plan["adhesion"]["mu_cd"] for car in train.cars} == {0.05}
     assert toml_text.parse(plan.dump(train), "dump")["train"]["delay_of_car_s"] == 0.3
+
+
+def test_a_fault_acts_in_its_car_alone_and_reads_again(tmp_path):
+    fault = {"kind": "vent_magnet_stuck", "axle": 2, "at_s": 1.0}
+    train = read({"car": [{}, {"fault": [fault]}, {}]}, adhesion="dry")
+    run = stop.simulate(train)
+    cars = run.samples().cars
+    assert [one["vents_2"][-1] for one in cars] == [0.0, 1.0, 0.0]
+    begins_s = cars[1]["time_s"][np.flatnonzero(cars[1]["vents_2"])[0]]
+    assert begins_s == pytest.approx(1.0, abs=0.06)
+    assert [[event.code for event in one.events] for one in run.cars] == [
+        [],
+        ["fault.begins"],
+        [],
+    ]
+    path = tmp_path / "again.toml"
+    path.write_text(plan.dump(train))
+    again = stop.simulate(plan.load(str(path))).samples().cars
+    assert np.array_equal(again[1]["position_m"], cars[1]["position_m"])
+
+
+def test_a_false_sensor_in_one_car_lengthens_the_stop_less_than_in_a_car_alone():
+    faults = [{"kind": "speed_sensor_dropout", "axle": axle, "at_s": 0.6} for axle in (3, 4)]
+    changes = {"initial_speed_m_s": 25.0, "brake": {"lever_ratio": 2.5}}
+
+    def way_m(cars):
+        position_m = stop.simulate(read({"car": cars}, **changes)).samples().cars[0]["position_m"]
+        return position_m[-1] - position_m[0]
+
+    alone = way_m([{"fault": faults}]) / way_m([{}])
+    in_train = way_m([{}, {"fault": faults}, {"count": 2}]) / way_m([{"count": 4}])
+    assert alone > 1.02
+    assert 1.0 < in_train < alone

@@ -65,6 +65,25 @@ def test_the_resolved_train_repeats_the_run_to_the_byte(tmp_path, capsys):
     assert hashes[0] == hashes[1]
 
 
+def test_a_fault_of_a_car_is_in_the_events_of_the_car_and_of_the_train(tmp_path, capsys):
+    path = tmp_path / "faulty.toml"
+    path.write_text(
+        "initial_speed_m_s = 5.0\n[[demand]]\npressure_Pa = 3e5\n[[train.car]]\n[[train.car]]\n"
+        "[[train.car.fault]]\nkind = 'hold_magnet_stuck'\naxle = 1\nat_s = 0.5\n"
+        "[[train.car.fault]]\nkind = 'hold_magnet_stuck'\naxle = 2\nat_s = 500.0\n"
+    )
+    folder = tmp_path / "run"
+    words = ["run", str(path), "--pacing", "free", "--json", "--out", str(folder)]
+    assert cli.main(words) == output.PASS
+    events = json.loads(capsys.readouterr().out)["events"]
+    assert [(one["car"], one["code"]) for one in events] == [
+        (2, "fault.begins"),
+        (2, "fault.never_began"),
+    ]
+    assert [event.code for event in records.events(folder / "car_1")] == []
+    assert len(records.events(folder / "car_2")) == 2
+
+
 def test_a_shorter_train_in_the_same_folder_leaves_no_car_of_the_longer_one(tmp_path, capsys):
     folder = tmp_path / "run"
     for name, cars in (("four_car_unit", 4), ("two_car_unit", 2)):
