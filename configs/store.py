@@ -19,12 +19,14 @@ VEHICLES = "vehicles"
 _SINGULAR = {
     "buses": "bus",
     "campaigns": "campaign",
+    "couplers": "coupler",
     "criteria": "profile of criteria",
     "models": "extended model",
     "programmes": "test programme",
     "rigs": "rig",
     "scenarios": "scenario",
     "sequences": "sequence",
+    "trains": "train",
     "vehicles": "vehicle",
     "wsp": "WSP configuration",
 }

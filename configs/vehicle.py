@@ -49,6 +49,9 @@ class Kind(NamedTuple):
 
 COACH = Kind()
 
+# the table that makes a scenario one of several cars
+TRAIN = "train"
+
 # equipment that adds channels, objects on the bus and registers to a vehicle
 DYNAMIC_BRAKE = "dynamic_brake"
 MAGNETIC_TRACK_BRAKE = "magnetic_track_brake"
@@ -96,8 +99,14 @@ def equipment_of(sections: Mapping[str, Any]) -> frozenset[str]:
 def kind_of(resolved: Mapping[str, Any], where: str) -> Kind:
     """Return the kind of the vehicle of a resolved scenario.
 
-    `where` names the file. Raises ConfigError for a number of axles that is not allowed.
+    `where` names the file. Raises ConfigError for a train, and for a number of axles that is not
+    allowed.
     """
+    if TRAIN in resolved:
+        raise ConfigError(
+            f"{where} is a train, and this is for one vehicle; allowed is a car of it: the folders "
+            "car_1, car_2 ... of its run, or 'rollerrig run' for the whole train"
+        )
     section = resolved.get("vehicle")
     axles = section.get("axles", COACH_AXLES) if isinstance(section, Mapping) else COACH_AXLES
     check_axles(axles, f"{where} [vehicle] axles")

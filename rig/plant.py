@@ -227,6 +227,21 @@ def step(state, plants):
     state : `State` of all rigs
     plants : table of their `Params`, which have the same number of axles
     """
+    if brake_and_drive(state, plants) == 0:
+        return
+    integrate(state, plants, plants[0].coach)
+    for rig in range(len(plants)):
+        mine = rig_of(state, rig, plants[rig].axles)
+        vehicle.settle(mine)
+        dynamic_brake.settle(mine)
+
+
+@kernel
+def brake_and_drive(state, plants):
+    """Set the torques of a step of brakes and motors; return how many vehicles move.
+
+    Arguments as for `step`.
+    """
     moving = 0
     for rig in range(len(plants)):
         mine = rig_of(state, rig, plants[rig].axles)
@@ -244,7 +259,7 @@ def step(state, plants):
         if mine.standing[0] != 0.0:
             swing_out(mine, params, params.coach)
     if moving == 0:
-        return
+        return 0
 
     motor.respond(state)
     brake.set_capacities(state)
@@ -257,11 +272,7 @@ def step(state, plants):
             # the most that the discs can hold at the step's end; `observe` writes what acts
             for j in range(params.axles):
                 mine.brake_torque[j] = capacity(mine, j, params)
-    integrate(state, plants, plants[0].coach)
-    for rig in range(len(plants)):
-        mine = rig_of(state, rig, plants[rig].axles)
-        vehicle.settle(mine)
-        dynamic_brake.settle(mine)
+    return moving
 
 
 @kernel

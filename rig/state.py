@@ -55,6 +55,7 @@ class State(NamedTuple):
     position: np.ndarray  # m, integrate
     vehicle_acceleration: np.ndarray  # m/s2, integrate
     felt_acceleration: np.ndarray  # m/s2, as the pitch of body and bogies follows it; vehicle
+    coupler_force: np.ndarray  # N, of both couplers, positive holds a car back, 0 alone; train
     resistance_work: np.ndarray  # J, integrate
     brake_demand: np.ndarray  # Pa, brake
     brake_target: np.ndarray  # Pa, that the demand approaches in this tick; prepare
@@ -83,7 +84,8 @@ class State(NamedTuple):
     # memory of extended models, kept only while a model needs it
     sliding_distance: np.ndarray  # m, so far; friction
     braked_angle: np.ndarray  # rad, turned while the brake was applied; friction
-    rail_work: np.ndarray  # J/m, work of the wheels before on this metre; friction
+    rail_work: np.ndarray  # J/m, work of the wheels before on this metre; friction, train_rail
+    has_train_rail: np.ndarray  # 1: the rail of a train writes `rail_work`; train_rail
     lagged_transition: np.ndarray  # -, lambda as a wheel remembers it; integrate
     instantaneous_transition: np.ndarray  # -, lambda without memory, at the last stage; integrate
     # load and brake
@@ -256,6 +258,8 @@ _PER_VEHICLE = (
     "position",
     "vehicle_acceleration",
     "felt_acceleration",
+    "coupler_force",
+    "has_train_rail",
     "resistance_work",
     "brake_demand",
     "brake_target",

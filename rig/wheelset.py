@@ -450,16 +450,27 @@ def integrate(state, plants):
     the step: `brake_capacity` and `motor_before` at its beginning, `brake_torque` and
     `motor_torque` at its end.
     """
-    model = plants[0].patch.model
-    place_stage(state, plants)
-    contacts(state, plants, model)
-    first_stage(state)
+    to_first_stage(state, plants)
     for rig in range(len(plants)):
         predict(rig_of(state, rig, plants[rig].axles), plants[rig])
-    contacts(state, plants, model)
-    second_stage(state)
+    to_second_stage(state, plants)
     for rig in range(len(plants)):
         move(rig_of(state, rig, plants[rig].axles), plants[rig])
+
+
+@kernel
+def to_first_stage(state, plants):
+    """Compute the forces and slopes of all contacts at the beginning of a step."""
+    place_stage(state, plants)
+    contacts(state, plants, plants[0].patch.model)
+    first_stage(state)
+
+
+@kernel
+def to_second_stage(state, plants):
+    """Compute those at the predicted end of a step, and move wheels and rollers."""
+    contacts(state, plants, plants[0].patch.model)
+    second_stage(state)
 
 
 @kernel_inlined
@@ -583,7 +594,7 @@ def predict(state, params):
     felt = state.felt_acceleration[0]
     resistance_N = body.resistance(v, params.vehicle)
     magnets_N = track_brake.force_N(state, v, params.track_brake)
-    total = resistance_N + magnets_N
+    total = resistance_N + magnets_N + state.coupler_force[0]
     for j in range(state.axles):
         total += state.stage_force[j]
     a1 = -total / params.vehicle.mass_kg  # [V1] of `vehicle`
@@ -625,7 +636,7 @@ def move(state, params):
 
     resistance_N = body.resistance(v2, params.vehicle)
     magnets_N = track_brake.force_N(state, v2, params.track_brake)
-    total = resistance_N + magnets_N
+    total = resistance_N + magnets_N + state.coupler_force[0]
     for j in range(state.axles):
         total += state.stage_force[j]
     a2 = -total / params.vehicle.mass_kg

@@ -21,8 +21,10 @@ from rollerrig.realtime.campaign.components import failures, train
 from rollerrig.realtime.campaign.statistics import laws
 from rollerrig.realtime.record import run_folder
 from rollerrig.realtime.reports.statistics import osrd
+from rollerrig.realtime.train import plan as train_plan
 from rollerrig.rig import brake_calculation
 from rollerrig.rig.mechanisms import table as mechanisms
+from rollerrig.rig.train import coupler
 from rollerrig.wsp_interface import harness_client, signals
 from rollerrig.wsp_interface.sequences import conditions, measures, sequence, verdict
 
@@ -251,6 +253,33 @@ def scenario_keys():
         "Instead of `mu_cd` a step can have `profile`, the path of a CSV file with the columns "
         "`position_m, adhesion`: the initial adhesion of a line by place, with its position 0 at "
         "`from_m` (default 0) ([how](howto_run.md#play-the-adhesion-of-a-line)).",
+        "",
+        "## [train]",
+        "",
+        "A scenario with this table is a train ([how](howto_train.md)). All tables above hold for all its "
+        "cars; a car may replace them for itself.",
+        "",
+        *key_table(train_plan.HEAD),
+        "",
+        "## [[train.car]]",
+        "",
+        "A car of the train, from the front to the rear; 1 to "
+        f"{train_plan.MOST_CARS} in all. Behind it can be tables for this car alone, such as "
+        "`[train.car.brake]`.",
+        "",
+        *key_table([row._replace(name=row.name.removesuffix("_set")) for row in train_plan.CAR]),
+        "",
+        "## [[train.emergency]]",
+        "",
+        "Emergency valves on the brake pipe.",
+        "",
+        *key_table(train_plan.EMERGENCY),
+        "",
+        "## [coupler]",
+        "",
+        "In a file of its own, in `configs/couplers` or by its path. A curve goes on behind its last point.",
+        "",
+        *key_table(coupler.ROWS),
         "",
         "## [[fault]]",
         "",

@@ -76,7 +76,7 @@ async def run(parts: Parts) -> None:
 
 
 async def _cycles(parts: Parts, bus: RigBus) -> None:
-    ticks = tick.Ticks(parts.data)
+    ticks = parts.ticks_of(parts.data)
     while not parts.stopping:
         mailbox.fetch(parts.data.published, bus.row)
         frozen = [seat for seat in bus.seats if seat.frozen]
@@ -97,7 +97,7 @@ async def _cycles(parts: Parts, bus: RigBus) -> None:
         await parts.pause()
 
 
-async def _run_ticks(parts: Parts, bus: RigBus, ticks: tick.Ticks) -> None:
+async def _run_ticks(parts: Parts, bus: RigBus, ticks: tick.RunsTicks) -> None:
     """Run the ticks of a bus cycle.
 
     An alarm of a node between two SYNCs goes off at the tick after its time.
@@ -191,7 +191,7 @@ async def _wait(parts: Parts, bus: RigBus, partner: Partner, wait_s: float) -> _
     return _Answer.MISSING
 
 
-async def _cycle_on_wire(parts: Parts, bus: RigBus, hub: Hub, ticks: tick.Ticks) -> None:
+async def _cycle_on_wire(parts: Parts, bus: RigBus, hub: Hub, ticks: tick.RunsTicks) -> None:
     """Run a bus cycle whose frames take their time: ticks go on while the wire carries them.
 
     Unit and harness answer when all frames that the SYNC has caused are through, or at the end of a

@@ -142,6 +142,8 @@ class Parts:
         self.event_ring = Ring(ring.place("events"), np.int64, _EVENTS, ring.EVENT_WORDS)
         self.rings = (self.rows, self.frames, self.event_ring)
         self.data = tick_data.build(plan, self.rows, seed=options.seed)
+        # what runs the ticks of `data` in lockstep; a train also runs those of its other cars
+        self.ticks_of: Callable[[tick.TickData], tick.RunsTicks] = tick.Ticks
         self.row = self.data.row.copy()
 
         self._reported_s = 0.0

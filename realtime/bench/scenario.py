@@ -23,6 +23,7 @@ from rollerrig.configs.vehicle import (
     DYNAMIC_BRAKE,
     EQUIPMENT_KEYS,
     MAGNETIC_TRACK_BRAKE,
+    TRAIN,
     Kind,
     check_axles,
     kind_of,
@@ -235,6 +236,11 @@ def read(
 
     `path` names the file; other files that it names are searched for in its folder.
     """
+    if TRAIN in given:
+        raise ConfigError(
+            f"{path} has a table [{TRAIN}], and this is for one vehicle; allowed for a train is "
+            "'rollerrig run' with --pacing free or lockstep"
+        )
     defaults = {row.name: row.default for row in HEAD}
     single = _settings(settings)
     # single keys of the head, among them the names of sets, apply before the sets are looked up
@@ -445,6 +451,12 @@ def _aliases(given: dict[str, Any], path: Path) -> dict[str, Any]:
                 raise ConfigError(f"{path}: both {short} and {short}_set are given; keep one")
             given[f"{short}_set"] = given.pop(short)
     return given
+
+
+def settings_of(settings: Sequence[str], section: str) -> dict[str, Any]:
+    """Return the values of one table in settings such as adhesion.mu_cd=0.05."""
+    found: dict[str, Any] = _settings(tuple(settings)).get(section, {})
+    return found
 
 
 def _settings(settings: tuple[str, ...]) -> dict[str, Any]:

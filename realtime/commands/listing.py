@@ -20,6 +20,8 @@ TITLES = {
     "sequences": "a scripted test over the buses, with its limits",
     "programmes": "groups of sequences that test one unit together",
     "criteria": "limits that judge a run, each with its source",
+    "trains": "a stop of several cars: vehicles, couplers, brake control",
+    "couplers": "what joins two cars: force by displacement",
     "vehicles": "axles, masses, brakes and other equipment",
     "datasets": "measured or synthetic stops, to be explained",
     "campaigns": "a plan of many runs",

@@ -20,6 +20,7 @@ from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
     from rollerrig.realtime.bench.options import Progress
+    from rollerrig.realtime.train.plan import Train
 
 _SPREAD_HEAD = ("figure", "unit", "runs", *output.SPREAD.values())
 
@@ -32,7 +33,7 @@ _PROGRESS_S = 5.0
 
 def arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `rollerrig run`."""
-    parser.add_argument("scenario", help="name of a packaged scenario, or a TOML file")
+    parser.add_argument("scenario", help="name of a packaged scenario or train, or a TOML file")
     parser.add_argument(
         "--pacing",
         choices=("wall", "lockstep", "free"),
@@ -55,6 +56,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     # for the record: the command with which another program starts an external unit
     parser.add_argument("--started-unit", default="", help=argparse.SUPPRESS)
     wsp.map_argument(parser)
+    parser.add_argument(
+        "--car",
+        type=int,
+        default=1,
+        metavar="N",
+        help="of a train in lockstep: the car, from the front, whose unit is on the bus; all other "
+        "cars have reference units (default: 1)",
+    )
     parser.add_argument("--model", default="", metavar="FILE", help="load an extended model")
     parser.add_argument(
         "--out",
@@ -249,6 +258,9 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
     from rollerrig.realtime.reports import without_wsp
     from rollerrig.rig.compiled import compile_progress
 
+    train = _train_of(options)
+    if train is not None:
+        return _run_train(train, options, processes)
     compile_progress.expect(tick_data.KERNELS[options.pacing])
     plan = scenario.load(
         options.scenario,
@@ -300,6 +312,78 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
         folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
         items.append(f"compare both with: rollerrig compare {folders}")
     return Recorded(summary, result, items)
+
+
+def _train_of(options: argparse.Namespace) -> "Train | None":
+    """Return the train that is to be run; None where the scenario is that of one vehicle.
+
+    Raises ConfigError, also for options that a train does not have.
+    """
+    from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.train import plan
+
+    if plan.find(options.scenario) is None:
+        plan.check_name(options.scenario)
+        return None
+    plan.check_options(
+        {
+            "--pacing wall": options.pacing == "wall",
+            f"--wsp {options.wsp} with --pacing free": options.pacing == "free"
+            and options.wsp not in ("reference", "none"),
+            "--wsp none with --pacing lockstep": options.pacing == "lockstep"
+            and options.wsp == "none",
+            "--live": options.live,
+            "--hold": options.hold,
+            "--start modbus": options.start != "now",
+            "--harness": options.harness,
+            "--also-without-wsp": options.also_without_wsp,
+            "--fault": bool(options.fault),
+        }
+    )
+    return plan.load(
+        options.scenario,
+        options.model,
+        tuple(options.set),
+        scenario.PYTHON if options.from_python else scenario.COMMAND_LINE,
+    )
+
+
+def _run_train(train: "Train", options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
+    """Run a train, write its report, and return it."""
+    from rich.text import Text
+
+    from rollerrig.realtime.bench.options import Options
+    from rollerrig.realtime.reports import train as report
+    from rollerrig.realtime.train import run
+
+    out = options.out or free_folder(train.name)
+    _announce_replacement(out, options)
+    progress_line = ProgressLine()
+    if options.pacing == "free":
+        summary = run.record_free(train, options.wsp, out, options.seed, progress_line)
+    else:
+        of_car = Options(
+            pacing=options.pacing,
+            unit=options.wsp,
+            out=out,
+            seed=options.seed,
+            unit_wait_s=options.wait,
+            answer_wait_s=options.answer_wait,
+            unit_map=options.unit_map,
+            started_unit=options.started_unit,
+            **processes,
+        )
+        summary = run.record_on_bus(train, options.car, of_car, progress_line)
+    progress_line.close()
+    page = report.write(out)
+    items: list[Any] = []
+    if not options.json:
+        items = [
+            *report.tables(summary),
+            f"recorded in {out}, each car in {out}/car_1 and so on; report: {page}",
+        ]
+        items += [Text(f"not valid: {reason}", "bold red") for reason in summary["invalid_because"]]
+    return Recorded(summary, summary | {"folder": str(out), "report": str(page)}, items)
 
 
 def _announce_replacement(out: Path, options: argparse.Namespace) -> None:

@@ -7,7 +7,7 @@ ticks back to back (lockstep and free pacing); `loop` gives them deadlines.
 
 import functools
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -364,6 +364,13 @@ def run(data, ticks):
         run_tick(m)
         ran += 1
     return ran
+
+
+class RunsTicks(Protocol):
+    """What runs ticks a few at a time."""
+
+    def run(self, ticks: int, /) -> int:
+        """Run some ticks, fewer if the run is done; return how many were run."""
 
 
 class Ticks:

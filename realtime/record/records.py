@@ -73,8 +73,9 @@ def load(folder: Path | str) -> Run:
     if not (folder / SCENARIO).is_file():
         raise ConfigError(f"{folder / SCENARIO}: no such file; {folder} is not a run's folder")
     resolved = store.parse(folder / SCENARIO, within=folder)
-    # raises ConfigError for a vehicle that there cannot be
-    vehicle.kind_of(resolved, str(folder / SCENARIO))
+    if vehicle.TRAIN not in resolved:
+        # raises ConfigError for a vehicle that there cannot be
+        vehicle.kind_of(resolved, str(folder / SCENARIO))
     return Run(
         folder,
         channels.load(folder),

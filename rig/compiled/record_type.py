@@ -372,6 +372,21 @@ def table_at(record: Record) -> Any:
     return intrinsic(at)
 
 
+def _part_of(typing_context: Any, table: Any, first: Any, count: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        given, first, count = arguments
+        value = cgutils.create_struct_proxy(signature.args[0])(context, builder, given)
+        value.address = builder.gep(value.address, [builder.mul(first, value.stride)])
+        value.count = count
+        return value._getvalue()
+
+    return table(table, types.intp, types.intp), generate
+
+
+# part_of(table, first, count): the table of so many records from one on
+part_of: Any = intrinsic(_part_of)
+
+
 def _structure_size(typing_context: Any, record: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         structure = context.data_model_manager[record].structure

@@ -6,7 +6,8 @@ each step of `wheelset`. Constants of the model are changed once, where the para
 While all coefficients are 0 nothing is computed and no bit changes.
 
 The work on a metre of rail reaches the next wheel after the distance between them, as a first-order
-lag of that length: an approximation of the pure delay.
+lag of that length: an approximation of the pure delay. For a train the field along the rail
+replaces it (`train_rail`).
 """
 
 import math
@@ -211,7 +212,7 @@ def remember(state, positions_m, tick_s):
         state.sliding_distance[j] += tick_s * abs(state.sliding[j])
         if state.brake_capacity[j] > 0.0:
             state.braked_angle[j] += tick_s * state.wheel_speed[j]
-        if j > 0:
+        if j > 0 and state.has_train_rail[0] == 0.0:
             length_m = positions_m[j] - positions_m[j - 1]
             share = -math.expm1(-state.vehicle_speed[0] * tick_s / length_m)
             state.rail_work[j] += (work_J_m - state.rail_work[j]) * share

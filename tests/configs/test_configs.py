@@ -20,7 +20,7 @@ SETS = {"vehicles": "vehicle", "rigs": "rig", "adhesion": "adhesion", "buses": "
 SCENARIOS = scenario.names()
 # Sequences and criteria have a source field for each limit, and datasets are data. Other tests
 # check these.
-KINDS = (*SETS, "scenarios", "wsp", "campaigns")
+KINDS = (*SETS, "scenarios", "wsp", "campaigns", "couplers", "trains")
 FILES = sorted(path for kind in KINDS for path in (store.ROOT / kind).glob("*.toml"))
 RUN_S = 4.0
 RECORD_HZ = 100
