@@ -45,7 +45,6 @@ STANDARDS = (
 )
 # a vehicle with everything that the coach lacks, on as many axles
 EQUIPPED = Kind(COACH_AXLES, dynamic_brake=True, magnetic_track_brake=True)
-FURTHER_THRESHOLDS = "| further threshold | value | where | reason |"
 
 
 def write(folder, items):
@@ -138,21 +137,37 @@ def equations():
         yield f"| `{cause.name}` | {equation} | {', '.join(sizes)} |"
 
 
-def further_thresholds():
-    """Yield the lines of the table of thresholds of a decision that no other table has."""
-    page = (test_architecture.ROOT / "docs" / "explain_causes.md").read_text(encoding="utf-8")
-    before, _, _ = page.partition(f"\n{FURTHER_THRESHOLDS}\n")
-    for path, name, value, reason in commented_numbers(["rig/identify/decide/thresholds.py"]):
-        if f"| `{name}` |" not in before:
-            yield f"| `{name}` | {value} | `{path}` | {reason} |"
+def thresholds_of_data():
+    """Yield the lines of the table of thresholds with which the data of braking runs are judged."""
+    data = ("quality", "units", "pressures", "preparation", "pulses")
+    base = ("rolling", "weight", "channels", "sampling", "reference")
+    yield from numbers_of("rig/identify/data", data)
+    yield from numbers_of("rig/identify/base", base)
+
+
+def thresholds_of_decision():
+    """Yield the lines of the table of thresholds with which causes are found and decided."""
+    yield from numbers_of("rig/identify/replay", ("replay",))
+    yield from numbers_of("rig/identify/causes", ("columns", "discrepancy"))
+    yield from numbers_of("rig/identify/decide", ("thresholds", "gain"))
+
+
+def thresholds_of_recordings():
+    """Yield the lines of the table of thresholds with which recordings of a train are judged."""
+    yield from numbers_of("rig/identify/train_recorder", ("thresholds",))
+
+
+def numbers_of(folder, modules):
+    """Yield a line for each commented number of some modules."""
+    paths = [f"{folder}/{module}.py" for module in modules]
+    for path, name, value, reason in commented_numbers(paths):
+        yield f"| `{name}` | {value} | `{path}` | {reason} |"
 
 
 def thresholds_of_creep_curves():
     """Yield the lines of the table of thresholds with which creep curves are judged."""
     modules = ("judgement", "shape", "conditions", "factors", "laws")
-    paths = [f"rig/identify/creep_curves/{module}.py" for module in modules]
-    for path, name, value, reason in commented_numbers(paths):
-        yield f"| `{name}` | {value} | `{path}` | {reason} |"
+    yield from numbers_of("rig/identify/creep_curves", modules)
 
 
 def commented_numbers(paths):
@@ -343,6 +358,7 @@ TABLES = {
         "| key | default | allowed | what |": lambda: keys(recording.HEAD),
         "| key of a channel | default | allowed | what |": lambda: keys(recording.CHANNEL),
         "| key of a run | default | allowed | what |": lambda: keys(recording.RUN),
+        "| threshold of a recording | value | where | reason |": thresholds_of_recordings,
     },
     "modbus.md": {
         "| bit | name | meaning | access |": bits,
@@ -362,7 +378,8 @@ TABLES = {
     "explain_causes.md": {
         "| cause | what happens | forms tried | floor | price | p below | may go by |": searches,
         "| cause | equation | parameters |": equations,
-        FURTHER_THRESHOLDS: further_thresholds,
+        "| threshold of the data | value | where | reason |": thresholds_of_data,
+        "| threshold of the decision | value | where | reason |": thresholds_of_decision,
         "| threshold of creep curves | value | where | reason |": thresholds_of_creep_curves,
     },
     "explain_rates.md": {

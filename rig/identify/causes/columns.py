@@ -24,6 +24,7 @@ from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.identify.replay.sensitivity import F00, Inputs, LinearisedReplay
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, TORQUE, VEHICLE
 
+# grids of the search for patches and for sand; edges are moved off them afterwards
 PLACE_BIN_M = 25.0
 TIME_BIN_S = 2.0
 BASE = "base"

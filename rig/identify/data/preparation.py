@@ -29,6 +29,7 @@ from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
 WINDOW_S = 0.21  # window of the derivative of wheel speed, s
+# Noise in an input would look like physics; the pitch of the vehicle is slower than this.
 LOAD_SMOOTHING_S = 0.2
 BRAKED_SHARE = 0.02  # above this share of a wheelset's largest torque its brake is applied
 _COLUMNS = 5  # of the filter of the vehicle: u, d, puu, pud, pdd

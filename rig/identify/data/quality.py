@@ -15,6 +15,7 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.rig.identify.data import units
 from rollerrig.rig.identify.data.runs import Dataset, Run
 
+# samples of a stop: 2 s at 100 Hz. Fewer hold no slide and its recovery.
 LEAST_SAMPLES = 200
 # A stop in which no wheelset slides by more than LEAST_SLIDING_M_S, as a mean over LEAST_SLIDING_S
 # of its strongest sliding, has no information about adhesion. The rest of the run does not count.

@@ -24,6 +24,7 @@ from typing import NamedTuple
 from rollerrig.rig.compiled.kernel import kernel, kernel_inlined
 from rollerrig.rig.identify.replay import wheel
 
+# steps of the filter a sample: its bias stays below the noise
 SUBSTEPS = 2
 OUTLIER_DEVIATIONS = 6.0  # a larger innovation moves the state no further than this one
 _INITIAL_DEVIATION = 0.02  # of lambda at the start, when the wheel rolls
