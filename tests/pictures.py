@@ -29,7 +29,7 @@ WIDTH = 830  # of a page on a code hosting site, in points
 PIXELS_OF_A_POINT = 2
 LARGEST_KB = 180
 # colours of a picture, of which the largest number counts with which its file is small
-COLOURS = (128, 96, 64, 48)
+COLOURS = (256, 128, 96, 64, 48)
 SCHEMES = ("light", "dark")
 # what a page of a drawing looks like
 DRAWING = """<!doctype html><meta charset="utf-8"><style>
@@ -43,7 +43,6 @@ TOP_OF = """
 const found = document.querySelector(arguments[0]);
 return found.getBoundingClientRect().top + window.scrollY;
 """
-HEIGHT_OF_PAGE = "return document.documentElement.scrollHeight"
 
 
 def rollerrig(folder, *words):
@@ -169,10 +168,19 @@ def protection(browser, folder):
 
 
 def desk(browser, _folder):
-    """The desk with a stop on leaves, and its library of runs. The desk is dark."""
+    """The desk with a stop on leaves, and its library of runs, as on a screen of 1366 x 768."""
     from desk_process import Page, served  # in tests/realtime, which the Makefile adds
 
-    resize(browser, 1180, 1190)
+    width, height = 1366, 768
+
+    def both(name):
+        for scheme in SCHEMES:
+            feature = {"name": "prefers-color-scheme", "value": scheme}
+            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+            time.sleep(1.5)
+            save(screenshot(browser, width, 0, height), f"{name}-{scheme}")
+
+    resize(browser, width, height)
     # the page shows the name of its folder
     with tempfile.TemporaryDirectory(prefix="rig-") as folder, served(Path(folder)) as one:
         # two runs for the library
@@ -191,13 +199,12 @@ def desk(browser, _folder):
         page.click("Inject")
         page.shows("speed_sensor_stuck axle=1 begins")
         time.sleep(8.0)  # the message that it was injected is gone
-        save(screenshot(browser, 1180, 0, browser.execute_script(HEIGHT_OF_PAGE)), "desk")
+        both("desk")
         page.end()
         page.open_tab("Runs")
-        resize(browser, 1280, 640)
         page.there("//td[.='runs/velim_a1']")
         time.sleep(8.0)
-        save(screenshot(browser, 1280, 0, 640), "desk_runs")
+        both("desk_runs")
 
 
 def diagram(_browser, _folder):
