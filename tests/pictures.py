@@ -27,9 +27,9 @@ FOLDER = ROOT / "docs" / "pictures"
 WORK = ROOT / "build" / "pictures"
 WIDTH = 830  # of a page on a code hosting site, in points
 PIXELS_OF_A_POINT = 2
-LARGEST_KB = 180
+LARGEST_KB = 260
 # colours of a picture, of which the largest number counts with which its file is small
-COLOURS = (256, 128, 96, 64, 48)
+COLOURS = (128, 96, 64, 48)
 SCHEMES = ("light", "dark")
 # what a page of a drawing looks like
 DRAWING = """<!doctype html><meta charset="utf-8"><style>
@@ -78,14 +78,14 @@ def resize(browser, width, height):
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
-def screenshot(browser, width, top, bottom):
-    """Return a part of the page as an image with the width of WIDTH points."""
+def screenshot(browser, width, top, bottom, pixels=PIXELS_OF_A_POINT * WIDTH):
+    """Return a part of the page as an image that is so many pixels wide."""
     clip = {
         "x": 0,
         "y": top,
         "width": width,
         "height": bottom - top,
-        "scale": PIXELS_OF_A_POINT * WIDTH / width,
+        "scale": pixels / width,
     }
     options = {"clip": clip, "captureBeyondViewport": True}
     answer = browser.execute_cdp_cmd("Page.captureScreenshot", options)
@@ -93,13 +93,18 @@ def screenshot(browser, width, top, bottom):
 
 
 def save(image, name):
-    """Write an image with few colours, as a small file. Raises ValueError if it is not small."""
+    """Write an image as a small file, with fewer colours if it is large with all of them.
+
+    Raises ValueError if it is not small.
+    """
     FOLDER.mkdir(exist_ok=True)
     path = FOLDER / f"{name}.png"
+    image = image.convert("RGB")
+    image.save(path, optimize=True)
     for colours in COLOURS:
-        image.convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
         if path.stat().st_size <= 1000 * LARGEST_KB:
             break
+        image.quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
     size_kb = path.stat().st_size / 1000
     print(f"{path.relative_to(ROOT)}: {image.width} x {image.height}, {size_kb:.0f} kB", flush=True)
     if size_kb > LARGEST_KB:
@@ -178,7 +183,7 @@ def desk(browser, _folder):
             feature = {"name": "prefers-color-scheme", "value": scheme}
             browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
             time.sleep(1.5)
-            save(screenshot(browser, width, 0, height), f"{name}-{scheme}")
+            save(screenshot(browser, width, 0, height, pixels=width), f"{name}-{scheme}")
 
     resize(browser, width, height)
     # the page shows the name of its folder

@@ -232,7 +232,8 @@ def _demand(desk: Desk) -> None:
     with ui.row().classes("w-full no-wrap items-center justify-between gap-2"):
         in_force = ui.label().classes("desk-small").mark("demand-in-force")
         programmed = ui.button("As programmed", on_click=release)
-        programmed.props("flat dense no-caps size=sm").mark("release-demand")
+        programmed.props("flat dense no-caps no-wrap size=sm").mark("release-demand")
+        programmed.style("flex: none")
 
     def set_bar() -> float | None:
         pressure_Pa = desk.set_point("brake_demand_set_point")
