@@ -27,7 +27,7 @@ FOLDER = ROOT / "docs" / "pictures"
 WORK = ROOT / "build" / "pictures"
 WIDTH = 830  # of a page on a code hosting site, in points
 PIXELS_OF_A_POINT = 2
-LARGEST_KB = 180
+LARGEST_KB = 260
 # colours of a picture, of which the largest number counts with which its file is small
 COLOURS = (128, 96, 64, 48)
 SCHEMES = ("light", "dark")
@@ -43,7 +43,6 @@ TOP_OF = """
 const found = document.querySelector(arguments[0]);
 return found.getBoundingClientRect().top + window.scrollY;
 """
-HEIGHT_OF_PAGE = "return document.documentElement.scrollHeight"
 
 
 def rollerrig(folder, *words):
@@ -79,14 +78,14 @@ def resize(browser, width, height):
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
-def screenshot(browser, width, top, bottom):
-    """Return a part of the page as an image with the width of WIDTH points."""
+def screenshot(browser, width, top, bottom, pixels=PIXELS_OF_A_POINT * WIDTH):
+    """Return a part of the page as an image that is so many pixels wide."""
     clip = {
         "x": 0,
         "y": top,
         "width": width,
         "height": bottom - top,
-        "scale": PIXELS_OF_A_POINT * WIDTH / width,
+        "scale": pixels / width,
     }
     options = {"clip": clip, "captureBeyondViewport": True}
     answer = browser.execute_cdp_cmd("Page.captureScreenshot", options)
@@ -94,13 +93,18 @@ def screenshot(browser, width, top, bottom):
 
 
 def save(image, name):
-    """Write an image with few colours, as a small file. Raises ValueError if it is not small."""
+    """Write an image as a small file, with fewer colours if it is large with all of them.
+
+    Raises ValueError if it is not small.
+    """
     FOLDER.mkdir(exist_ok=True)
     path = FOLDER / f"{name}.png"
+    image = image.convert("RGB")
+    image.save(path, optimize=True)
     for colours in COLOURS:
-        image.convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
         if path.stat().st_size <= 1000 * LARGEST_KB:
             break
+        image.quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
     size_kb = path.stat().st_size / 1000
     print(f"{path.relative_to(ROOT)}: {image.width} x {image.height}, {size_kb:.0f} kB", flush=True)
     if size_kb > LARGEST_KB:
@@ -169,10 +173,19 @@ def protection(browser, folder):
 
 
 def desk(browser, _folder):
-    """The desk with a stop on leaves, and its library of runs. The desk is dark."""
+    """The desk with a stop on leaves, and its library of runs, as on a screen of 1366 x 768."""
     from desk_process import Page, served  # in tests/realtime, which the Makefile adds
 
-    resize(browser, 1180, 1190)
+    width, height = 1366, 768
+
+    def both(name):
+        for scheme in SCHEMES:
+            feature = {"name": "prefers-color-scheme", "value": scheme}
+            browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+            time.sleep(1.5)
+            save(screenshot(browser, width, 0, height, pixels=width), f"{name}-{scheme}")
+
+    resize(browser, width, height)
     # the page shows the name of its folder
     with tempfile.TemporaryDirectory(prefix="rig-") as folder, served(Path(folder)) as one:
         # two runs for the library
@@ -191,13 +204,12 @@ def desk(browser, _folder):
         page.click("Inject")
         page.shows("speed_sensor_stuck axle=1 begins")
         time.sleep(8.0)  # the message that it was injected is gone
-        save(screenshot(browser, 1180, 0, browser.execute_script(HEIGHT_OF_PAGE)), "desk")
+        both("desk")
         page.end()
         page.open_tab("Runs")
-        resize(browser, 1280, 640)
         page.there("//td[.='runs/velim_a1']")
         time.sleep(8.0)
-        save(screenshot(browser, 1280, 0, 640), "desk_runs")
+        both("desk_runs")
 
 
 def diagram(_browser, _folder):

@@ -1,4 +1,4 @@
-"""Automatic mode: starts sequences and campaigns, and shows their messages, progress and reports.
+"""Automatic mode: starts sequences, programmes and campaigns; shows messages, progress and reports.
 
 Each of them is a program with a `rollerrig` command line (see `programs`).
 """
@@ -8,73 +8,166 @@ from pathlib import Path
 from nicegui import ui
 
 from rollerrig.configs import store
+from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.desk.desk import Desk
 from rollerrig.realtime.desk.manual import carry_out, confirmed
 from rollerrig.realtime.desk.programs import Program
 
 _LINES_SHOWN = 14
 _PROGRAMS_SHOWN = 6
-# colours of lines by their first word, and of the result
-_COLOURS = {"pass": "#009e73", "fail": "#d55e00", "error": "#d55e00"}
+# colours of lines by their first word, and of the result (desk.css)
+_COLOURS = {"pass": "var(--good)", "fail": "var(--bad)", "error": "var(--bad)"}
 # by exit status
 _RESULTS = {0: "passed", 1: "a verdict failed", 4: "interrupted, or a run is not valid"}
+# entries of the title block that have a field, with the label of the field
+_ENTRIES = {
+    "document number": "document number",
+    "revision": "revision",
+    "unit under test": "unit under test",
+    "tested by": "operator (tested by)",
+}
+# under which the desk keeps the other entries
+_FURTHER = "further entries"
+_AS_PLAYED = ""
 
 
 def build(desk: Desk) -> None:
     """Put the controls, and the programs that have been started, into the page."""
-    with ui.row().classes("w-full no-wrap items-start gap-4 desk-rows"):
-        with ui.card().classes("desk-card").style("width: 26rem; max-width: 100%"):
-            _sequences(desk)
-            ui.separator()
-            _campaigns(desk)
-        place = ui.column().classes("grow gap-4")
+    with ui.row().classes("w-full no-wrap items-start gap-2 desk-rows"):
+        with ui.column().classes("gap-2").style("width: 26rem; max-width: 100%; flex: none"):
+            title_block = _TitleBlock(desk)
+            _sequences(desk, title_block)
+            _programme(desk, title_block)
+            _campaigns(desk, title_block)
+        place = ui.column().classes("grow gap-2").style("min-width: 0")
     _programs(desk, place)
 
 
-def _sequences(desk: Desk) -> None:
+class _TitleBlock:
+    """The fields of the title block of the next report, and whether it is written as PDF too."""
+
+    def __init__(self, desk: Desk) -> None:
+        self._desk = desk
+        with ui.card().classes("w-full desk-card"):
+            ui.label("Title block of the next report").classes("desk-title")
+            with ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0"):
+                for name, label in _ENTRIES.items():
+                    field = ui.input(label).mark(f"about-{name}")
+                    field.bind_value(desk.about, name)
+            with ui.row().classes("w-full no-wrap items-end gap-2"):
+                further = ui.textarea(
+                    "further entries, one a line", placeholder="checked by=A. Meier"
+                )
+                further.bind_value(desk.about, _FURTHER)
+                further.props("dense stack-label rows=1 autogrow").classes("grow")
+                further.mark("about-further")
+                self._pdf = ui.checkbox("PDF").props("dense").mark("pdf")
+
+    def words(self) -> list[str]:
+        """Return the options of the command line. Raises ConfigError for an unusable entry."""
+        about = self._desk.about
+        entries = [f"{name}={about[name]}" for name in _ENTRIES if (about.get(name) or "").strip()]
+        entries += [
+            line.strip() for line in (about.get(_FURTHER) or "").splitlines() if line.strip()
+        ]
+        for entry in entries:
+            if not entry.isprintable():
+                raise ConfigError(f"title block: {entry!r} has a control character; remove it")
+            if "=" not in entry:
+                raise ConfigError(
+                    f"title block: {entry!r} has no '='; write WHAT=TEXT, as in checked by=A. Meier"
+                )
+        # in one word, so that no entry can become an option
+        words = [f"--about={entry}" for entry in entries]
+        return [*words, "--pdf"] if self._pdf.value else words
+
+
+def _unit_choice(desk: Desk, label: str) -> ui.select:
+    """Return the field that chooses the WSP unit of a program."""
+    labels = {_AS_PLAYED: label, **{unit: unit for unit in desk.units}}
+    return ui.select(labels, value=_AS_PLAYED, label="WSP unit").classes("w-full")
+
+
+def _unit_words(desk: Desk, unit: str) -> list[str]:
+    """Return the option for a unit. Raises ConfigError if the unit is not allowed."""
+    return [f"--wsp={desk.checked(unit)}"] if unit else []
+
+
+def _sequences(desk: Desk, title_block: _TitleBlock) -> None:
     """The controls that play sequences."""
-    ui.label("Sequences").classes("desk-title")
-    names = ui.select(
-        [*store.names("sequences"), *store.names_of_vehicles("sequences")],
-        multiple=True,
-        value=["emergency_120"],
-        label="sequences (none: all of the coach)",
-    )
-    names.classes("w-full").props("use-chips").mark("sequences")
-    unit = ui.select(["", *desk.units], value="", label="WSP unit (empty: as in the sequence)")
-    unit.classes("w-full")
-    pacing = ui.select(["lockstep", "wall"], value="lockstep", label="pacing")
-    pacing.classes("w-full").mark("pacing")
+    with ui.card().classes("w-full desk-card"):
+        ui.label("Sequences").classes("desk-title")
+        packaged = [*store.names("sequences"), *store.names_of_vehicles("sequences")]
+        names = ui.select(
+            [*desk.own_files("sequences"), *packaged],
+            multiple=True,
+            value=["emergency_120"],
+            label="sequences or files (none: all of the coach)",
+            with_input=True,
+            new_value_mode="add-unique",
+        )
+        names.classes("w-full").props("use-chips").mark("sequences")
+        with ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0"):
+            unit = _unit_choice(desk, "as in the sequence")
+            pacing = ui.select(["lockstep", "wall"], value="lockstep", label="pacing")
+            pacing.mark("pacing")
 
-    async def play() -> None:
-        chosen = list(names.value or [])
-        report = desk.free_report(chosen[0] if len(chosen) == 1 else "sequences")
-        words = ["sequence", "--steps"]
-        words += ["--out", report]
-        words += ["--pacing", str(pacing.value)]
-        if unit.value:
-            words.append(f"--wsp={unit.value}")
-        await carry_out(_start(desk, [*words, "--", *chosen]), "started")
+        async def play() -> None:
+            chosen = [str(name) for name in names.value or []]
+            for name in chosen:
+                desk.check_file("sequence", name)
+            stem = Path(chosen[0]).stem if len(chosen) == 1 else "sequences"
+            words = ["sequence", "--steps", "--out", desk.free_report(stem)]
+            words += ["--pacing", str(pacing.value)]
+            words += _unit_words(desk, str(unit.value))
+            desk.start([*words, *title_block.words(), "--", *chosen])
 
-    ui.button("Play", on_click=play).props("color=primary").classes("w-full").mark("play")
+        button = ui.button("Play", on_click=lambda: carry_out(play(), "started"))
+        button.props("color=primary").classes("w-full").mark("play")
 
 
-def _campaigns(desk: Desk) -> None:
+def _programme(desk: Desk, title_block: _TitleBlock) -> None:
+    """The controls that play a test programme."""
+    with ui.card().classes("w-full desk-card"):
+        ui.label("Test programme").classes("desk-title")
+        packaged = [*store.names("programmes"), *store.names_of_vehicles("programmes")]
+        with ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0"):
+            name = ui.select(
+                [*desk.own_files("programmes"), *packaged],
+                value=packaged[0],
+                label="programme or file",
+                with_input=True,
+                new_value_mode="add-unique",
+            )
+            name.mark("programme")
+            unit = _unit_choice(desk, "reference")
+
+        async def play() -> None:
+            chosen = str(name.value)
+            desk.check_file("programme", chosen)
+            words = ["programme", "--out", f"programmes/{Path(chosen).stem}"]
+            words += _unit_words(desk, str(unit.value))
+            desk.start([*words, *title_block.words(), "--", chosen])
+
+        button = ui.button("Play programme", on_click=lambda: carry_out(play(), "started"))
+        button.props("color=primary").classes("w-full").mark("play-programme")
+        ui.label("What was played before with the same unit is kept.").classes("desk-small")
+
+
+def _campaigns(desk: Desk, title_block: _TitleBlock) -> None:
     """The controls that run a campaign."""
-    ui.label("Campaign").classes("desk-title")
-    plans = store.names("campaigns")
-    plan = ui.select(plans, value=plans[0], label="plan").classes("w-full")
+    with ui.card().classes("w-full desk-card"):
+        ui.label("Campaign").classes("desk-title")
+        plans = store.names("campaigns")
+        plan = ui.select(plans, value=plans[0], label="plan").classes("w-full")
 
-    async def run() -> None:
-        words = ["campaign", str(plan.value), "--out", f"campaigns/{plan.value}"]
-        await carry_out(_start(desk, words), "started")
+        async def run() -> None:
+            words = ["campaign", "--out", f"campaigns/{plan.value}", *title_block.words()]
+            desk.start([*words, "--", str(plan.value)])
 
-    ui.button("Run", on_click=run).props("color=primary").classes("w-full").mark("campaign")
-    ui.label("A campaign that was begun earlier continues.").classes("desk-small")
-
-
-async def _start(desk: Desk, words: list[str]) -> None:
-    desk.start(words)
+        button = ui.button("Run", on_click=lambda: carry_out(run(), "started"))
+        button.props("color=primary").classes("w-full").mark("campaign")
+        ui.label("A campaign that was begun earlier continues.").classes("desk-small")
 
 
 def _programs(desk: Desk, place: ui.column) -> None:
@@ -120,6 +213,7 @@ class _ProgramCard:
                 self._stop.mark("stop-program")
                 self._result = ui.label().mark("program-result")
             self._bar = ui.linear_progress(0.0, show_value=False)
+            self._bar.props('aria-label="progress of this program"')
             self._place = ui.column().classes("w-full gap-0")
 
     async def _ask(self) -> None:
@@ -164,12 +258,24 @@ class _ProgramCard:
 
 
 def _report_link(desk: Desk, program: Program) -> None:
-    """A link to the report of a program, if it has one below the folder of the desk."""
-    report = program.result.get("report")
-    if not report:
-        return
-    path = (program.folder / Path(report)).resolve()
+    """Links to the report of a program and its PDF, if they are in the folder of the desk."""
     folder = desk.folder.resolve()
-    if path.is_relative_to(folder):
+    for file in _reports(program):
+        path = (program.folder / file).resolve()
+        if not path.is_relative_to(folder):
+            continue
         address = f"/file/{path.relative_to(folder)}"
-        ui.link("Open the report", address, new_tab=True).mark("report")
+        if path.suffix == ".pdf":
+            # a browser opens no PDF in the sandbox of the desk
+            ui.link("Download the PDF", address).props("download").mark("report-pdf")
+        else:
+            ui.link("Open the report", address, new_tab=True).mark("report")
+
+
+def _reports(program: Program) -> list[Path]:
+    """The pages and PDFs that a program has written; empty while it runs."""
+    result = program.result
+    named = [result["report"]] if result.get("report") else result.get("files", [])
+    pages = [Path(name) for name in named if Path(name).suffix == ".html"]
+    printed = [page.with_suffix(".pdf") for page in pages if "--pdf" in program.words]
+    return [*pages, *(file for file in printed if (program.folder / file).is_file())]

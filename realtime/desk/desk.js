@@ -20,9 +20,9 @@ const LONGEST_FRAME_S = 0.1;
 const SLOW_MOTION = 20;
 
 // the lanes of the dump valves, in pixels
-const LANES_LEFT = 56;
+const LANES_LEFT = 48;
 const LANES_RIGHT = 14;
-const LANE_GAP = 4;
+const LANE_GAP = 3;
 
 // the names of fault marks: rows, and their height
 const MARK_ROWS = 5;
@@ -33,11 +33,14 @@ const LANE_SHARES = [0.25, 0.6, 1];
 
 // the picture of the vehicle, in units of its view box: a coach with two bogies is 700 wide
 const LEAST_WIDTH = 700;
-const WIDTH_OF_BOGIE = 270;
-const FIRST_BOGIE_X = 140;
-const HEIGHT = 170;
+const FIRST_BOGIE_X = 90;
+const BOGIE_PITCH = 200;
+const TOP = 28;
+// the size of its text, which is larger where a wide picture is drawn smaller
+const WIDE = 880;
+const TEXT_SIZE = 14;
+const HEIGHT = 122;
 const HEIGHT_OF_MOTOR_TEXT = 16;
-const PX_FOR_EACH_UNIT = 150 / HEIGHT;
 const HALF_WHEELBASE = 50;
 const WHEEL_Y = 76;
 // the magnets of a bogie are between its wheels, so much lower when they are on the rail
@@ -62,7 +65,7 @@ function kilometresPerHour(speed_m_s) {
 
 // Returns the width of the picture of a vehicle with these bogies.
 function pictureWidth(bogies) {
-  return Math.max(LEAST_WIDTH, WIDTH_OF_BOGIE * bogies);
+  return Math.max(LEAST_WIDTH, 2 * FIRST_BOGIE_X + BOGIE_PITCH * (bogies - 1));
 }
 
 // Returns the places of the bogies in the picture.
@@ -80,11 +83,12 @@ function roundUp(value) {
   return step * power;
 }
 
-// Returns the vertical range of a plot: all its points, zero, and at least `least`.
+// Returns the vertical range of a plot: the points of all lines except limits, zero, and at least `least`.
 function verticalRange(series, least) {
   let low = 0;
   let high = least;
   for (const one of series) {
+    if (one.limit) continue;
     for (const [, value] of one.data) {
       if (value === null) continue;
       low = Math.min(low, value);
@@ -96,7 +100,16 @@ function verticalRange(series, least) {
   return { min, max: high > least ? roundUp(high) : least };
 }
 
+// Returns the colours of text and lines, which desk.css has for a light and for a dark system.
+function inks() {
+  const style = getComputedStyle(document.body);
+  const ink = (name) => style.getPropertyValue(`--${name}`).trim();
+  return { text: ink("text"), soft: ink("soft"), grid: ink("grid"), bad: ink("bad"), back: ink("back") };
+}
+
 window.desk = {
+  ink: null, // the colours of `inks`
+  scheme: "", // "light" or "dark", as the system
   settings: null, // what `live.py` gives to `begin`: columns, plots, colours and limits
   columnIndex: {}, // the place of each column in a row
   bench: "", // the bench that the rows belong to
@@ -131,8 +144,28 @@ window.desk = {
     this.axle = 0;
     this.whole = false;
     if (!isFirst) return;
+    this.ink = inks();
     this.update();
     requestAnimationFrame((now) => this.turnWheels(now));
+  },
+
+  // Gives the text and the lines of all charts the colours of the system, as soon as they are there.
+  colourCharts() {
+    const scheme = document.body.classList.contains("body--dark") ? "dark" : "light";
+    if (this.ink === null || scheme !== this.scheme) this.ink = inks();
+    this.scheme = scheme;
+    for (const place of document.querySelectorAll(".desk-chart")) {
+      const chart = getElement(Number(place.id.slice(1)))?.chart;
+      if (!chart || chart.isDisposed() || chart.deskScheme === scheme) continue;
+      chart.deskScheme = scheme;
+      const { text, soft, grid } = this.ink;
+      const axis = { axisLabel: { color: soft }, axisLine: { lineStyle: { color: soft } } };
+      axis.splitLine = { lineStyle: { color: grid } };
+      const legend = { textStyle: { color: text }, pageTextStyle: { color: text } };
+      legend.pageIconColor = text;
+      legend.pageIconInactiveColor = soft;
+      chart.setOption({ title: { textStyle: { color: text } }, legend, xAxis: axis, yAxis: axis });
+    }
   },
 
   // Chooses the axle to draw (0: all), and whether the whole run is drawn.
@@ -251,10 +284,23 @@ window.desk = {
   drawPlot(plot, begin, end, named) {
     const chart = getElement(plot.id)?.chart;
     if (!chart || chart.isDisposed()) return;
-    const series = plot.lines.map((line) => ({ id: line.column, data: this.points(line, plot.scale) }));
+    const data = plot.lines.map((line) => ({ limit: line.limit, data: this.points(line, plot.scale) }));
+    const yAxis = verticalRange(data, plot.least);
+    const series = plot.lines.map((line, index) => ({ id: line.column, data: data[index].data }));
     series[0].markLine = this.faultLines(begin, end, named);
-    const yAxis = verticalRange(series, plot.least);
-    chart.setOption({ xAxis: { min: begin, max: end }, yAxis, series }, { lazyUpdate: true });
+    const title = { text: plot.title + this.limitsText(plot) };
+    chart.setOption({ title, xAxis: { min: begin, max: end }, yAxis, series }, { lazyUpdate: true });
+  },
+
+  // Returns the present limits of a plot in words, also those above its vertical axis.
+  limitsText(plot) {
+    const values = plot.lines
+      .filter((line) => line.limit && (!this.axle || line.axle === this.axle))
+      .map((line) => this.newestValue(line.column))
+      .filter((value) => value !== undefined && value !== null);
+    if (!values.length) return "";
+    const low = numberText(Math.min(...values) * plot.scale, 3);
+    return `; limits ${low} to ${numberText(Math.max(...values) * plot.scale, 3)}`;
   },
 
   // Returns the vertical lines where faults began (dashed) and were lifted (dotted).
@@ -262,7 +308,7 @@ window.desk = {
     const shown = this.marks.filter(([time]) => time >= begin && time <= end);
     const data = shown.map(([time, name, begins], index) => ({
       xAxis: time,
-      lineStyle: { color: this.settings.mark, type: begins ? "dashed" : "dotted", width: 1.5 },
+      lineStyle: { color: this.ink.bad, type: begins ? "dashed" : "dotted", width: 1.5 },
       label: {
         show: named,
         formatter: begins ? name : `${name} lifted`,
@@ -272,8 +318,8 @@ window.desk = {
         align: time > (begin + end) / 2 ? "right" : "left",
         verticalAlign: "top",
         offset: [time > (begin + end) / 2 ? -4 : 4, MARK_ROW_PX * (index % MARK_ROWS)],
-        color: this.settings.mark,
-        backgroundColor: "#181b1fcc",
+        color: this.ink.bad,
+        backgroundColor: `${this.ink.back}cc`,
         fontSize: 11,
       },
     }));
@@ -341,15 +387,17 @@ window.desk = {
     const toX = (time) => LANES_LEFT + ((time - begin) / (end - begin)) * laneWidth;
 
     pen.clearRect(0, 0, canvas.width, canvas.height);
-    pen.font = "11px sans-serif";
+    pen.font = `${Math.min(11, laneHeight + 1)}px sans-serif`;
     for (let axle = 1; axle <= this.axles; axle++) {
       const top = (axle - 1) * laneHeight;
       pen.fillStyle = this.settings.axles[axle - 1];
-      pen.fillText(`axle ${axle}`, 6, top + laneHeight / 2 + 4);
+      pen.fillRect(0, top + 1, 4, laneHeight - 2);
+      pen.fillStyle = this.ink.text;
+      pen.fillText(`axle ${axle}`, 8, top + laneHeight / 2 + 4);
       const drawn = !this.axle || this.axle === axle;
       if (drawn) this.drawLane(pen, axle, top, laneHeight, toX);
     }
-    pen.fillStyle = this.settings.mark;
+    pen.fillStyle = this.ink.bad;
     for (const [time] of this.marks) {
       if (time >= begin && time <= end) pen.fillRect(toX(time), 0, 1.5, canvas.height);
     }
@@ -385,8 +433,9 @@ window.desk = {
     const height = HEIGHT + (this.settings.motors ? HEIGHT_OF_MOTOR_TEXT : 0);
     const pictures = bogies.map((x, index) => this.bogiePicture(x, index));
     place.innerHTML = `
-      <svg viewBox="0 0 ${width} ${height}" width="100%" height="${height * PX_FOR_EACH_UNIT}">
-        <rect x="30" y="6" width="${width - 60}" height="40" rx="9" class="desk-coach"/>
+      <svg viewBox="0 ${TOP} ${width} ${height}" role="img" aria-label="the rig from the side"
+        style="--rig-text: ${Math.max(1, width / WIDE) * TEXT_SIZE}px">
+        <rect x="10" y="${TOP + 2}" width="${width - 20}" height="18" rx="7" class="desk-coach"/>
         ${pictures.join("")}
       </svg>`;
   },
@@ -420,15 +469,15 @@ window.desk = {
     );
     let motorText = "";
     if (this.settings.motors) {
-      motorText = `<text x="${x}" y="180" class="desk-text" id="desk-motor-${axle}"></text>`;
+      motorText = `<text x="${x}" y="160" class="desk-text desk-motor" id="desk-motor-${axle}"></text>`;
     }
     return `
-      <circle cx="${x}" cy="126" r="24" class="desk-roller"/>
+      <path d="M ${x - 24} 126 a 24 24 0 0 1 48 0 z" class="desk-roller"/>
       <g id="desk-wheel-${axle}" style="transform-origin:${x}px ${WHEEL_Y}px">
         <circle cx="${x}" cy="${WHEEL_Y}" r="26" class="desk-wheel" style="stroke:${colour}"/>
         ${spokes.join("")}
       </g>
-      <text x="${x}" y="164" class="desk-text" id="desk-lock-${axle}">${axle}</text>
+      <text x="${x}" y="145" class="desk-text" id="desk-lock-${axle}">${axle}</text>
       ${motorText}`;
   },
 
@@ -454,3 +503,19 @@ window.desk = {
     document.getElementById(`desk-lock-${axle}`).textContent = locked ? `${axle}: locked` : `${axle}`;
   },
 };
+
+// the scheme of the system may change at any time, and a chart may come at any time
+const LOOK_AT_CHARTS_MS = 250;
+setInterval(() => desk.colourCharts(), LOOK_AT_CHARTS_MS);
+
+// The heads of a table that sort it are buttons for the keyboard, too.
+function sortsBy(event) {
+  const head = event.target.closest?.("th.sortable");
+  if (!head || !["Enter", " "].includes(event.key)) return;
+  event.preventDefault();
+  head.click();
+}
+document.addEventListener("keydown", sortsBy);
+setInterval(() => {
+  for (const head of document.querySelectorAll("th.sortable:not([tabindex])")) head.tabIndex = 0;
+}, LOOK_AT_CHARTS_MS);

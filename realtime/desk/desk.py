@@ -96,6 +96,8 @@ class Desk:
         self.programs: list[Program] = []
         # what the last bench was prepared with, for every page: values of fields by their names
         self.prepared: dict[str, str] = {}
+        # entries of the title block of the next report, for every page
+        self.about: dict[str, str] = {}
         # the signals of the vehicle of that scenario
         self._prepared_table = signals.table(COACH)
         # the friction mu_cd that was commanded here, by axle; 0: as in the scenario
@@ -306,7 +308,7 @@ class Desk:
             raise ConfigError(
                 "a bench runs already on this machine: stop it first, or wait until it has ended"
             )
-        self._check_scenario(scenario)
+        self.check_file("scenario", scenario)
         given = [f"{key}={value}" for key, value in settings.items() if value]
         given += _settings_of(more)
         self.show_vehicle_of(scenario, tuple(given))
@@ -336,14 +338,27 @@ class Desk:
         absolute = ",".join(f"{unit_choice.FMU}{file}" for file in files)
         return self.allowed.check(absolute or unit, "WSP unit")
 
-    def _check_scenario(self, scenario: str) -> None:
-        """Raise ConfigError if a scenario is a file outside the folders for scenarios."""
-        path = (self.folder / scenario).resolve()
+    def own_files(self, kind: str) -> list[str]:
+        """The TOML files of the user that the page offers: those in a folder named `kind`.
+
+        This folder is in the folder of the desk, or in an allowed one. Names are relative to the
+        folder of the desk, where programs are started.
+        """
+        found = []
+        for folder in self.scenario_folders:
+            for file in sorted((folder / kind).glob("*.toml")):
+                is_here = file.is_relative_to(self.folder)
+                found.append(str(file.relative_to(self.folder) if is_here else file))
+        return found
+
+    def check_file(self, what: str, name: str) -> None:
+        """Raise ConfigError if a scenario, sequence or programme is a file outside the folders."""
+        path = (self.folder / name).resolve()
         if any(path.is_relative_to(folder) for folder in self.scenario_folders):
             return
         folders = ", ".join(map(str, self.scenario_folders))
         raise ConfigError(
-            f"scenario {scenario}: this desk starts the scenarios of the library and files below "
+            f"{what} {name}: this desk starts the {what}s of the library and files below "
             f"{folders}; to allow another folder, start the desk with --allow-folder DIR"
         )
 

@@ -14,11 +14,12 @@ from rollerrig.configs.output_files import write_text, writing
 from rollerrig.configs.processes import children
 from rollerrig.realtime.record import compare, figures, records, run_folder, validity
 from rollerrig.realtime.record import export as formats
+from rollerrig.realtime.reports import sequences as sequence_report
 from rollerrig.wsp_interface.events import Code
 
 NOTE = "note.txt"
 FORMATS = {"csv": "CSV", "mdf4": "MDF4", "mat": "MAT", "svg": "Picture"}
-_DEEPEST = 3  # levels of folders: reports of sequences keep their runs in subfolders
+_DEEPEST = 4  # levels of folders: programmes keep a folder for each report, and reports one a run
 _MOST_RUNS = 500
 _KM_H_PER_M_S = 3.6
 
@@ -35,8 +36,9 @@ class ComparedFigure(NamedTuple):
 def rows(folder: Path) -> list[dict[str, Any]]:
     """A row for each run, the newest first.
 
-    A row has name, time, scenario, unit, initial speed, adhesion, faults, verdict, note, and the
-    figures by their names.
+    A row has name, time, scenario, unit, initial speed, adhesion, faults, test, verdict, note, and
+    the figures by their names. `test` is the result of the sequence that was played (pass, fail or
+    error), empty for another run. `verdict` is whether the run is valid, or why it is not.
     """
     runs = set()
     for depth in range(1, _DEEPEST + 1):
@@ -60,6 +62,7 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
         "name": str(run.relative_to(folder)),
         "when": begun.strftime("%Y-%m-%d %H:%M:%S"),
         "note": note(run),
+        "test": _test_result(run),
     }
     try:
         summary = records.summary(run)
@@ -79,6 +82,29 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
         value = figure.shown(summary)
         row[figure.name] = None if value is None else float(f"{value:.4g}")
     return row
+
+
+def _test_result(run: Path) -> str:
+    """The result of the sequence that a run has played, from the report above it; else empty."""
+    report = run.parent / sequence_report.JSON
+    try:
+        changed_s = report.stat().st_mtime
+    except OSError:
+        return ""
+    return _results(report, changed_s).get(run.name, "")
+
+
+@functools.lru_cache(maxsize=_MOST_RUNS)
+def _results(report: Path, changed_s: float) -> dict[str, str]:
+    """The results of the sequences of a report, by their names; empty if it cannot be read.
+
+    `changed_s` is when the file was written: a file is read only once.
+    """
+    try:
+        content = user_files.read_json(report, within=report.parent)
+        return {str(one["name"]): str(one["result"]) for one in content["sequences"]}
+    except (ConfigError, KeyError, TypeError):
+        return {}
 
 
 @functools.lru_cache(maxsize=4 * _MOST_RUNS)

@@ -38,6 +38,7 @@ class _Line(NamedTuple):
     colour: Colour | None = None
     dashes: tuple[float, ...] | None = None  # in points; () is a solid line
     width: float = 1.3
+    is_limit: bool = False  # does not scale the axis; its present value is in the title
 
 
 class _Plot(NamedTuple):
@@ -62,8 +63,12 @@ class _Figure(NamedTuple):
     label: str
 
 
-# height of the lane of a valve in pixels
+# height of the lane of a valve in pixels, and of the lanes of all axles
 _LANE_PX = 21
+_LEAST_LANE_PX = 9
+_LANES_PX = 108
+# rows of plots where the page is one view
+_PLOT_ROWS = 2
 
 _DOTS = (1.0, 2.0)
 _DASHES = (6.0, 3.0)
@@ -110,8 +115,12 @@ def plots_of(columns: reader.Columns) -> list[_Plot]:
             1.0,
             0.05,
             (
-                _Line(of("adhesion_degraded"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
-                _Line(of("adhesion_recovered"), "limits f_d, f_r", colours.LIMIT, _DOTS, 0.8),
+                _Line(
+                    of("adhesion_degraded"), "limit f_d as found", colours.LIMIT, _DOTS, 0.8, True
+                ),
+                _Line(
+                    of("adhesion_recovered"), "limit f_r cleaned", colours.LIMIT, _DASHES, 0.8, True
+                ),
                 _Line(of("adhesion"), "", width=2.0),
             ),
         ),
@@ -129,7 +138,7 @@ def plots_of(columns: reader.Columns) -> list[_Plot]:
     if kind.dynamic_brake:
         plots += [
             _Plot(
-                "Motors: torque, positive when they brake",
+                "Motors: braking torque",
                 "kN m",
                 1e-3,
                 1.0,
@@ -149,7 +158,7 @@ def plots_of(columns: reader.Columns) -> list[_Plot]:
     if kind.magnetic_track_brake:
         plots.append(
             _Plot(
-                "Magnets: force, half a bogie for each axle",
+                "Magnets: force of half a bogie",
                 "kN",
                 1e-3,
                 1.0,
@@ -212,7 +221,7 @@ def _short(values: np.ndarray) -> np.ndarray:
 
 def build(desk: Desk) -> None:
     """Put figures, rig, plots and lanes of the valves into the page."""
-    with ui.row().classes("w-full items-end desk-figures"):
+    with ui.element("div").classes("desk-figures"):
         for figure in _FIGURES:
             ui.html(
                 f'<div class="desk-figure"><b id="desk-{figure.id}">–</b> '
@@ -225,10 +234,14 @@ def build(desk: Desk) -> None:
 def _build_for_vehicle(table: Table) -> None:
     """Put what depends on the vehicle into the page, and let the browser draw it."""
     rig = f'<div id="desk-rig" data-vehicle="{_key(table)}"></div>'
-    ui.html(rig, sanitize=False).classes("w-full")
+    ui.html(rig, sanitize=False).classes("w-full desk-rig")
     _choices(table)
     columns = reader.columns_of(table)
-    plots = [_plot(plot) for plot in plots_of(columns)]
+    declared = plots_of(columns)
+    grid = ui.element("div").classes("desk-plots")
+    grid.style(f"--plot-columns: {math.ceil(len(declared) / _PLOT_ROWS)}")
+    with grid:
+        plots = [_plot(plot) for plot in declared]
     _valves(table)
 
     settings = {
@@ -238,7 +251,6 @@ def _build_for_vehicle(table: Table) -> None:
         "span_s": reader.SPAN_S,
         "axles": [colours.as_hex(colour) for colour in colours.AXLES[: table.kind.axles]],
         "radius_m": reader.USUAL_RADIUS_M,
-        "mark": colours.as_hex(colours.VERMILION),
         "valves": [colours.as_hex(colour) for _, colour in colours.VALVE_STATES],
         "locked_m_s": LOCKED_M_S,
         "moving_m_s": MOVING_M_S,
@@ -251,12 +263,13 @@ def _build_for_vehicle(table: Table) -> None:
 
 def _choices(table: Table) -> None:
     """The switches that choose axle and span of the plots."""
-    axle_names = {0: "all axles"}
-    for axle in table.axles:
-        axle_names[axle] = f"axle {axle}"
-    with ui.row().classes("items-center gap-4"):
+    axle_names = {0: "all", **{axle: str(axle) for axle in table.axles}}
+    with ui.row().classes("items-center gap-2"):
+        ui.label("Axles").classes("desk-small")
         axle_choice = ui.toggle(axle_names, value=0)
+        axle_choice.props('dense no-caps size=sm padding="1px 8px" aria-label="axles shown"')
         whole_choice = ui.toggle({False: "last 60 s", True: "whole run"}, value=False)
+        whole_choice.props('dense no-caps size=sm padding="1px 8px" aria-label="time shown"')
 
         def choose() -> None:
             whole = "true" if whole_choice.value else "false"
@@ -270,13 +283,17 @@ def _valves(table: Table) -> None:
     """The lanes of the dump valves, which `desk.js` draws, under the names of their states."""
     # the heights are those of desk.js
     heights = ("low", "half", "whole lane")
-    names = ", ".join(
-        f'<b style="color:{colours.as_hex(colour)}">{name}</b> ({height})'
+    names = "".join(
+        f'<span class="desk-swatch" style="background:{colours.as_hex(colour)}"></span>'
+        f"{name} ({height})"
         for (name, colour), height in zip(colours.VALVE_STATES, heights, strict=True)
     )
+    axles = table.kind.axles
+    height = max(_LEAST_LANE_PX, min(_LANE_PX, _LANES_PX // axles)) * axles
     ui.html(
-        f'<div class="desk-title">Dump valves: {names}</div>'
-        f'<canvas id="desk-valves" height="{_LANE_PX * table.kind.axles}" style="width:100%">'
+        f'<div class="desk-title">Dump valves {names}</div>'
+        f'<canvas id="desk-valves" height="{height}" style="width:100%; height:{height}px" '
+        'role="img" aria-label="states of the dump valves over time, a lane for each axle">'
         "</canvas>",
         sanitize=False,
     ).classes("w-full")
@@ -290,7 +307,7 @@ def _plot(plot: _Plot) -> dict[str, Any]:
         of_axles = len(line.columns) > 1
         for at, column in enumerate(line.columns):
             axle = at + 1 if of_axles else 0
-            lines.append({"column": column, "axle": axle})
+            lines.append({"column": column, "axle": axle, "limit": line.is_limit})
             colour = line.colour or colours.AXLES[at]
             dashes = colours.AXLE_DASHES[at] if line.dashes is None else line.dashes
             series.append(
@@ -309,42 +326,47 @@ def _plot(plot: _Plot) -> dict[str, Any]:
                     "color": colours.as_hex(colour),
                 }
             )
+    title = f"{plot.title} ({plot.unit})" if plot.unit else plot.title
     chart = ui.echart(
         {
             "animation": False,
-            "grid": {"left": 56, "right": 14, "top": 46, "bottom": 24},
-            "title": title_of(f"{plot.title} ({plot.unit})" if plot.unit else plot.title),
+            "grid": {"left": 44, "right": 10, "top": 38, "bottom": 20},
+            "title": title_of(title),
             "legend": legend(),
             "xAxis": axis("{value} s", ends=False),
             "yAxis": axis() | {"min": 0, "max": plot.least},
             "series": series,
         }
     )
-    chart.classes("w-full").style("height: 190px")
-    return {"id": chart.id, "lines": lines, "scale": plot.scale, "least": plot.least}
+    chart.classes("w-full desk-plot desk-chart").props(f'role=img aria-label="{title}"')
+    return {
+        "id": chart.id,
+        "title": title,
+        "lines": lines,
+        "scale": plot.scale,
+        "least": plot.least,
+    }
 
 
 def legend() -> dict[str, Any]:
-    """The legend of a plot below its title, as ECharts declares it."""
+    """The legend of a plot below its title, as ECharts declares it; `desk.js` colours its text."""
     return {
         "type": "scroll",
-        "left": 52,
-        "right": 10,
-        "top": 20,
-        "itemWidth": 26,
+        "left": 4,
+        "right": 4,
+        "top": 18,
+        "itemWidth": 20,
         "itemHeight": 8,
-        "itemGap": 14,
+        "itemGap": 8,
         # the plots have lines without symbols
         "itemStyle": {"opacity": 0},
-        "textStyle": {"color": "#c8ccd2", "fontSize": 11},
-        "pageTextStyle": {"color": "#c8ccd2"},
-        "pageIconColor": "#c8ccd2",
+        "textStyle": {"fontSize": 11},
     }
 
 
 def title_of(text: str) -> dict[str, Any]:
     """The title of a plot, as ECharts declares it."""
-    style = {"fontSize": 12, "fontWeight": "normal", "color": "#c8ccd2"}
+    style = {"fontSize": 12, "fontWeight": "normal"}
     return {"text": text, "textStyle": style, "left": 4, "top": 2}
 
 
@@ -352,10 +374,10 @@ def axis(formatter: str = "{value}", ends: bool = True) -> dict[str, Any]:
     """An axis of a plot, with or without its first and last label, as ECharts declares it."""
     return {
         "type": "value",
-        "splitLine": {"lineStyle": {"color": "#2c3138"}},
         "axisLabel": {
             "formatter": formatter,
-            "color": "#9aa0a8",
+            "fontSize": 11,
+            "hideOverlap": True,
             "showMinLabel": ends,
             "showMaxLabel": ends,
         },

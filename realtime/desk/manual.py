@@ -62,7 +62,7 @@ async def confirmed(question: str, consequence: str, yes: str) -> bool:
             keep = ui.button("Go back", on_click=lambda: dialog.submit(False))
             keep.props("autofocus").mark("confirm-no")
             go_on = ui.button(yes, on_click=lambda: dialog.submit(True))
-            go_on.props("color=orange-10").mark("confirm-yes")
+            go_on.props("color=warning text-color=black").mark("confirm-yes")
     dialog.mark("question")
     answer = await dialog
     dialog.delete()
@@ -74,7 +74,7 @@ def frictions() -> dict[float, str]:
 
     0 restores the friction of the scenario.
     """
-    labels = {0.0: "as in the scenario"}
+    labels = {0.0: "scenario"}
     for name in ("dry", "wet", "soap"):
         mu = store.parse(store.find("adhesion", name))["adhesion"]["mu_cd"]
         labels[mu] = f"{name} ({mu:g})"
@@ -84,12 +84,10 @@ def frictions() -> dict[float, str]:
 
 
 def build(desk: Desk) -> None:
-    """Put the controls into the page."""
+    """Put the controls of the bench, its set-points and the friction into the page."""
     _bench(desk)
-    _run(desk)
     _set_points(desk)
     _adhesion(desk)
-    _faults(desk)
 
 
 def _card(title: str) -> ui.card:
@@ -103,23 +101,21 @@ def _card(title: str) -> ui.card:
 
 
 def _bench(desk: Desk) -> None:
-    """Show the controls that prepare a bench."""
-    with _card("1  Bench"):
+    """Show the controls that prepare a bench, and those that start and stop its run."""
+    with _card("Bench and run"):
         # a page that is opened later shows what the bench was prepared with
         before = desk.prepared
-        scenario = _choice_or_text(
-            store.names("scenarios"),
-            before.get("scenario", "velim_a1"),
-            "scenario, or a TOML file",
-        ).classes("w-full")
         settings: dict[str, ui.select] = {}
-        with ui.grid(columns=2).classes("w-full gap-2"):
+        with ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0"):
+            scenario = _choice_or_text(
+                store.names("scenarios"), before.get("scenario", "velim_a1"), "scenario or file"
+            )
+            unit = _choice_or_text(desk.units, before.get("unit", "reference"), "WSP unit")
             for key, kind in (("rig", "rigs"), ("adhesion", "adhesion")):
                 labels = {_UNCHANGED: "as in the scenario"}
                 labels |= {name: name for name in store.names(kind)}
                 chosen = before.get(key, _UNCHANGED)
                 settings[key] = ui.select(labels, value=chosen, label=key).mark(key)
-            unit = _choice_or_text(desk.units, before.get("unit", "reference"), "WSP unit")
             labels = {
                 _UNCHANGED: "as in the rig",
                 "rig": "rig control",
@@ -128,8 +124,10 @@ def _bench(desk: Desk) -> None:
             chosen = before.get("rig.drives", _UNCHANGED)
             drives = ui.select(labels, value=chosen, label="drives obey").mark("drives")
             settings["rig.drives"] = drives
-        more = ui.input("further values, as in adhesion.mu_cd=0.05", value=before.get("more", ""))
-        more.classes("w-full").mark("more")
+            more = ui.input(
+                "further values", placeholder="adhesion.mu_cd=0.05", value=before.get("more", "")
+            )
+            more.props("stack-label").mark("more")
 
         async def prepare() -> None:
             values = {key: str(select.value or "") for key, select in settings.items()}
@@ -138,8 +136,10 @@ def _bench(desk: Desk) -> None:
                 "the bench is being prepared: it will roll, held, until it is started",
             )
 
-        button = ui.button("Prepare", on_click=prepare).props("color=primary")
-        button.classes("w-full").mark("prepare")
+        with ui.row().classes("w-full no-wrap gap-2"):
+            button = ui.button("Prepare", on_click=prepare).props("color=primary")
+            button.classes("grow").mark("prepare")
+            _run(desk, button)
 
 
 def _choice_or_text(names: list[str], value: str, label: str) -> ui.select:
@@ -150,28 +150,32 @@ def _choice_or_text(names: list[str], value: str, label: str) -> ui.select:
     )
 
 
-def _run(desk: Desk) -> None:
-    """Show the controls that start and stop the run."""
-    with _card("2  Run"), ui.row().classes("w-full no-wrap gap-2"):
-        start = ui.button("Start", on_click=lambda: carry_out(_write(desk, "run", 1.0), "started"))
-        start.props("color=positive").classes("grow").mark("start")
+def _run(desk: Desk, prepare: ui.button) -> None:
+    """Show the buttons that start and stop the run; each button works only where it has an effect.
 
-        async def end() -> None:
-            if await confirmed(
-                "End the run?",
-                "Its record is kept so far, but the run cannot be continued.",
-                "End the run",
-            ):
-                await carry_out(_write(desk, "stop", 1.0), "the run ends")
+    `prepare` is the button that prepares a bench, of which there is one at a time.
+    """
+    start = ui.button("Start", on_click=lambda: carry_out(_write(desk, "run", 1.0), "started"))
+    start.props("color=positive").classes("grow").mark("start")
 
-        stop = ui.button("Stop", on_click=end)
-        stop.props("color=grey-8").classes("grow").mark("stop")
+    async def end() -> None:
+        if await confirmed(
+            "End the run?",
+            "Its record is kept so far, but the run cannot be continued.",
+            "End the run",
+        ):
+            await carry_out(_write(desk, "stop", 1.0), "the run ends")
 
-        def follow() -> None:
-            start.set_enabled(desk.held())
-            stop.set_enabled(desk.running())
+    stop = ui.button("Stop", on_click=end)
+    stop.props("color=grey-8").classes("grow").mark("stop")
 
-        ui.timer(_FOLLOW_S, follow)
+    def follow() -> None:
+        prepare.set_enabled(not desk.running())
+        start.set_enabled(desk.held())
+        stop.set_enabled(desk.running())
+
+    ui.timer(_FOLLOW_S, follow)
+    follow()
 
 
 async def _write(desk: Desk, register: str, value: float) -> None:
@@ -225,8 +229,11 @@ def _demand(desk: Desk) -> None:
             await carry_out(_brake(desk, math.nan), done)
 
         ui.button("Set", on_click=set_demand).mark("set-demand")
-        ui.button("As programmed", on_click=release).props("flat dense").mark("release-demand")
-    in_force = ui.label().classes("desk-small").mark("demand-in-force")
+    with ui.row().classes("w-full no-wrap items-center justify-between gap-2"):
+        in_force = ui.label().classes("desk-small").mark("demand-in-force")
+        programmed = ui.button("As programmed", on_click=release)
+        programmed.props("flat dense no-caps no-wrap size=sm").mark("release-demand")
+        programmed.style("flex: none")
 
     def set_bar() -> float | None:
         pressure_Pa = desk.set_point("brake_demand_set_point")
@@ -300,13 +307,13 @@ def _number(field: ui.number) -> float:
 
 def _adhesion(desk: Desk) -> None:
     """Show the controls of the friction under each axle."""
-    with _card("Adhesion under the axles: friction mu_cd"):
+    with _card("Friction mu_cd under each axle"):
         vehicle.build(desk, partial(_frictions, desk))
 
 
 def _frictions(desk: Desk, table: Table) -> None:
     """Show a control for each axle of a vehicle."""
-    with ui.grid(columns=2).classes("w-full gap-2"):
+    with ui.element("div").classes("desk-frictions"):
         for axle in table.axles:
             with ui.column().classes("gap-0"):
                 _friction(desk, axle)
@@ -346,8 +353,8 @@ def _friction(desk: Desk, axle: int) -> None:
 # -- faults
 
 
-def _faults(desk: Desk) -> None:
-    """Show the controls that inject a fault, and the list of active faults."""
+def build_faults(desk: Desk) -> None:
+    """Put the controls that inject a fault, and the list of active faults, into the page."""
     with _card("Faults"):
         vehicle.build(desk, partial(_choose_fault, desk))
         _active_faults(desk)
@@ -364,7 +371,7 @@ def _choose_fault(desk: Desk, table: Table) -> None:
     )
     kind.classes("w-full").mark("fault")
     fields: dict[str, ui.number] = {}
-    place = ui.grid(columns=2).classes("w-full gap-2")
+    place = ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0")
 
     def show_parameters() -> None:
         place.clear()
@@ -374,8 +381,8 @@ def _choose_fault(desk: Desk, table: Table) -> None:
                 field = ui.number(row.name, value=row.default, min=row.low, max=row.high)
                 field.tooltip(f"{row.source}; {row.low:g} to {row.high:g}")
                 fields[row.name] = field.mark(f"fault-{row.name}")
-            lasting = ui.number("for s (empty: until lifted)", min=0.001)
-            fields["for"] = lasting.mark("fault-for")
+            lasting = ui.number("for s", placeholder="until lifted", min=0.001)
+            fields["for"] = lasting.props("stack-label").mark("fault-for")
 
     kind.on_value_change(show_parameters)
     show_parameters()
@@ -393,7 +400,7 @@ def _choose_fault(desk: Desk, table: Table) -> None:
 
 def _active_faults(desk: Desk) -> None:
     """Show the list of active faults, each with a button that lifts it."""
-    place = ui.column().classes("w-full gap-1")
+    place = ui.column().classes("w-full gap-0 desk-active-list").props("tabindex=0")
     shown: list[str] = []
 
     def follow() -> None:
@@ -401,11 +408,13 @@ def _active_faults(desk: Desk) -> None:
         if desk.bench and not desk.bench.ended:
             active = desk.bench.faults
         # build the list again only when it changes
-        if active == shown:
+        if active == shown and place.default_slot.children:
             return
         shown[:] = active
         place.clear()
         with place:
+            if not active:
+                ui.label("no fault is active").classes("desk-small")
             for fault in active:
                 with ui.row().classes("w-full no-wrap items-center"):
                     ui.label(fault).classes("grow desk-active")

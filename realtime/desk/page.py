@@ -24,6 +24,9 @@ _LIGHTS = {
 # what the lights show besides their colours
 _SIGNS = {lights.GREEN: "✓", lights.YELLOW: "!", lights.RED: "✕", lights.GREY: "?"}
 _ALARMS_SHOWN = 60
+# buttons with white text, whose contrast is above 4.5 (WCAG 2.2, 1.4.3)
+_STOP = "#b3140a"
+_GO = "#00694c"
 # of the page, in this order
 SCRIPTS = ("desk.js", "connection.js")
 
@@ -33,21 +36,19 @@ def build(desk: Desk) -> None:
     ui.add_css(Path(__file__).with_name("desk.css"))
     for script in SCRIPTS:
         ui.add_head_html(f'<script src="/desk/{script}"></script>')
-    ui.dark_mode(True)
+    ui.dark_mode(None)  # as the system
+    ui.context.client.content.classes("desk-page")
     for kind in (ui.select, ui.number, ui.input):
         kind.default_props("dense options-dense")
     ui.colors(
         primary=colours.as_hex(colours.BLUE),
-        positive=colours.as_hex(colours.GREEN),
-        negative=colours.as_hex(colours.VERMILION),
+        positive=_GO,
+        negative=_STOP,
         warning=colours.as_hex(colours.ORANGE),
     )
-    _head(desk)
+    tabs = _head(desk)
     _state_line(desk)
-    with ui.tabs().props("align=left dense") as tabs:
-        for name in ("Manual", "Automatic", "Runs"):
-            ui.tab(name).mark(f"tab-{name}")
-    with ui.tab_panels(tabs, value="Manual").classes("w-full").style("background: transparent"):
+    with ui.tab_panels(tabs, value="Manual", animated=False).classes("w-full desk-panels"):
         with ui.tab_panel("Manual").classes("p-0"):
             _manual(desk)
         with ui.tab_panel("Automatic").classes("p-0"):
@@ -63,26 +64,34 @@ def build(desk: Desk) -> None:
 
 
 def _manual(desk: Desk) -> None:
-    """The three parts of the manual mode: controls, live view, alarms; desk.css places them."""
+    """The three parts of the manual mode; desk.css places them.
+
+    Left the controls of the bench, right faults and alarms, between them the live view.
+    """
     with ui.element("div").classes("desk-columns"):
-        with ui.column().classes("gap-3 desk-controls"):
+        with ui.column().classes("gap-2 desk-controls"):
             manual.build(desk)
         with ui.column().classes("gap-1 desk-live"):
             live.build(desk)
-        with ui.column().classes("gap-2 desk-alarms"):
+        with ui.column().classes("gap-2 desk-side"):
+            manual.build_faults(desk)
             _alarms(desk)
 
 
 # -- the head
 
 
-def _head(desk: Desk) -> None:
-    """Name, bench and the buttons of the emergency stop, which stay in view; and the warning."""
-    with ui.element("div").classes("desk-head"):
-        ui.label("rollerrig desk").classes("desk-name")
+def _head(desk: Desk) -> ui.tabs:
+    """Name, tabs, bench, warning and the buttons of the emergency stop, which stay in view."""
+    with ui.element("header").classes("desk-head"):
+        ui.html("rollerrig desk", sanitize=False, tag="h1").classes("desk-name")
+        with ui.tabs().props("align=left dense no-caps") as tabs:
+            for name in ("Manual", "Automatic", "Runs"):
+                ui.tab(name).mark(f"tab-{name}")
         with ui.column().classes("gap-0 desk-bench"):
             bench = ui.label().mark("bench")
             _bench_choice(desk)
+            ui.label(NO_SAFETY).classes("desk-small").mark("no-safety")
         _emergency_stop(desk)
 
         def follow() -> None:
@@ -90,7 +99,7 @@ def _head(desk: Desk) -> None:
 
         ui.timer(0.5, follow)
         follow()
-    ui.label(NO_SAFETY).classes("desk-small").mark("no-safety")
+    return tabs
 
 
 def _bench_choice(desk: Desk) -> None:
@@ -144,11 +153,12 @@ def _emergency_stop(desk: Desk) -> None:
             keep = ui.button("Keep stopped", on_click=dialog.close)
             keep.props("autofocus").mark("keep-stopped")
             confirm = ui.button("Confirm reset", on_click=reset)
-            confirm.props("color=orange-10").mark("confirm-reset")
+            confirm.props("color=warning text-color=black").mark("confirm-reset")
     dialog.mark("reset-question")
     button = ui.button("Emergency stop", on_click=stop).props("color=negative")
     button.mark("emergency")
-    reset_button = ui.button("Reset emergency stop", on_click=ask).props("color=orange-10 outline")
+    reset_button = ui.button("Reset emergency stop", on_click=ask)
+    reset_button.props("color=warning text-color=black")
     reset_button.mark("reset-emergency")
 
     def follow() -> None:
@@ -196,7 +206,7 @@ def _bench_sentence(desk: Desk) -> str:
 def _state_line(desk: Desk) -> None:
     """A light for each part of the bench."""
     places: list[tuple[ui.html, ui.label]] = []  # of the name and of the reason of each light
-    with ui.row().classes("w-full gap-2"):
+    with ui.element("div").classes("desk-lights"):
         for name in lights.NAMES:
             with ui.element("div").classes("desk-light").mark(f"light-{name}"):
                 places.append((ui.html(sanitize=False), ui.label().classes("desk-small")))
@@ -211,6 +221,8 @@ def _state_line(desk: Desk) -> None:
             )
             head.content = f"{dot}{light.name}"
             reason.text = light.why
+            # where the reason does not fit, the pointer shows all of it
+            reason.props["title"] = light.why
 
     ui.timer(1.0, follow)
     follow()
@@ -224,11 +236,12 @@ def _alarms(desk: Desk) -> None:
 
     An alarm belongs to the run in which it was raised.
     """
-    ui.label("Alarms of this run").classes("desk-title")
-    place = ui.column().classes("w-full gap-1").mark("alarms")
-    earlier = ui.expansion("Earlier runs").classes("w-full desk-small").mark("earlier-alarms")
-    with earlier:
-        earlier_place = ui.column().classes("w-full gap-1")
+    with ui.card().classes("w-full desk-card desk-list desk-alarms").props("tabindex=0"):
+        ui.label("Alarms of this run").classes("desk-title")
+        place = ui.column().classes("w-full gap-1").mark("alarms")
+        earlier = ui.expansion("Earlier runs").classes("w-full desk-small").mark("earlier-alarms")
+        with earlier:
+            earlier_place = ui.column().classes("w-full gap-1")
     shown: list[tuple[int, str, bool]] = []
 
     def follow() -> None:
@@ -279,4 +292,6 @@ def _alarm(desk: Desk, alarm: Alarm) -> None:
             button = ui.button(
                 icon="check", on_click=lambda: manual.carry_out(desk.acknowledge(alarm))
             )
-            button.props("flat dense size=sm").tooltip("acknowledge").mark("acknowledge")
+            button.props('flat dense size=sm aria-label="acknowledge"').tooltip("acknowledge").mark(
+                "acknowledge"
+            )

@@ -37,11 +37,25 @@ _COMPARED_CHANNELS = re.compile(r"vehicle_speed|sliding_|adhesion_\d|cylinder_pr
 # columns whose words may be broken where the page is narrow
 _LONG = ("name", "faults", "verdict", "note")
 _KM_H_PER_M_S = 3.6
+_VALID = "valid"
 # the viewer serves its page after this time
 _VIEWER_STARTS_S = 2.0
-# a Vue template of Quasar: the verdict is green if the run is valid, otherwise orange
-_VERDICT_CELL = """<q-td :props="props"><span :style="{color: props.value === 'valid' ?
-        '#2fbf93' : '#ff8a4c'}" class="desk-verdict">{{ props.value }}</span></q-td>"""
+# Vue templates of Quasar: a good verdict is green, another one orange
+_VERDICT_CELL = """<q-td :props="props"><span :style="{color: ['valid', 'pass'].includes(props.value) ?
+        'var(--good)' : 'var(--bad)'}" class="desk-verdict">{{ props.value }}</span></q-td>"""
+# the check boxes that choose runs, with a name for screen readers
+_CHOOSE = """<q-checkbox v-model="props.selected" dense
+        :aria-label="props.row ? 'choose ' + props.row.name : 'choose all'" />"""
+_ALL = "all"
+_TEST_RESULTS = ("pass", "fail", "error")
+_NOT_VALID = "not valid"
+
+
+def _has_verdict(row: dict[str, Any], verdict: str) -> bool:
+    """Return whether a run has a verdict of the filter."""
+    if verdict == _NOT_VALID:
+        return bool(row["verdict"] != _VALID)
+    return verdict == _ALL or verdict in (row["verdict"], row["test"])
 
 
 def _columns() -> list[dict[str, Any]]:
@@ -54,6 +68,7 @@ def _columns() -> list[dict[str, Any]]:
         "initial_km_h": "initial speed (km/h)",
         "adhesion": "adhesion (mu_cd)",
         "faults": "faults",
+        "test": "test",
         "verdict": "verdict",
     }
     for figure in figures.FIGURES:
@@ -85,6 +100,8 @@ class _RunTable:
         self.desk = desk
         self.filter: ui.input
         self.note: ui.input
+        self._every_row: list[dict[str, Any]] = []
+        self._build_filter()
         self._build_buttons()
         self.table = ui.table(
             columns=_columns(),
@@ -95,13 +112,24 @@ class _RunTable:
         )
         self.table.classes("w-full desk-runs").props("dense wrap-cells").mark("runs")
         self.table.bind_filter_from(self.filter, "value")
-        self.table.add_slot("body-cell-verdict", _VERDICT_CELL)
+        for name in ("verdict", "test"):
+            self.table.add_slot(f"body-cell-{name}", _VERDICT_CELL)
+        for slot in ("header-selection", "body-selection"):
+            self.table.add_slot(slot, _CHOOSE)
         self.table.on_select(self.show_note)
         self.place = ui.column().classes("w-full")
 
+    def _build_filter(self) -> None:
+        """Put the filters into the page: by the verdict, with the number of runs, and by words."""
+        with ui.row().classes("w-full items-center gap-2"):
+            ui.label("Verdict").classes("desk-title")
+            self.verdict = ui.toggle([_ALL], value=_ALL, on_change=self._show)
+            self.verdict.props('dense no-caps size=sm padding="2px 10px" aria-label="verdict"')
+            self.verdict.mark("verdict-filter")
+            self.filter = ui.input("filter by words").props("dense clearable").mark("filter")
+
     def _build_buttons(self) -> None:
         with ui.row().classes("w-full items-center gap-2"):
-            self.filter = ui.input("filter").props("dense clearable").mark("filter")
             ui.button("Look again", on_click=self.fill).props("flat")
             compare = ui.button("Compare two", on_click=lambda: carry_out(self.compare()))
             compare.mark("compare")
@@ -118,7 +146,22 @@ class _RunTable:
 
     def fill(self) -> None:
         """Read the runs again."""
-        self.table.rows = library.rows(self.desk.folder)
+        self._every_row = library.rows(self.desk.folder)
+        verdicts = (_ALL, _VALID, _NOT_VALID, *_TEST_RESULTS)
+        counts = {
+            verdict: sum(_has_verdict(row, verdict) for row in self._every_row)
+            for verdict in verdicts
+        }
+        labels = {verdict: f"{verdict} ({count})" for verdict, count in counts.items()}
+        self.verdict.set_options(labels, value=self.verdict.value)
+        self._show()
+
+    def _show(self) -> None:
+        """Show the runs with the chosen verdict; hidden runs are not chosen."""
+        verdict = str(self.verdict.value)
+        self.table.rows = [row for row in self._every_row if _has_verdict(row, verdict)]
+        shown = {row["name"] for row in self.table.rows}
+        self.table.selected = [row for row in self.table.selected if row["name"] in shown]
 
     def chosen(self, count: int) -> list[Path]:
         """Return the folders of the chosen runs.
@@ -241,7 +284,7 @@ def _speeds(names: list[str], curves: list[Any]) -> None:
             "series": series,
         }
     )
-    chart.classes("grow").style("height: 320px")
+    chart.classes("grow desk-chart").style("height: 320px")
 
 
 def _table(title: str, heads: dict[str, str], rows: list[dict[str, Any]]) -> ui.table:

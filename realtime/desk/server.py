@@ -129,7 +129,8 @@ def serve(
         port=port,
         title="rollerrig desk",
         favicon="🚆",
-        dark=True,
+        dark=None,  # as the system
+        language="en-US",
         reload=False,
         show=False,
         show_welcome_message=False,

@@ -16,7 +16,7 @@ def build(desk: Desk, part: Callable[[Table], None]) -> None:
 
     `part` builds it for the signals of a vehicle.
     """
-    place = ui.column().classes("w-full gap-1")
+    place = ui.column().classes("w-full gap-1 desk-of-vehicle")
     shown: Table | None = None
 
     def follow() -> None:

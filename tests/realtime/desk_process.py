@@ -155,7 +155,7 @@ class Page:
 
     def prepare(self, values):
         """Prepare a bench with values such as `adhesion=leaf_film`; its brakes are released."""
-        self.put("further values, as in adhesion.mu_cd=0.05", f"{FREE_PORTS} {values}")
+        self.put("further values", f"{FREE_PORTS} {values}")
         self.click("Prepare")
         self.shows(": held")
         self.put("brake demand, bar", "0")

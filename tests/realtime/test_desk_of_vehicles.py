@@ -115,7 +115,9 @@ def test_the_desk_shows_the_torque_of_each_motor_and_that_it_is_released(tmp_pat
         # the middle bogie has no motors
         texts = texts_of_motors(desk_page)
         assert texts[3] == texts[4] == ""
-        check_axles(desk_page, ("Motors: torque", "Motors: share", "Brake cylinder pressures"))
+        check_axles(
+            desk_page, ("Motors: braking torque", "Motors: share", "Brake cylinder pressures")
+        )
         desk_page.shows("nodes 16, 48, 17, 49 operational")
 
 
