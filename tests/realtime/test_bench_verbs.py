@@ -382,6 +382,7 @@ def test_the_help_of_bench_marks_which_benchmarks_need_a_clone(capsys):
         "vehicle",
         "start",
         "campaign",
+        "million",
         "merge",
         "evidence",
     }

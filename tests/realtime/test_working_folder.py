@@ -74,6 +74,7 @@ TESTED_ELSEWHERE = {
     "list": "starts no process",
     "import": "starts no process",
     "etcs": "starts no process",
+    "brake-calculation": "starts no process",
     "programme": "plays sequences with the processes of `sequence`, which are tested",
     "completion": "starts no process",
     "manual": "starts no process",
