@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rollerrig.realtime.campaign.stops import ticks_in_lanes
 from rollerrig.realtime.loop import appending, tick
 from rollerrig.realtime.loop.tick import DONE, STOP, TICK, TickData, Units
 from rollerrig.rig import plant, wheelset
@@ -132,20 +133,12 @@ def begin(car, train, number, now):
 def end(car, now):
     """Do what follows the steps of a tick of a car."""
     m = car.m
-    plant.finish(m.state, now, m.params)
-    if car.is_on_bus:
-        plant.observe(m.state, m.params)
-        tick.end(m, now)
+    if not car.is_on_bus:
+        ticks_in_lanes.end(car, m, now)
         return
-    following = now + 1
-    is_read = car.is_observed or following % m.record_ticks == 0
-    if is_read or (car.sync_ticks != 0 and following % car.sync_ticks == 0):
-        plant.observe(m.state, m.params)
-        tick.write_row(m)
-    else:
-        for axle in range(m.params.axles):
-            plant.watch_lock(m.state, axle, m.params)
-    tick.count(m, now)
+    plant.finish(m.state, now, m.params)
+    plant.observe(m.state, m.params)
+    tick.end(m, now)
 
 
 @kernel
