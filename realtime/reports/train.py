@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import write_text, writing
@@ -192,4 +193,6 @@ def _draw_rail(figure: Figure, columns: channels.Columns, summary: Mapping[str, 
     plot = figure.subplots()
     plot.bar(list(axles), means, color=page.BASE)
     plot.set_xlabel("axle")
+    # no halves of axles
+    plot.xaxis.set_major_locator(MaxNLocator(integer=True))
     plot.set_ylabel("mean friction of the contaminant")

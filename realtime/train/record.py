@@ -227,7 +227,7 @@ def summary_of(
         **first,
         "scenario": train.name,
         "title": train.resolved.get("title") or None,
-        "vehicle": None,
+        "vehicle": ", ".join(dict.fromkeys(car.plan["vehicle_set"] for car in train.cars)),
         "config_hash": digest(train),
         "axles": axles,
         "wsp": {

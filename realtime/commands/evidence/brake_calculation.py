@@ -3,7 +3,7 @@
 import argparse
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime.commands import output
@@ -14,15 +14,6 @@ if TYPE_CHECKING:
 _NOTICE = (
     "By mean values after EN 14531-1, with the formulas of RailwayBrakeCalculation; the standard "
     "itself was not at hand."
-)
-_STOP_HEAD = (
-    "from, km/h",
-    "resistance, N",
-    "response time, s",
-    "deceleration, m/s²",
-    "distance, m",
-    "adhesion required",
-    "energy, MJ",
 )
 _UNIT_HEAD = ("brake unit", "number", "force at the rail, N", "response time, s", "mass, kg")
 
@@ -119,7 +110,7 @@ def call(options: argparse.Namespace) -> int:
         options,
         result,
         ("Brake units", _UNIT_HEAD, _unit_rows(vehicle)),
-        (vehicle.title or "Stops", _STOP_HEAD, [_row(found) for found in stops]),
+        (vehicle.title or "Stops", *_stop_table(stops)),
         *lines,
         _NOTICE,
     )
@@ -153,15 +144,17 @@ def _unit_rows(vehicle: "Vehicle") -> list[tuple[str, ...]]:
     ]
 
 
-def _row(found: "Stop") -> tuple[Any, ...]:
-    from rollerrig.rig import brake_calculation
+def _stop_table(stops: "list[Stop]") -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Return head and rows of a table with a column for each stop."""
+    from rollerrig.rig.brake_calculation import KM_H
 
-    return (
-        f"{found.speed_m_s * brake_calculation.KM_H:.1f}",
-        f"{found.resistance_N:.0f}",
-        f"{found.response_s:.3f}",
-        f"{found.deceleration_m_s2:.4f}",
-        f"{found.distance_m:.1f}",
-        f"{found.adhesion:.3f}",
-        f"{found.energy_J / 1e6:.2f}",
+    quantities = (
+        ("running resistance, N", [f"{found.resistance_N:.0f}" for found in stops]),
+        ("response time, s", [f"{found.response_s:.3f}" for found in stops]),
+        ("deceleration, m/s²", [f"{found.deceleration_m_s2:.4f}" for found in stops]),
+        ("distance, m", [f"{found.distance_m:.1f}" for found in stops]),
+        ("adhesion required", [f"{found.adhesion:.3f}" for found in stops]),
+        ("energy, MJ", [f"{found.energy_J / 1e6:.2f}" for found in stops]),
     )
+    head = ("from", *(f"{found.speed_m_s * KM_H:.1f} km/h" for found in stops))
+    return head, [(name, *values) for name, values in quantities]

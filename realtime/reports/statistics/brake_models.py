@@ -36,29 +36,30 @@ def rows(name: str, table: Table) -> list[list[Any]]:
     Factors are lower bounds, rounded down; those of the build-up are bounds, rounded up.
     """
     build_up = table["build_up"]
-    nominal_s = build_up["nominal_s"] if build_up else None
+    nominal_s = None
     of_time: list[float | None] = [None] * len(corrections.LEVELS)
     if build_up:
+        nominal_s = round(build_up["nominal_s"], 3)
         of_time = [1.0]
         for level in build_up["levels"][1:]:
             bound_s = level["bound_s"]
-            of_time.append(None if bound_s is None else _rounded(bound_s / nominal_s, math.ceil))
+            factor = None
+            if bound_s is not None:
+                factor = _rounded(bound_s / build_up["nominal_s"], math.ceil)
+            of_time.append(factor)
     found = []
     for step in table["steps"]:
         bounds = [level["bound"] for level in step["kdry_rst"][1:]]
+        dry = [None if bound is None else _rounded(bound, math.floor) for bound in bounds]
         wet = step["kwet_rst"]
+        on_wet_rails = None
+        if wet and wet["estimate"]:
+            on_wet_rails = _rounded(wet["estimate"], math.floor)
+        speeds_km_h = [step["from_km_h"], step["to_km_h"]]
+        nominal_m_s2 = round(step["nominal_m_s2"], 4)
+        # the nominal model is level 0
         found.append(
-            [
-                name,
-                step["from_km_h"],
-                step["to_km_h"],
-                round(step["nominal_m_s2"], 4),
-                1.0,
-                *(None if bound is None else _rounded(bound, math.floor) for bound in bounds),
-                _rounded(wet["estimate"], math.floor) if wet and wet["estimate"] else None,
-                None if nominal_s is None else round(nominal_s, 3),
-                *of_time,
-            ]
+            [name, *speeds_km_h, nominal_m_s2, 1.0, *dry, on_wet_rails, nominal_s, *of_time]
         )
     return found
 

@@ -95,8 +95,10 @@ def csv_text(table: Table) -> str:
 
 def _page(table: Table) -> str:
     confidence = f"{100 * table['confidence']:g} %"
+    isolated = ", ".join(table["isolates"])
     parts = [
         page.paragraph(table["notice"], kind="note"),
+        *([page.paragraph(f"Isolated: {isolated}.", kind="note")] if isolated else ()),
         page.paragraph(
             f"Kdry_rst by step of speed and confidence level M_NVEBCL: one-sided lower bounds with a "
             f"confidence of {confidence}, rounded down. Kwet_rst: estimate."
@@ -162,7 +164,7 @@ def _build_up(table: Table, confidence: str) -> list[page.Markup]:
         page.table(
             (
                 "M_NVEBCL",
-                "exceeded with the probability of the level, s",
+                "at most, with the probability of the level, s",
                 f"bound of {confidence}, s",
             ),
             rows_of_page,
