@@ -337,7 +337,6 @@ def _train_of(options: argparse.Namespace) -> "Train | None":
             "--start modbus": options.start != "now",
             "--harness": options.harness,
             "--also-without-wsp": options.also_without_wsp,
-            "--fault": bool(options.fault),
         }
     )
     return plan.load(
@@ -345,6 +344,7 @@ def _train_of(options: argparse.Namespace) -> "Train | None":
         options.model,
         tuple(options.set),
         scenario.PYTHON if options.from_python else scenario.COMMAND_LINE,
+        tuple(options.fault),
     )
 
 

@@ -20,6 +20,8 @@ from rollerrig.configs.vehicle import EQUIPMENT_KEYS, MOST_AXLES, TRAIN, axle_po
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.scenario import COMMAND_LINE, Scenario, Sources
+from rollerrig.realtime.train import changes as changes_of
+from rollerrig.realtime.train.changes import Changes, OfCar
 from rollerrig.rig.params import TRACK
 from rollerrig.rig.train import coupler, pipe
 
@@ -164,7 +166,7 @@ def check_options(given: Mapping[str, bool]) -> None:
             raise ConfigError(
                 f"{option}: a train does not have this yet; allowed is --pacing free with the reference "
                 "units or without units, or --pacing lockstep with a unit on the bus of one car; without "
-                "--live, --hold, --start, --harness, --fault and --also-without-wsp"
+                "--live, --hold, --start, --harness and --also-without-wsp"
             )
 
 
@@ -173,15 +175,19 @@ def load(
     model: str = "",
     settings: tuple[str, ...] = (),
     sources: Sources = COMMAND_LINE,
+    faults: tuple[str, ...] = (),
 ) -> Train:
-    """Load a train by name or path; arguments as for `scenario.load`. Raises ConfigError."""
+    """Load a train by name or path; arguments as for `scenario.load`. Raises ConfigError.
+
+    Settings and faults may be of one car, see `changes`.
+    """
     path = find(name)
     if path is None:
         raise ConfigError(
             f"{name}: no train is called so{table.nearest(name, names())}; or give the path of a TOML "
             "file with a table [train]"
         )
-    return read(store.parse(path), path, model, settings, sources)
+    return read(store.parse(path), path, model, settings, sources, faults)
 
 
 def read(
@@ -190,17 +196,16 @@ def read(
     model: str = "",
     settings: tuple[str, ...] = (),
     sources: Sources = COMMAND_LINE,
+    faults: tuple[str, ...] = (),
 ) -> Train:
     """Return a train from the content of its file. Raises ConfigError."""
     shared = {"rig_set": _RIG} if not {"rig", "rig_set"} & set(given) else {}
     shared |= {key: value for key, value in given.items() if key != TRAIN}
     _refuse(shared, str(path))
-    # settings of [train] are read here, all others belong to the cars
-    of_train = [one for one in settings if one.startswith(f"{TRAIN}.")]
-    of_cars = tuple(one for one in settings if one not in of_train)
-    head, rows, emergencies = _checked(given[TRAIN], str(path), of_train)
+    changes = changes_of.read(settings, faults, sources.faults)
+    head, rows, emergencies = _checked(given[TRAIN], str(path), changes)
 
-    loads = _Loads(shared, path, model, of_cars, sources)
+    loads = _Loads(shared, path, model, changes, sources)
     loads.fix_adhesion(loads.plan(*rows[0], 1))
     plans = [loads.plan(row, tables, number) for number, (row, tables) in enumerate(rows, 1)]
     demand = plans[0].resolved["demand"]
@@ -233,7 +238,7 @@ Row = tuple[dict[str, Any], dict[str, Any]]
 
 
 def _checked(
-    given: Any, where: str, settings: Sequence[str]
+    given: Any, where: str, changes: Changes
 ) -> tuple[dict[str, Any], list[Row], list[dict[str, Any]]]:
     """Return [train], its cars with their own tables, and its emergency valves, all checked."""
     at = f"{where} [train]"
@@ -242,7 +247,7 @@ def _checked(
     keys = {row.name for row in HEAD}
     table.known(given, [*keys, *LISTS], lambda key: at)
     head_given = {key: value for key, value in given.items() if key in keys}
-    head_given |= scenario.settings_of(settings, TRAIN)
+    head_given |= scenario.settings_of(changes.train, TRAIN)
     head = table.read(HEAD, head_given, at)
 
     lists: dict[str, list[Mapping[str, Any]]] = {}
@@ -261,7 +266,7 @@ def _checked(
             content["vehicle_set"] = content.pop("vehicle")
         table.known(content, [*car_keys, *scenario.SECTIONS, FAULT], lambda key, here=here: here)
         own = {key: content[key] for key in content if key not in car_keys}
-        shared_by_all = [key for key in ("loop", "bus", "modbus", "rig") if key in own]
+        shared_by_all = [key for key in changes_of.SHARED if key in own]
         if shared_by_all:
             raise ConfigError(
                 f"{here}: [{shared_by_all[0]}] is the same for all cars; write it at the top of the file"
@@ -270,6 +275,10 @@ def _checked(
         rows += [({**row, "count": 1}, own) for _ in range(row["count"])]
     if not 1 <= len(rows) <= MOST_CARS:
         raise ConfigError(f"{at} has {len(rows)} cars; allowed are 1 to {MOST_CARS} [[train.car]]")
+    changes.check(len(rows), CAR, where)
+    for number, of_car in changes.by_car.items():
+        row, own = rows[number - 1]
+        rows[number - 1] = table.read(CAR, {**row, **of_car.keys}, f"{where} car_{number}"), own
     emergencies = [
         table.read(EMERGENCY, one, f"{where} [[train.emergency]] {place}")
         for place, one in enumerate(lists["emergency"], start=1)
@@ -288,13 +297,14 @@ class _Loads:
         shared: Mapping[str, Any],
         path: Path,
         model: str,
-        settings: tuple[str, ...],
+        changes: Changes,
         sources: Sources,
     ) -> None:
         self._shared = shared
         self._path = path
         self._model = model
-        self._settings = settings
+        self._settings = changes.shared
+        self._by_car = changes.by_car
         self._sources = sources
         self._made: dict[str, Scenario] = {}
 
@@ -316,7 +326,8 @@ class _Loads:
 
     def plan(self, row: Mapping[str, Any], own: Mapping[str, Any], number: int) -> Scenario:
         """Return the scenario of a car without its load. Raises ConfigError."""
-        key = repr((row["vehicle_set"], row["wsp_config"], own))
+        changed: OfCar = self._by_car.get(number, changes_of.NOTHING)
+        key = repr((row["vehicle_set"], row["wsp_config"], own, changed.settings, changed.faults))
         if key not in self._made:
             given = dict(self._shared)
             if row["vehicle_set"]:
@@ -334,7 +345,12 @@ class _Loads:
                 if isinstance(earlier, str):
                     given[f"{section}_set"] = earlier
             plan = scenario.read(
-                given, self._path, self._model, self._settings, sources=self._sources
+                given,
+                self._path,
+                self._model,
+                (*self._settings, *changed.settings),
+                faults=changed.faults,
+                sources=self._sources,
             )
             _check_car(plan, f"{self._path} car {number}")
             self._made[key] = plan

@@ -2,7 +2,8 @@
 
 The folder of the train has what concerns all cars; the folders car_1, car_2 ... in it are the
 records of the cars, as `rollerrig run` writes them for one vehicle. A quantity of car n has the
-prefix car_n_, and axles count through.
+prefix car_n_, and axles count through. A `Recorder` writes channels and events while the run goes
+on, so a run that is killed keeps them, as that of a vehicle does.
 """
 
 import contextlib
@@ -114,35 +115,89 @@ def train_channels(train: Train, samples: Samples) -> dict[str, np.ndarray]:
     return found
 
 
-def write(stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: int = 0) -> dict[str, Any]:
-    """Write channels and summaries of a run that is done; return the summary of the train.
+class Recorder:
+    """Writes the channels and events of a stop into its folder while it goes on.
 
-    `counters` are those of `summary.of`. The bench has written the record of the car `on_bus`.
-    Raises ConfigError.
+    The bench writes those of the car `on_bus`. A train with such a car gets its own channels at the
+    end, because they need those of all cars.
     """
-    train = stop.train
-    samples = stop.samples()
-    if on_bus:
-        samples = _with_recorded(samples, folder_of_car(folder, on_bus), on_bus)
-    of_cars = []
-    for number, (car, one) in enumerate(zip(train.cars, samples.cars, strict=True), start=1):
-        of_car = folder_of_car(folder, number)
-        if number == on_bus:
-            of_cars.append(records.summary(of_car))
-            continue
-        of_stop = stop.cars[number - 1]
-        events = of_stop.events if of_stop else []
-        result = _summary_of_car(train, car, number, one, counters, events)
-        result["events"] = [event._asdict() for event in events]
-        of_cars.append(result)
-        lines = [json.dumps(event._asdict()) + "\n" for event in events]
-        write_text(of_car / run_folder.EVENTS, "".join(lines))
-        _write_channels(of_car, one, result)
-        records.write_summary(of_car, result)
-    result = summary_of(stop, samples, of_cars, counters, on_bus)
-    _write_channels(folder, train_channels(train, samples), result)
-    records.write_summary(folder, result)
-    return result
+
+    def __init__(self, stop: Stop, folder: Path, on_bus: int = 0) -> None:
+        self._stop = stop
+        self._folder = folder
+        self._on_bus = on_bus
+        self._rows = 0
+        self._cars: dict[int, channels.Channels] = {}
+        self._events = dict.fromkeys(range(1, len(stop.cars) + 1), 0)
+        samples = stop.samples()
+        for number, one in enumerate(samples.cars, start=1):
+            if number != on_bus:
+                of_car = folder_of_car(folder, number)
+                self._cars[number] = channels.Channels(of_car, list(one))
+                write_text(of_car / run_folder.EVENTS, "")
+        self._train: channels.Channels | None = None
+        if not on_bus:
+            names = list(train_channels(stop.train, samples))
+            self._train = channels.Channels(folder, names)
+
+    def add(self) -> None:
+        """Write what has been recorded since the last call."""
+        samples = self._stop.samples()
+        new = samples.between(self._rows, len(samples.pipe_Pa))
+        self._rows = len(samples.pipe_Pa)
+        for number, written in self._cars.items():
+            _add(written, new.cars[number - 1])
+            written.write_if_due()
+            self._add_events(number)
+        if self._train:
+            _add(self._train, train_channels(self._stop.train, new))
+            self._train.write_if_due()
+
+    def _add_events(self, number: int) -> None:
+        of_stop = self._stop.cars[number - 1]
+        events = of_stop.events[self._events[number] :] if of_stop else []
+        if events:
+            path = folder_of_car(self._folder, number) / run_folder.EVENTS
+            with path.open("a", encoding="utf-8") as file:
+                file.writelines(json.dumps(event._asdict()) + "\n" for event in events)
+            self._events[number] += len(events)
+
+    def finish(self, counters: Mapping[str, Any]) -> dict[str, Any]:
+        """Complete the record of a stop that is done; return the summary of the train.
+
+        `counters` are those of `summary.of`. Raises ConfigError.
+        """
+        self.add()
+        folder, on_bus, train = self._folder, self._on_bus, self._stop.train
+        samples = self._stop.samples()
+        if on_bus:
+            samples = _with_recorded(samples, folder_of_car(folder, on_bus), on_bus)
+        of_cars = []
+        for number, (car, one) in enumerate(zip(train.cars, samples.cars, strict=True), start=1):
+            of_car = folder_of_car(folder, number)
+            if number == on_bus:
+                of_cars.append(records.summary(of_car))
+                continue
+            of_stop = self._stop.cars[number - 1]
+            events = of_stop.events if of_stop else []
+            result = _summary_of_car(train, car, number, one, counters, events)
+            result["events"] = [event._asdict() for event in events]
+            of_cars.append(result)
+            self._cars[number].finish(played.of_summary(result).texts())
+            records.write_summary(of_car, result)
+        result = summary_of(self._stop, samples, of_cars, counters, on_bus)
+        if self._train is None:
+            columns = train_channels(train, samples)
+            self._train = channels.Channels(folder, list(columns))
+            _add(self._train, columns)
+        self._train.finish(played.of_summary(result).texts())
+        records.write_summary(folder, result)
+        return result
+
+
+def _add(written: channels.Channels, columns: Mapping[str, np.ndarray]) -> None:
+    """Add the rows of columns, (n,) each, in their order."""
+    written.add(np.column_stack(list(columns.values())))
 
 
 def _with_recorded(samples: Samples, of_car: Path, number: int) -> Samples:
@@ -151,21 +206,7 @@ def _with_recorded(samples: Samples, of_car: Path, number: int) -> Samples:
     recorded = {name: channels.values(columns[name]) for name in columns}
     cars = list(samples.cars)
     cars[number - 1] = recorded
-    count = min(len(one["time_s"]) for one in cars)
-    return Samples(
-        cars=[{name: values[:count] for name, values in one.items()} for one in cars],
-        force_N=samples.force_N[:count],
-        displacement_m=samples.displacement_m[:count],
-        pipe_Pa=samples.pipe_Pa[:count],
-    )
-
-
-def _write_channels(
-    folder: Path, columns: Mapping[str, np.ndarray], result: Mapping[str, Any]
-) -> None:
-    written = channels.Channels(folder, list(columns))
-    written.add(np.column_stack(list(columns.values())))
-    written.finish(played.of_summary(result).texts())
+    return samples._replace(cars=cars).common
 
 
 def _summary_of_car(

@@ -30,17 +30,19 @@ def record_free(
     seed: int,
     on_progress: Callable[[Progress], None],
 ) -> dict[str, Any]:
-    """Run a train to its end without a bus, write its folder, and return its summary.
+    """Run a train to its end without a bus, write its folder meanwhile, and return its summary.
 
     `unit`: "reference" or "none". Raises ConfigError.
     """
     record.begin(train, out)
     stop = Stop(train, unit, seed)
+    recorder = record.Recorder(stop, out)
     while not stop.is_done:
         stop.run(_TICKS)
+        recorder.add()
         on_progress(stop.progress())
     stop.end()
-    return record.write(stop, out, counters(stop, unit, seed, "free"))
+    return recorder.finish(counters(stop, unit, seed, "free"))
 
 
 def record_on_bus(
@@ -79,7 +81,7 @@ def record_on_bus(
         failure = error
     stop.end()
     of_run = counters(stop, plan.REFERENCE, options.seed, options.pacing)
-    result = record.write(stop, out, of_run, car)
+    result = record.Recorder(stop, out, car).finish(of_run)
     if failure is not None:
         raise failure
     return result

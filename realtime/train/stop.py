@@ -42,6 +42,21 @@ class Samples(NamedTuple):
     displacement_m: np.ndarray
     pipe_Pa: np.ndarray
 
+    @property
+    def common(self) -> "Samples":
+        """The samples as far as all cars have them."""
+        return self.between(0, min(len(one["time_s"]) for one in self.cars))
+
+    def between(self, first: int, end: int) -> "Samples":
+        """Return the samples from `first` to the one before `end`."""
+        part = slice(first, end)
+        return Samples(
+            cars=[{name: values[part] for name, values in one.items()} for one in self.cars],
+            force_N=self.force_N[part],
+            displacement_m=self.displacement_m[part],
+            pipe_Pa=self.pipe_Pa[part],
+        )
+
 
 class Stop:
     """One stop of a train.

@@ -1,6 +1,10 @@
 """`rollerrig run` with a train: its folder, channels and report, and the options it refuses."""
 
 import json
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +14,7 @@ from rollerrig.realtime import cli
 from rollerrig.realtime.commands import output
 from rollerrig.realtime.record import channels, records, run_folder
 
+PROGRAM = Path(sys.executable).with_name("rollerrig")
 # a short stop of a packaged train
 WORDS = ("run", "four_car_unit", "--pacing", "free", "--set", "initial_speed_m_s=10", "--json")
 
@@ -111,7 +116,6 @@ def test_without_units_wheels_slide_more(tmp_path, capsys):
     [
         (("--pacing", "wall"), "--pacing wall: a train does not have this yet"),
         (("--pacing", "free", "--live"), "--live: a train does not have this yet"),
-        (("--pacing", "free", "--fault", "bus_off node=1 at=1"), "--fault: a train does not"),
         (("--pacing", "free", "--also-without-wsp"), "--also-without-wsp: a train does not"),
     ],
 )
@@ -128,3 +132,88 @@ def test_a_report_is_of_a_train_only(tmp_path):
 
     with pytest.raises(ConfigError, match="is not the run of a train"):
         train.write(tmp_path)
+
+
+def test_a_free_run_that_is_killed_keeps_what_was_recorded(tmp_path):
+    folder = tmp_path / "run"
+    words = ("run", "five_coaches", "--pacing", "free", "--set", "adhesion.mu_cd=0.01")
+    run_of_train = subprocess.Popen(
+        [PROGRAM, *words, "--set", "duration_max_s=3600", "--out", str(folder)],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        until(lambda: last_time_s(folder) > 20.0, run_of_train)
+    finally:
+        run_of_train.kill()
+        run_of_train.wait()
+    assert not (folder / run_folder.SUMMARY).exists()
+    train = records.load(folder)
+    car = records.load(folder / "car_3")
+    time_s = train.column("time_s")
+    assert time_s[-1] > 20.0
+    assert np.all(np.diff(time_s) > 0.0)
+    assert np.all(np.diff(train.column("vehicle_speed_m_s")) < 1e-3)
+    # an axle of the train is one of the car, as far as both were written
+    count = min(len(time_s), car.table.num_rows)
+    sliding = train.column("sliding_9_m_s")[:count]
+    assert np.array_equal(sliding, car.column("sliding_1_m_s")[:count])
+    # what was recorded is that of a run that is not killed
+    whole = tmp_path / "whole"
+    end = ("--set", f"duration_max_s={time_s[-1]:g}")
+    assert cli.main([*words, *end, "--out", str(whole)]) == output.INVALID
+    same = records.load(whole).column("coupler_2_N")[: len(time_s)]
+    assert np.array_equal(same, train.column("coupler_2_N")[: len(same)])
+
+
+def last_time_s(folder):
+    try:
+        time_s = records.load(folder).column("time_s")
+    except ConfigError:
+        return 0.0
+    return float(time_s[-1]) if len(time_s) else 0.0
+
+
+def until(condition, process):
+    while not condition():
+        assert process.poll() is None, "the run has ended before it was killed"
+        time.sleep(0.1)
+
+
+def test_values_and_faults_of_one_car_are_given_on_the_command_line(tmp_path, capsys):
+    folder = tmp_path / "run"
+    status, result = run(
+        folder,
+        capsys,
+        *("--set", "car_2.load_kg=9000", "--set", "car_3.isolated=true"),
+        *("--set", "car_4.brake.pad_friction=0.2"),
+        *("--fault", "speed_sensor_dropout car=1 axle=2 at=0.5"),
+    )
+    assert status == output.PASS
+    masses = [car["mass_kg"] for car in result["cars"]]
+    assert masses[1] == masses[3] + 9000.0
+    assert result["cars"][2]["demand_begins_s"] is None
+    scenarios = [records.load(folder / f"car_{number}").scenario for number in (1, 4)]
+    assert [one["brake"]["pad_friction"] for one in scenarios] == [0.35, 0.2]
+    assert [(one["car"], one["code"]) for one in result["events"]] == [(1, "fault.begins")]
+    # the resolved train has the changes, so that it repeats the run
+    again = tmp_path / "again"
+    words = ("run", str(folder / run_folder.SCENARIO), "--pacing", "free", "--out", str(again))
+    assert cli.main(words) == output.PASS
+    assert records.summary(again)["braking_distance_m"] == result["braking_distance_m"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--set", "car_9.load_kg=1"), "car 9: it has the cars 1 to 4"),
+        (("--set", "car_2.speed=1"), "unknown key 'speed'"),
+        (("--set", "car_2.loop.tick_hz=500"), "[loop] is the same for all cars"),
+        (("--fault", "speed_sensor_dropout axle=1"), "write car=N once"),
+        (("--fault", "speed_sensor_dropout car=2 axle=5"), "axle"),
+        (("--fault", "bus_off node=1 at=1 car=2"), "bus_off"),
+    ],
+)
+def test_wrong_values_of_a_car_are_refused(words, message, tmp_path, capsys):
+    assert cli.main([*WORDS, *words, "--out", str(tmp_path / "run")]) == output.USAGE
+    assert message in " ".join(capsys.readouterr().err.split())
