@@ -21,7 +21,7 @@ import tomli_w
 from rollerrig.configs import output_files, store, user_files
 from rollerrig.configs.errors import BusError, ConfigError, RollerrigError, UnitError
 from rollerrig.configs.processes import children, exits
-from rollerrig.configs.vehicle import EQUIPMENT_KEYS, Kind, kind_of
+from rollerrig.configs.vehicle import EQUIPMENT_KEYS, TRAIN, Kind, kind_of
 from rollerrig.wsp_interface import unit_choice
 from rollerrig.wsp_interface.bus import buses, plugin
 from rollerrig.wsp_interface.bus.sdo_client import RefusedError
@@ -59,8 +59,8 @@ def scenario_of(
     ([vehicle], [[friction]] ...), whose keys replace those of the scenario. `title` replaces the
     title, which describes another run. Raises ConfigError.
     """
-    packaged, _ = store.load("scenarios", name or DEFAULT_SCENARIO)
-    scenario = dict(packaged) | _LONG_RUN
+    packaged, _ = load(name)
+    scenario = dict(packaged) | (_LONG_RUN if TRAIN not in packaged else {})
     scenario.pop("demand", None)
     scenario["title"] = title
 
@@ -86,12 +86,24 @@ def scenario_of(
     return scenario
 
 
+def load(name: str) -> tuple[dict[str, Any], Path]:
+    """Return the content of a scenario or train, and its file; "": the default scenario.
+
+    Raises ConfigError.
+    """
+    kind = "trains" if name in store.names("trains") else "scenarios"
+    return store.load(kind, name or DEFAULT_SCENARIO)
+
+
 def kind_of_scenario(name: str, tables: Mapping[str, Any], where: str) -> Kind:
     """Return the kind of the vehicle of a scenario: a packaged one, or a file, with changes.
 
-    `tables` are those of `scenario_of`. `where` begins messages. Raises ConfigError.
+    Of a train it is the kind of the first car. `tables` are those of `scenario_of`. `where` begins
+    messages. Raises ConfigError.
     """
-    packaged, path = store.load("scenarios", name or DEFAULT_SCENARIO)
+    packaged, path = load(name)
+    if TRAIN in packaged:
+        packaged = _first_car(packaged)
     layers = []
     for key, folder in _SETS.items():
         chosen = _set_name(key, (tables, packaged))
@@ -105,6 +117,14 @@ def kind_of_scenario(name: str, tables: Mapping[str, Any], where: str) -> Kind:
             if isinstance(values, Mapping):
                 merged.setdefault(section, {}).update(values)
     return kind_of(merged, where)
+
+
+def _first_car(train: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a train as a scenario of its first car alone, as far as its vehicle is concerned."""
+    cars = train[TRAIN].get("car") if isinstance(train[TRAIN], Mapping) else None
+    first = cars[0] if isinstance(cars, list) and cars else {}
+    own = {key: first[key] for key in ("vehicle", "vehicle_set") if key in first}
+    return {**train, **own}
 
 
 def _set_name(key: str, layers: Iterable[Mapping[str, Any]]) -> str:

@@ -67,9 +67,17 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--pacing",
-        choices=("lockstep", "wall"),
+        choices=("lockstep", "wall", "free"),
         default="lockstep",
-        help="pacing of the benches that are started (default: lockstep, which is repeatable)",
+        help="pacing of the benches that are started (default: lockstep, which is repeatable); free: "
+        "trains only, without a bus",
+    )
+    parser.add_argument(
+        "--car",
+        type=int,
+        default=1,
+        metavar="N",
+        help="the car of a train that has the bus with the unit, from the front (default: 1)",
     )
     parser.add_argument(
         "--wsp",
@@ -290,7 +298,8 @@ def load(names: list[str]) -> "list[Sequence]":
     for sequence in sequences:
         try:
             of_bench = scenario_of(sequence)
-            for step in sequence.steps:
+            # the faults of a train are checked with its cars
+            for step in sequence.steps if not sequence.is_train else ():
                 for text in step.faults:
                     fault = _fault(text, of_bench.kind)
                     catalogue.check_equipped(fault, of_bench.resolved, f"line {step.line} [[step]]")
@@ -326,9 +335,16 @@ def _find(names: list[str]) -> list[Path]:
 
 
 def scenario_of(sequence: "Sequence") -> "Scenario":
-    """Return the scenario of the bench that a sequence needs. Raises ConfigError."""
+    """Return the scenario of the bench that a sequence needs; of a train that of its first car.
+
+    Raises ConfigError.
+    """
     from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.train import sequences as of_train
     from rollerrig.wsp_interface import own_bench
+
+    if sequence.is_train:
+        return of_train.train_of(sequence).cars[0].plan
 
     data = own_bench.scenario_of(
         name=sequence.scenario,
@@ -338,6 +354,16 @@ def scenario_of(sequence: "Sequence") -> "Scenario":
         title=sequence.title,
     )
     return scenario.read(data, Path(sequence.path.name))
+
+
+def digest_of(sequence: "Sequence") -> str:
+    """Return a hash of the scenario of a sequence, which may be a train. Raises ConfigError."""
+    from rollerrig.realtime.bench import scenario
+    from rollerrig.realtime.train import sequences as of_train
+
+    if sequence.is_train:
+        return of_train.digest(sequence)
+    return scenario.digest(scenario_of(sequence))
 
 
 def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> None:
@@ -358,6 +384,16 @@ def check_options(options: argparse.Namespace, sequences: "list[Sequence]") -> N
             f"--bus plays exactly one sequence on a running bench, and {len(sequences)} are given; "
             "give the name of one sequence"
         )
+    for sequence in sequences:
+        if sequence.is_train and options.bus:
+            raise ConfigError(
+                f"--bus: {sequence.name} is played with a train, which is started for it; leave --bus out"
+            )
+        if options.pacing == "free" and not sequence.is_train:
+            raise ConfigError(
+                f"--pacing free: {sequence.name} commands a vehicle over its bus; allowed are lockstep and "
+                "wall"
+            )
     if options.repeat < 1:
         raise ConfigError(f"--repeat {options.repeat}: allowed are numbers from 1")
     if options.repeat > 1 and options.bus:
@@ -538,6 +574,8 @@ def play(sequence: "Sequence", options: argparse.Namespace, observer: "Observer"
     begun_s = time.monotonic()
     if options.bus:
         outcome = _play_on_running_bench(sequence, options, folder, observer)
+    elif sequence.is_train:
+        outcome = _play_with_train(sequence, options, folder)
     else:
         outcome = _play_on_new_bench(sequence, options, folder, observer)
     outcome.wall_s = time.monotonic() - begun_s
@@ -555,6 +593,27 @@ def _play_on_running_bench(
     harness = harness_client.connect(options.bus)
     return player.on_running_bench(
         sequence, harness, folder, scenario, dry_stop.distance_m, observer
+    )
+
+
+def _play_with_train(sequence: "Sequence", options: argparse.Namespace, folder: Path) -> "Outcome":
+    from rollerrig.realtime.train import sequences as of_train
+    from rollerrig.wsp_interface import unit_choice
+
+    run_arguments: tuple[str, ...] = ()
+    if options.unit:
+        run_arguments += ("--unit", options.unit)
+    if options.unit_map:
+        run_arguments += ("--unit-map", str(options.unit_map))
+    return of_train.play_one(
+        sequence,
+        folder,
+        options.pacing,
+        options.car,
+        seed=options.seed + sequence.repetition,
+        wsp=options.wsp,
+        arguments=run_arguments,
+        allowed=unit_choice.AllowList.of(options.allow_unit),
     )
 
 

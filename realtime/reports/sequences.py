@@ -26,11 +26,13 @@ from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.realtime.record import played, records, run_folder
 from rollerrig.realtime.record.summary import finite
 from rollerrig.realtime.reports import friction_changes, page, pdf, stop
+from rollerrig.realtime.reports import train as train_report
 from rollerrig.realtime.reports.page import Markup, element, folded, paragraph, table
 from rollerrig.wsp_interface.events import Code
 from rollerrig.wsp_interface.sequences import measures
 from rollerrig.wsp_interface.sequences import verdict as verdict_of
 from rollerrig.wsp_interface.sequences.play import Outcome
+from rollerrig.wsp_interface.sequences.record import Record
 from rollerrig.wsp_interface.sequences.verdict import DISCLAIMER, Result, Verdict, worst
 
 # names of the files
@@ -172,7 +174,7 @@ def figures(outcome: Outcome) -> dict[str, float]:
     if not outcome.record:
         return {}
     found = {}
-    for measure in measures.MEASURES:
+    for measure in measures.of_kind(bool(outcome.record.train)):
         with contextlib.suppress(KeyError, IndexError, ValueError):
             found[measure.name] = float(measure.of(outcome.record))  # type: ignore[arg-type]
     return {name: value for name, value in found.items() if math.isfinite(value)}
@@ -181,7 +183,7 @@ def figures(outcome: Outcome) -> dict[str, float]:
 def _measured(outcome: Outcome) -> dict[str, float | None]:
     """Return the measures of sliding by the speed sensors; an unknown value is null."""
     record = outcome.record
-    if record is None or not len(record.columns["time_s"]):
+    if record is None or record.train or not len(record.columns["time_s"]):
         return {}
     found = measures.as_measured(record)
     return {name: finite(value) for name, value in found.items()}
@@ -321,6 +323,8 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
     """
     if not outcome.record:
         return {}
+    if outcome.record.train:
+        return _conditions_of_train(outcome.record)
     scenario = outcome.record.scenario
     vehicle = scenario["vehicle"]
     adhesion = scenario["adhesion"]
@@ -346,6 +350,20 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
     if changed:
         conditions["changed friction"] = friction_changes.text(changed)
     return conditions
+
+
+def _conditions_of_train(record: Record) -> dict[str, str]:
+    """Return the train, its load, speed, adhesion and gradient."""
+    train = record.train["train"]
+    scenario = record.scenario
+    return {
+        "train": f"{train['cars']} cars, {train['length_m']:.0f} m, {train['control']}",
+        "vehicles": str(record.train["vehicle"]),
+        "load": f"{train['mass_kg'] / 1e3:g} t in all",
+        "initial speed": f"{3.6 * record.columns['vehicle_speed_m_s'][0]:.0f} km/h",
+        "adhesion": str(scenario.get("adhesion_set", played.NOT_STATED)),
+        "gradient": _gradient(scenario["mechanisms"]["track_gradient_gradient"]),
+    }
 
 
 def _gradient(rise: float) -> str:
@@ -427,7 +445,10 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
     )
 
     record = outcome.record
-    if record is not None and len(record.columns["time_s"]) > 1:
+    if record is not None and record.train:
+        parts.append(paragraph(train_report.sentence(record.train)))
+        parts += train_report.parts(outcome.folder, record.train)
+    elif record is not None and len(record.columns["time_s"]) > 1:
         parts.append(table(*stop.axles(record)))
         parts.append(paragraph(element("small", stop.lock_note(record))))
         parts.append(stop.picture(stop.motion_of_record(record), marks(outcome)))
@@ -503,7 +524,7 @@ def marks(outcome: Outcome) -> list[stop.Mark]:
         if event.code == Code.SEQUENCE_STEP:
             found.append(stop.Mark(event.time_s, stop.STEP, event.fields["title"]))
     found += stop.fault_marks(outcome.events) or _commanded_faults(outcome)
-    if outcome.record is not None:
+    if outcome.record is not None and not outcome.record.train:
         column = outcome.record.columns.__getitem__
         found += stop.friction_marks(outcome.record.scenario, outcome.events, column)
     return sorted(found)

@@ -84,11 +84,18 @@ def sentence(summary: Mapping[str, Any]) -> str:
 
 
 def _page(folder: Path, summary: Mapping[str, Any]) -> str:
-    columns = channels.Columns(folder)
     return page.page(
         summary["title"] or summary["scenario"],
         page.paragraph(sentence(summary)),
         page.facts(played.of_summary(summary).facts()),
+        *parts(folder, summary),
+    )
+
+
+def parts(folder: Path, summary: Mapping[str, Any]) -> list[page.Markup]:
+    """Return tables and pictures of the cars, the couplers and the rail of a recorded train."""
+    columns = channels.Columns(folder)
+    return [
         page.element("h2", "Cars"),
         page.table(_CARS_HEAD, _car_rows(summary)),
         page.picture(lambda figure: _draw_sliding(figure, columns, summary), _SIZE_IN),
@@ -101,7 +108,7 @@ def _page(folder: Path, summary: Mapping[str, Any]) -> str:
             "ahead have cleaned the rail."
         ),
         page.picture(lambda figure: _draw_rail(figure, columns, summary), _SIZE_IN),
-    )
+    ]
 
 
 def _car_rows(summary: Mapping[str, Any]) -> list[list[str]]:

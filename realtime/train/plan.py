@@ -276,9 +276,9 @@ def _checked(
     if not 1 <= len(rows) <= MOST_CARS:
         raise ConfigError(f"{at} has {len(rows)} cars; allowed are 1 to {MOST_CARS} [[train.car]]")
     changes.check(len(rows), CAR, where)
-    for number, of_car in changes.by_car.items():
-        row, own = rows[number - 1]
-        rows[number - 1] = table.read(CAR, {**row, **of_car.keys}, f"{where} car_{number}"), own
+    for car, changed in changes.by_car.items():
+        row, own = rows[car - 1]
+        rows[car - 1] = table.read(CAR, {**row, **changed.keys}, f"{where} car_{car}"), own
     emergencies = [
         table.read(EMERGENCY, one, f"{where} [[train.emergency]] {place}")
         for place, one in enumerate(lists["emergency"], start=1)

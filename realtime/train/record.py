@@ -155,12 +155,11 @@ class Recorder:
 
     def _add_events(self, number: int) -> None:
         of_stop = self._stop.cars[number - 1]
-        events = of_stop.events[self._events[number] :] if of_stop else []
-        if events:
-            path = folder_of_car(self._folder, number) / run_folder.EVENTS
-            with path.open("a", encoding="utf-8") as file:
-                file.writelines(json.dumps(event._asdict()) + "\n" for event in events)
-            self._events[number] += len(events)
+        events = of_stop.events if of_stop else []
+        if len(events) > self._events[number]:
+            lines = [json.dumps(event._asdict()) + "\n" for event in events]
+            write_text(folder_of_car(self._folder, number) / run_folder.EVENTS, "".join(lines))
+            self._events[number] = len(events)
 
     def finish(self, counters: Mapping[str, Any]) -> dict[str, Any]:
         """Complete the record of a stop that is done; return the summary of the train.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.realtime.campaign.stops import ticks_in_lanes
+from rollerrig.realtime.loop import ticks_in_lanes
 from rollerrig.realtime.loop import appending, tick
 from rollerrig.realtime.loop.tick import DONE, STOP, TICK, TickData, Units
 from rollerrig.rig import plant, wheelset

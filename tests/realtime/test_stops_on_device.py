@@ -19,7 +19,8 @@ from rollerrig.configs.processes.without import without
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.campaign import campaign
-from rollerrig.realtime.campaign.stops import stops_in_lanes, ticks_in_lanes, ticks_on_device
+from rollerrig.realtime.campaign.stops import stops_in_lanes, ticks_on_device
+from rollerrig.realtime.loop import ticks_in_lanes
 from rollerrig.rig import many_rigs
 from rollerrig.rig.compiled import device, record_type
 from rollerrig.rig.state import SIZE

@@ -27,12 +27,13 @@ one gradient; if the demand changes, [M1] uses the largest one.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import (
     brake_factors,
     brake_torque_Nm_Pa,
@@ -367,6 +368,31 @@ def _ratio(value: float, base: float) -> float:
     return value / base if base > 0.0 else NAN
 
 
+def _coupler_kN(record: Record, sign: float) -> float:
+    """Return the largest force of a coupler in kN: 1.0 tension, -1.0 compression.
+
+    Of a whole stop it is that of every step of the physics, between bounds of speed that of the
+    samples. 0 for a train without couplers.
+    """
+    if not record.bounded:
+        key = "tension_max_N" if sign > 0.0 else "compression_max_N"
+        return 1e-3 * max([0.0, *(sign * one[key] for one in record.train["couplers"])])
+    names = [f"coupler_{number}_N" for number in range(1, len(record.train["couplers"]) + 1)]
+    return 1e-3 * max([0.0, *(float((sign * record.braked(name)).max()) for name in names)])
+
+
+def _distance_over_alone(record: Record) -> float:
+    """Return the stopping distance of a train over that of its first braked car alone."""
+    alone_m = (record.train["alone"] or {}).get("braking_distance_m") or 0.0
+    return _ratio(_until_standstill(record, "position_m"), alone_m)
+
+
+# what has a measure
+VEHICLE = "vehicle"
+TRAIN = "train"
+BOTH = "both"
+
+
 @dataclass(frozen=True)
 class Measure:
     """One row.
@@ -376,6 +402,7 @@ class Measure:
     of: computes it; NaN if it could not be measured.
     absent: why a run may have no value without an error; "" if it must have one.
     whole: why it cannot be computed between bounds of speed; "" if it can.
+    has: what has this measure: VEHICLE, TRAIN or BOTH.
     """
 
     name: str
@@ -385,6 +412,7 @@ class Measure:
     of: Callable[[Record], float]
     absent: str = ""
     whole: str = ""
+    has: str = VEHICLE
 
     def meaning(self, record: Record) -> str:
         """Return the text with the values of the scenario of a record."""
@@ -402,6 +430,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "from the first brake demand to standstill",
         lambda r: _until_standstill(r, "position_m"),
+        has=BOTH,
     ),
     Measure(
         "stop_time",
@@ -409,6 +438,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "from the first brake demand to standstill",
         lambda r: _until_standstill(r, "time_s"),
+        has=BOTH,
     ),
     Measure(
         "stop_distance_over_reference",
@@ -443,6 +473,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "longest lock of a wheelset above {rig[lock_above_m_s]:g} m/s, or between the bounds of speed",
         _longest_lock_s,
+        has=BOTH,
     ),
     Measure(
         "locked_distance",
@@ -450,6 +481,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "distance that the worst wheelset ran locked, at any speed",
         _locked_distance_m,
+        has=BOTH,
     ),
     Measure(
         "longest_deep_slide",
@@ -458,6 +490,7 @@ MEASURES: tuple[Measure, ...] = (
         "longest time for which one wheelset turned at less than half of the vehicle's speed, above "
         "{rig[lock_above_m_s]:g} m/s or between the bounds of speed; a lock is a part of it",
         _longest_deep_slide_s,
+        has=BOTH,
     ),
     Measure(
         "sliding_max",
@@ -465,6 +498,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "largest sliding of a wheelset",
         lambda r: largest_m_s(sliding(r)),
+        has=BOTH,
     ),
     Measure(
         "sliding_mean",
@@ -472,6 +506,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "mean sliding of the worst wheelset",
         lambda r: mean_of_worst_m_s(sliding(r)),
+        has=BOTH,
     ),
     Measure(
         "air_consumption",
@@ -505,6 +540,7 @@ MEASURES: tuple[Measure, ...] = (
         "mean adhesion of all axles while the WSP acts",
         _utilised_adhesion,
         "the WSP did not act",
+        has=BOTH,
     ),
     Measure(
         "utilised_over_initial_adhesion",
@@ -561,6 +597,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "number of times that a dump valve began to vent, all axles",
         _vents,
+        has=BOTH,
     ),
     Measure(
         "vents_per_second",
@@ -568,6 +605,7 @@ MEASURES: tuple[Measure, ...] = (
         0.0,
         "number of times a second that the dump valve of the busiest axle began to vent",
         _vents_per_second,
+        has=BOTH,
     ),
     Measure(
         "vents_without_sliding",
@@ -607,5 +645,46 @@ MEASURES: tuple[Measure, ...] = (
         _full_brake_after_s,
         whole="it begins at the fault, at whatever speed",
     ),
+    Measure(
+        "stop_distance_over_alone",
+        "",
+        0.0,
+        "stop distance of a train over that of its first braked car alone, on the same rail",
+        _distance_over_alone,
+        whole=_OF_WHOLE_STOP,
+        has=TRAIN,
+    ),
+    Measure(
+        "coupler_tension",
+        "kN",
+        0.0,
+        "largest tension in a coupler of a train",
+        lambda r: _coupler_kN(r, 1.0),
+        has=TRAIN,
+    ),
+    Measure(
+        "coupler_compression",
+        "kN",
+        0.0,
+        "largest compression in a coupler of a train, as a positive number",
+        lambda r: _coupler_kN(r, -1.0),
+        has=TRAIN,
+    ),
 )
 BY_NAME = {measure.name: measure for measure in MEASURES}
+
+
+def of_kind(is_train: bool) -> tuple[Measure, ...]:
+    """Return the measures of a train, or of one vehicle."""
+    return tuple(one for one in MEASURES if one.has in (BOTH, TRAIN if is_train else VEHICLE))
+
+
+def check_fit(names: Sequence[str], is_train: bool, where: str) -> None:
+    """Raise ConfigError for a measure of a train that one vehicle does not have, or vice versa."""
+    allowed = [one.name for one in of_kind(is_train)]
+    for name in names:
+        if name not in allowed:
+            what = "a train" if is_train else "one vehicle"
+            raise ConfigError(
+                f"{where}: {what} has no measure {name}; allowed are {', '.join(allowed)}"
+            )

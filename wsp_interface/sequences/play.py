@@ -307,11 +307,11 @@ def _play_steps(sequence: Sequence, harness: Harness, verdicts: list[Verdict]) -
             wanted = f"{text} within {step.timeout_s:g} s"
             values = step.until.readings(harness.values) if step.until else "-"
             why = f"not reached at {harness.time_s:.2f} s, last values {values}; the sequence ends here"
-            verdicts.append(_line(name, wanted, Result.FAIL, why))
+            verdicts.append(step_verdict(name, wanted, Result.FAIL, why))
             return False
         if step.until:
             at = f"at {harness.time_s:.2f} s"
-            verdicts.append(_line(name, step.until.text, Result.PASS, at))
+            verdicts.append(step_verdict(name, step.until.text, Result.PASS, at))
         for condition in step.expects:
             verdicts.append(_check(name, condition, harness))
     return True
@@ -366,10 +366,10 @@ def _check(name: str, condition: Condition, harness: Harness) -> Verdict:
     """Return the verdict on a condition, by the newest values."""
     result = Result.PASS if condition.holds(harness.values) else Result.FAIL
     text = f"at {harness.time_s:.2f} s: {condition.readings(harness.values)}"
-    return _line(name, condition.text, result, text)
+    return step_verdict(name, condition.text, result, text)
 
 
-def _line(name: str, wanted: str, result: Result, text: str) -> Verdict:
+def step_verdict(name: str, wanted: str, result: Result, text: str) -> Verdict:
     """Return the verdict on a step; it has no value."""
     return Verdict(
         what=name,

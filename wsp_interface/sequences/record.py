@@ -9,7 +9,7 @@ the stopping distance.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -37,6 +37,7 @@ class Record:
     dry_m: distance of the dry stop; NaN if there is none.
     fault_s: time of the first fault; NaN if there is none.
     above_m_s, below_m_s: the speeds of the vehicle that count; infinite where there is no bound.
+    train: the summary of a train; empty for one vehicle. The axles of a train count through.
     """
 
     columns: Mapping[str, np.ndarray]
@@ -47,6 +48,7 @@ class Record:
     fault_s: float = NAN
     above_m_s: float = -math.inf
     below_m_s: float = math.inf
+    train: Mapping[str, Any] = field(default_factory=dict)
 
     def between(self, above_m_s: float, below_m_s: float) -> "Record":
         """Return the record, of which only these speeds of the vehicle count."""
@@ -59,8 +61,8 @@ class Record:
 
     @property
     def axles(self) -> range:
-        """The axles of the vehicle, counted from 1."""
-        return range(1, self.kind.axles + 1)
+        """The axles of the vehicle or train, counted from 1."""
+        return range(1, (len(self.train["axles"]) if self.train else self.kind.axles) + 1)
 
     @property
     def bounded(self) -> bool:

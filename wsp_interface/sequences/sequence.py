@@ -27,9 +27,9 @@ from typing import Any
 from rollerrig.configs import store, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import known, nearest
-from rollerrig.configs.vehicle import Kind
+from rollerrig.configs.vehicle import TRAIN, Kind
 from rollerrig.wsp_interface import own_bench, signals, unit_choice
-from rollerrig.wsp_interface.sequences import conditions, verdict
+from rollerrig.wsp_interface.sequences import conditions, measures, train_script, verdict
 from rollerrig.wsp_interface.sequences.conditions import Condition
 from rollerrig.wsp_interface.signals import Table
 from rollerrig.wsp_interface.unit_choice import AllowList
@@ -52,7 +52,7 @@ HEAD = {
     "title": "text: a sentence that states what is tested, of at least three words",
     "criteria": 'name in configs/criteria, or a path; "none": only the limits of [[measure]] '
     "(default)",
-    "scenario": "name in configs/scenarios, or a path: what the bench starts from "
+    "scenario": "name in configs/scenarios or configs/trains, or a path: what the bench starts from "
     "(default: velim_a1)",
     "notes": "text or list of texts, written into the events of the run",
     "start": "table: speed, load, gradient and adhesion at the beginning",
@@ -83,7 +83,7 @@ STEP = {
     "ramp": "table: brake_demand, and `in`, the time until it is reached",
     "friction": "table: mu, the kinematic friction of the contaminant (mu_cd), 0.0005 to 1, or 0 "
     "for that of the scenario; axles, a list (default: all)",
-    "fault": "fault or list of faults that begin with the step, as in --fault",
+    "fault": "fault or list of faults that begin with the step, as in --fault; of a train with car=N",
     "lift": "name or list of names of faults that end",
     "note": "text or list of texts, written into the events",
     "expect": "condition or list of conditions that must hold at the end of the step",
@@ -145,7 +145,8 @@ class Sequence:
     wsp: the unit, as the option of `rollerrig run`; started only if `allowed_unit` returns it.
     wsp_at: file and line of the unit, for messages.
     tables: changes of the scenario.
-    kind: the kind of the vehicle, by scenario and tables.
+    kind: the kind of the vehicle, by scenario and tables; of a train that of the first car.
+    is_train: whether the scenario is a train.
     notes: operator's notes for the events of the run.
     before, after: pre-conditions and post-conditions.
     criteria: the limits for its measures.
@@ -168,6 +169,7 @@ class Sequence:
     steps: tuple[Step, ...]
     criteria: verdict.Profile
     repetition: int = 0
+    is_train: bool = False
 
     def allowed_unit(self, allowed: AllowList) -> str:
         """Return the unit. Raises ConfigError if it is an FMU that is not in the list."""
@@ -253,6 +255,7 @@ def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) ->
     speed_m_s = _optional(start, "speed", "m_s", in_start)
     tables = _tables(content, in_start)
     scenario = _text(content, "scenario", "", in_head)
+    is_train = TRAIN in own_bench.load(scenario)[0]
     try:
         kind = own_bench.kind_of_scenario(scenario, tables, "the scenario")
     except ConfigError as error:
@@ -267,7 +270,8 @@ def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) ->
             vehicle,
             # downhill a vehicle may become faster
             highest_speed_m_s=None if is_downhill else speed_m_s,
-            check_fault=check_fault,
+            # a fault of a train is checked with its cars
+            check_fault=check_fault if not is_train else lambda text, kind: None,
         )
     )
     if not steps:
@@ -282,6 +286,15 @@ def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) ->
 
     limits = verdict.limits(content.get("measure", []), partial(source.where, "measure"))
     profile = verdict.load(_text(content, "criteria", "none", in_head), path)
+    before = _conditions(content, "before", in_head, vehicle)
+    after = _conditions(content, "after", in_head, vehicle)
+    criteria = profile.with_limits(limits)
+    if is_train:
+        train_script.check_start(start, in_start("mass"))
+        train_script.check(steps, path)
+        for condition in (*before, *after):
+            train_script.check_condition(condition, str(path))
+    measures.check_fit([limit.measure for limit in criteria.limits], is_train, str(path))
     return Sequence(
         name=path.stem,
         path=path,
@@ -294,10 +307,11 @@ def load(name: str | Path, check_fault: CheckFault = lambda text, kind: None) ->
         tables=tables,
         kind=kind,
         notes=_texts(content, "notes", in_head),
-        before=_conditions(content, "before", in_head, vehicle),
-        after=_conditions(content, "after", in_head, vehicle),
+        before=before,
+        after=after,
         steps=steps,
-        criteria=profile.with_limits(limits),
+        criteria=criteria,
+        is_train=is_train,
     )
 
 

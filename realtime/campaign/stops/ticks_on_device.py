@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from rollerrig.realtime.campaign.stops import ticks_in_lanes
+from rollerrig.realtime.loop import ticks_in_lanes
 from rollerrig.realtime.loop.tick import DONE
 from rollerrig.rig.compiled import device, record_type
 

@@ -70,6 +70,13 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         help="mapping between the CAN messages or variables of the unit and of the rig",
     )
     parser.add_argument(
+        "--car",
+        type=int,
+        default=1,
+        metavar="N",
+        help="the car of a train that has the bus with the unit, from the front (default: 1)",
+    )
+    parser.add_argument(
         "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
     )
     parser.add_argument(
@@ -171,6 +178,7 @@ def _sequence_options(options: argparse.Namespace, out: Path) -> argparse.Namesp
     playing.wsp = options.wsp or "reference"
     playing.bus = ""
     playing.pacing = "lockstep"
+    playing.car = options.car
     playing.jobs = 1
     playing.steps = False
     playing.repeat = 1
@@ -203,10 +211,9 @@ def _fingerprint(one: "Sequence", tested: dict[str, Any]) -> str:
 
     `tested` is from `_tested`.
     """
-    from rollerrig.realtime.bench import scenario
     from rollerrig.realtime.record import played
 
-    of_scenario = scenario.digest(sequence.scenario_of(one))
+    of_scenario = sequence.digest_of(one)
     content = [
         tested,
         played.sha256(one.path),

@@ -19,9 +19,10 @@ import pyarrow.parquet as pq
 from rollerrig.configs import store, unpacking, user_files
 from rollerrig.configs.number_text import rounded
 from rollerrig.configs.output_files import make_folder, write_text, writing
-from rollerrig.configs.vehicle import kind_of
+from rollerrig.configs.vehicle import TRAIN, kind_of
 from rollerrig.realtime.record import played, run_folder
 from rollerrig.realtime.reports import page, pdf
+from rollerrig.realtime.train import record
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.sequences import programme as programme_file
 from rollerrig.wsp_interface.sequences import verdict as verdict_of
@@ -44,7 +45,7 @@ Part = Mapping[str, Any]  # of one sequence
 def recorded(folder: Path) -> list[str]:
     """Return the signals of which the record of a run has numbers; empty without a record.
 
-    A signal of several axles counts if all its axles have numbers.
+    A signal of several axles counts if all its axles have numbers. Of a train the first car counts.
     """
     path = folder / run_folder.CHANNELS
     if not path.is_file():
@@ -53,6 +54,9 @@ def recorded(folder: Path) -> list[str]:
     unpacking.check_parquet(path, pq.read_metadata(path))
     table = pq.read_table(path)
     resolved = store.parse(folder / run_folder.SCENARIO, within=folder)
+    if TRAIN in resolved:
+        # the cars have the signals of vehicles
+        return recorded(record.folder_of_car(folder, 1))
     kind = kind_of(resolved, str(folder / run_folder.SCENARIO))
     found = []
     for signal in signals.table(kind).signals:
