@@ -32,18 +32,28 @@ from rollerrig.configs.vehicle import Kind, equipment_of
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, scenario
-from rollerrig.realtime.campaign import bench_runs, combined, design, speed_steps, spreading
+from rollerrig.realtime.campaign import (
+    bench_runs,
+    combined,
+    design,
+    speed_steps,
+    spreading,
+    train_stops,
+)
 from rollerrig.realtime.campaign.components import applied as applied_of
 from rollerrig.realtime.campaign.statistics import strata as strata_of
 from rollerrig.realtime.campaign.stops import stops_in_lanes, stops_on_device
 from rollerrig.realtime.record import figures, played, summary
+from rollerrig.realtime.train import plan as trains
+from rollerrig.realtime.train import record as train_record
+from rollerrig.realtime.train.plan import Train
 from rollerrig.rig.compiled import device as gpu
 from rollerrig.wsp_interface import unit_choice
 
 # keys at the top of a plan
 ROWS = (
     choice("title", "", (), "a sentence"),
-    choice("scenario", "velim_a1", (), "configs/scenarios"),
+    choice("scenario", "velim_a1", (), "configs/scenarios, or configs/trains"),
     choice("unit", "reference", (), "reference, none, or package.module:function"),
     choice("design", design.MATRIX, design.DESIGNS, "how values are combined"),
     integer("runs", 64, 1, 1_000_000_000, "of a random design"),
@@ -83,6 +93,7 @@ _DISTANCE = "braking_distance_m"
 _PART = "part"
 _AGAIN = "again"
 
+AnyScenario = scenario.Scenario | Train
 Row = dict[str, Any]  # one run of the result, by the names of its columns
 
 
@@ -174,10 +185,13 @@ def load(
     if head["scenario"].endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
 
-    base = None
+    base, coupled = None, None
     if design.needs_vehicle(inputs, failures):
-        base = scenario.load(head["scenario"], "", combined.isolating(isolates)).resolved
-    drawn = design.points(vary, inputs, correlations, head, path, failures, base)
+        found = _scenario(head["scenario"], combined.isolating(isolates))
+        base = found.resolved
+        if isinstance(found, Train):
+            coupled, base = train_stops.places(found, str(path))
+    drawn = design.points(vary, inputs, correlations, head, path, failures, base, coupled)
     steps = None
     if steps_table is not None:
         steps = speed_steps.read(steps_table, f"{path} [etcs]")
@@ -205,6 +219,7 @@ def load(
     else:
         _check_unit(head["unit"], path, allow_code)
         _unit(head["unit"])
+    _check_train(plan, path)
     _check_failures(plan, path)
     _check_values(plan, path)
     _check_step(plan, path)
@@ -216,12 +231,40 @@ def _check_equipment(plan: Plan, path: Path) -> None:
     """Raise ConfigError if the vehicle does not have the equipment that a combination isolates."""
     if not plan.isolates:
         return
-    has = equipment_of(scenario.load(plan.head["scenario"], "", ()).resolved)
+    found = _scenario(plan.head["scenario"], ())
+    has = equipment_of((found.cars[0].plan if isinstance(found, Train) else found).resolved)
     for name in plan.isolates:
         if name not in has:
             raise ConfigError(
                 f"{path} [combinations.{plan.combination}]: {plan.head['scenario']} has no {name} that "
                 "acts; remove it from isolates, or choose a scenario with it"
+            )
+
+
+def _check_train(plan: Plan, path: Path) -> None:
+    """Raise ConfigError for what a campaign with a train does not have."""
+    if not train_stops.is_train(plan.head["scenario"]):
+        return
+    unit = plan.head["unit"]
+    is_program = bool(unit_choice.command_of(unit))
+    for refused, what, remedy in (
+        (plan.device == CUDA, "--device cuda", "leave --device out: a train runs on cores"),
+        (plan.head[STEP] != 0.0, f"step_s = {plan.head[STEP]:g}", "set step_s = 0"),
+        (
+            unit not in _NAMED_UNITS and not is_program,
+            f'unit = "{unit}"',
+            "allowed are reference, none, and a program with --unit, which is on car 1",
+        ),
+        (
+            is_program and plan.steps is not None,
+            "--unit with [etcs]",
+            "leave --unit out, or remove [etcs]",
+        ),
+    ):
+        if refused:
+            raise ConfigError(
+                f"{path}: {what}: {plan.head['scenario']} is a train, whose campaigns do not have this "
+                f"yet; {remedy}"
             )
 
 
@@ -267,7 +310,9 @@ def _check_device(plan: Plan, path: Path) -> None:
     changed |= {f"run {number}": changes(plan, number) for number in sorted(numbers)}
     for where, (settings, faults) in changed.items():
         try:
-            found = stops_in_lanes.obstacle(_load(plan, settings, faults))
+            resolved = _load(plan, settings, faults)
+            # a train is refused on any GPU
+            found = None if isinstance(resolved, Train) else stops_in_lanes.obstacle(resolved)
         except ConfigError:
             # the row of this run reports it
             continue
@@ -339,7 +384,7 @@ def _unit(name: str) -> str | free.UnitCall:
     return unit
 
 
-def resolve(plan: Plan, number: int, files: scenario.Files = store.load) -> scenario.Scenario:
+def resolve(plan: Plan, number: int, files: scenario.Files = store.load) -> AnyScenario:
     """Return the scenario of run `number`, from `files`. Raises ConfigError."""
     return _load(plan, *changes(plan, number), files)
 
@@ -349,15 +394,34 @@ def _load(
     settings: tuple[str, ...],
     faults: tuple[str, ...],
     files: scenario.Files = store.load,
-) -> scenario.Scenario:
+) -> AnyScenario:
     """Return the scenario of a plan with some values and faults. Raises ConfigError."""
-    resolved = scenario.load(plan.head["scenario"], "", settings, faults=faults, files=files)
+    resolved = _scenario(plan.head["scenario"], settings, faults, files)
+    if isinstance(resolved, Train):
+        return resolved
     for fault in resolved.faults:
         catalogue.check_equipped(fault, resolved.resolved, plan.head["scenario"])
     # a program of the user needs a bench with a bus, which refuses nothing that free pacing does
     if not unit_choice.command_of(plan.head["unit"]):
         free.check(resolved)
     return resolved
+
+
+def _scenario(
+    name: str,
+    settings: tuple[str, ...],
+    faults: tuple[str, ...] = (),
+    files: scenario.Files = store.load,
+) -> AnyScenario:
+    """Return a scenario or a train, by name or path. Raises ConfigError."""
+    if train_stops.is_train(name):
+        return trains.load(name, settings=settings, faults=faults)
+    return scenario.load(name, "", settings, faults=faults, files=files)
+
+
+def _digest(found: AnyScenario) -> str:
+    """Return a hash of everything that decides the result of a run."""
+    return train_record.digest(found) if isinstance(found, Train) else scenario.digest(found)
 
 
 def _long_step_s(plan: Plan) -> float | None:
@@ -376,9 +440,7 @@ def _long_step_s(plan: Plan) -> float | None:
     return step_s if step_s > of_scenario_s else None
 
 
-def _with_long_step(
-    plan: Plan, number: int, files: scenario.Files = store.load
-) -> scenario.Scenario:
+def _with_long_step(plan: Plan, number: int, files: scenario.Files = store.load) -> AnyScenario:
     """Return the scenario of a run with the step of the plan, if it runs in lanes. Raises
     ConfigError.
 
@@ -387,7 +449,8 @@ def _with_long_step(
     settings, faults = changes(plan, number)
     longer = (*settings, f"loop.step_s={plan.head[STEP]!r}")
     found = _load(plan, longer, faults, files)
-    return found if stops_in_lanes.fits(found) else resolve(plan, number, files)
+    fits = not isinstance(found, Train) and stops_in_lanes.fits(found)
+    return found if fits else resolve(plan, number, files)
 
 
 def changes(plan: Plan, number: int) -> tuple[tuple[str, ...], tuple[str, ...]]:
@@ -476,18 +539,26 @@ def _empty_rows(plan: Plan) -> dict[int, Row]:
     return {number: empty_row(plan, number, point) for number, point in numbered}
 
 
-def _compute(
-    plan: Plan, rows: dict[int, Row], resolved: Callable[[int], scenario.Scenario]
-) -> None:
+def _compute(plan: Plan, rows: dict[int, Row], resolved: Callable[[int], AnyScenario]) -> None:
     """Write the results of runs into their rows, by number; `resolved` gives their scenarios."""
     jobs: dict[Kind, list[tuple[int, scenario.Scenario]]] = {}
+    of_trains: list[tuple[int, Train]] = []
     for number, row in rows.items():
         try:
             found = resolved(number)
-            jobs.setdefault(found.kind, []).append((number, found))
+            if isinstance(found, Train):
+                of_trains.append((number, found))
+            else:
+                jobs.setdefault(found.kind, []).append((number, found))
         except RollerrigError as error:
             row["error"] = str(error)
 
+    for done in train_stops.each(of_trains, plan.head["unit"]):
+        row = rows[done.tag]
+        _fill(row, done.summary)
+        row[STEP] = done.summary["step_s"]
+        if plan.steps is not None:
+            row |= speed_steps.figures(done.channels, plan.steps)
     unit = _unit(plan.head["unit"])
     place = stops_on_device if plan.device == CUDA else stops_in_lanes
     for kind, of_kind in jobs.items():
@@ -672,13 +743,17 @@ def fingerprint(plan: Plan) -> str:
     rows_up_to = head.pop("rows_up_to")
     # the scenarios, with the files that they name, and the parameters of the reference unit
     first = resolve(plan, plan.first)
-    unit = logic.load(first["wsp_config"]) if plan.head["unit"] == "reference" else None
+    cars = [car.plan for car in first.cars] if isinstance(first, Train) else [first]
+    units = [logic.load(one["wsp_config"]) for one in cars]
+    unit = None
+    if plan.head["unit"] == "reference":
+        unit = units if isinstance(first, Train) else units[0]
     of_plan: list[Any] = [
         head,
         plan.axes,
         design.identity(plan.points),
         columns,
-        [scenario.digest(first), *_digests_of_names(plan)],
+        [_digest(first), *_digests_of_names(plan)],
         unit,
     ]
     if plan.applied is not None:
@@ -704,7 +779,7 @@ def _digests_of_names(plan: Plan) -> list[str]:
     found = []
     for number in _first_with_texts(plan):
         try:
-            found.append(scenario.digest(resolve(plan, number)))
+            found.append(_digest(resolve(plan, number)))
         except ConfigError:
             continue
     return found

@@ -72,12 +72,14 @@ def points(
     path: Path,
     failures: Any = None,
     base: Mapping[str, Any] | None = None,
+    coupled: trains.Train | None = None,
 ) -> Points:
     """Return the runs of a plan from its tables. Raises ConfigError.
 
     `head` has design, runs, seed and rows_up_to: the rows of a random design with more runs are
     drawn when they are needed. `base` is the resolved scenario of the plan, which plans with
-    failures or inputs of single units need (`needs_vehicle`).
+    failures or inputs of single units need (`needs_vehicle`). `coupled` are the places of a train,
+    whose first car `base` is.
     """
     for name, given in (("vary", vary), ("inputs", inputs)):
         if not isinstance(given, dict):
@@ -103,7 +105,7 @@ def points(
                 f' set design = "{INDEPENDENT}"'
             )
         return Points(tuple(vary), tuple(_matrix(vary, path)), ())
-    return _drawn(vary, inputs, correlations, head, path, failures, base)
+    return _drawn(vary, inputs, correlations, head, path, failures, base, coupled)
 
 
 def needs_vehicle(inputs: Any, failures: Any) -> bool:
@@ -133,6 +135,7 @@ def _drawn(
     path: Path,
     failures: Any,
     base: Mapping[str, Any] | None,
+    coupled: trains.Train | None,
 ) -> Points:
     """Return the runs of a design that draws values."""
     design = head["design"]
@@ -151,7 +154,7 @@ def _drawn(
     rarest = failures_of.RAREST.default
     if base is not None:
         _check_same_vehicle((*vary, *inputs), path)
-        train = trains.of(base)
+        train = coupled or trains.of(base)
         unit_inputs = []
         for key, given in of_units.items():
             unit_input = _unit_input(key, given, train, base, path)
@@ -165,8 +168,12 @@ def _drawn(
             unit_inputs.append(unit_input)
         components, rarest = failures_of.read(failures or {}, train, path)
         sources += [(found.column, found.law, found.source) for found in components]
-        factors = tuple(base["brake"]["axle_factors"]) or (1.0,) * train.axles
-        applied = applied_of.Applied(train.discs, factors, tuple(unit_inputs), components)
+        axles_of_car = train.axles // train.cars if train.coupled else 0
+        factors = tuple(base["brake"]["axle_factors"]) * (train.cars if train.coupled else 1)
+        factors = factors or (1.0,) * train.axles
+        applied = applied_of.Applied(
+            train.discs, factors, tuple(unit_inputs), components, axles_of_car
+        )
     components = applied.failures if applied else ()
     axes = tuple(law.name for law in all_laws)
     if design == SALTELLI and not np.array_equal(matrix, np.eye(len(matrix))):

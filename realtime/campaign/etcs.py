@@ -23,9 +23,11 @@ from rollerrig.realtime.campaign import (
     outcome,
     speed_steps,
     stopping,
+    train_stops,
 )
 from rollerrig.realtime.campaign.statistics import corrections, draws, quantiles, strata
 from rollerrig.realtime.campaign.stops import stops_in_lanes
+from rollerrig.realtime.train import plan as trains
 
 NOT_A_CERTIFICATE = (
     "Not a certificate: these numbers show what this model did over the laws of its inputs. They "
@@ -222,10 +224,16 @@ def nominal(dry: Sample) -> Nominal:
             f"{dry.folder}: unit = '{unit}' is code; give nominal_m_s2 in [etcs], one number per step"
         )
     settings = combined.isolating(dry.isolates)
-    resolved = scenario.load(str(dry.head["scenario"]), "", settings)
-    free.check(resolved)
-    (finished,) = stops_in_lanes.together([("nominal", resolved)], unit)
-    found = speed_steps.figures(finished.channels, dry.steps)
+    name = str(dry.head["scenario"])
+    if train_stops.is_train(name):
+        train = trains.load(name, settings=settings)
+        channels = next(train_stops.each([("nominal", train)], unit)).channels
+    else:
+        resolved = scenario.load(name, "", settings)
+        free.check(resolved)
+        (finished,) = stops_in_lanes.together([("nominal", resolved)], unit)
+        channels = finished.channels
+    found = speed_steps.figures(channels, dry.steps)
     values = []
     for column, (low_km_h, high_km_h) in zip(dry.steps.columns, dry.steps.pairs_km_h, strict=True):
         value = found[column]

@@ -130,6 +130,9 @@ def _open_dataset(given: argparse.Namespace) -> "tuple[Dataset, Path]":
             "with run folders only. A dataset names its runs to validate in its dataset.toml"
         )
 
+    for run in given.validate:
+        study.check_alone(run, "explain")
+
     def dataset_of_runs(runs: list[Path], folder: Path) -> "Dataset":
         return study.dataset_of_runs(runs, given.validate, folder)
 

@@ -5,14 +5,18 @@ write a report.
 import argparse
 import contextlib
 import json
+import shlex
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from rollerrig.configs import store
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, write_text, writing
+from rollerrig.configs.vehicle import TRAIN
 from rollerrig.realtime.commands import output
+from rollerrig.realtime.record import run_folder
 
 if TYPE_CHECKING:
     from rollerrig.realtime.reports.study import StudyReport
@@ -45,6 +49,8 @@ def open_dataset(
 
     if all(are_runs):
         runs = [Path(name) for name in names]
+        for run in runs:
+            check_alone(run, verb)
         with writing(folder):
             dataset_folder = make_folder(folder, DATASET_OF_RUNS)
         if dataset_of_runs is not None:
@@ -58,6 +64,29 @@ def open_dataset(
             f"{', '.join(names)}: several names must all be run folders; give one dataset, or only run folders"
         )
     return dataset.load(names[0]), folder
+
+
+def check_alone(run: Path, verb: str) -> None:
+    """Raise ConfigError for the run of a train, or of a car in it.
+
+    Couplers push and pull a car, and no cause stands for them: they would be taken for resistance
+    or brake force.
+    """
+    of_run = run / run_folder.SCENARIO
+    of_parent = run.resolve().parent / run_folder.SCENARIO
+    is_car = run.resolve().name.startswith("car_") and of_parent.is_file()
+    car = run
+    if TRAIN in store.parse(of_run, within=run):
+        what, car = "the run of a train", run / "car_1"
+    elif is_car and TRAIN in store.parse(of_parent, within=of_parent.parent):
+        what = "a car of a train"
+    else:
+        return
+    scenario = shlex.quote(str(car / run_folder.SCENARIO))
+    raise ConfigError(
+        f"{run} is {what}: couplers push and pull its cars, and {verb} would take their forces for "
+        f"resistance or brake force; give runs of the car alone: rollerrig run {scenario} --pacing free"
+    )
 
 
 def dataset_of_runs(runs: list[Path], validate: list[Path], folder: Path) -> "Dataset":

@@ -21,6 +21,7 @@ from rollerrig.realtime.record import channels, played, records, run_folder, sum
 from rollerrig.realtime.train import plan
 from rollerrig.realtime.train.plan import Car, Train
 from rollerrig.realtime.train.stop import Samples, Stop
+from rollerrig.wsp_interface import braking
 from rollerrig.wsp_interface.events import Event
 
 # channels of a car, and their names behind car_n_
@@ -171,17 +172,12 @@ class Recorder:
         samples = self._stop.samples()
         if on_bus:
             samples = _with_recorded(samples, folder_of_car(folder, on_bus), on_bus)
-        of_cars = []
-        for number, (car, one) in enumerate(zip(train.cars, samples.cars, strict=True), start=1):
+        of_cars = summaries_of_cars(self._stop, samples, counters)
+        for number, result in enumerate(of_cars, start=1):
             of_car = folder_of_car(folder, number)
             if number == on_bus:
-                of_cars.append(records.summary(of_car))
+                of_cars[number - 1] = records.summary(of_car)
                 continue
-            of_stop = self._stop.cars[number - 1]
-            events = of_stop.events if of_stop else []
-            result = _summary_of_car(train, car, number, one, counters, events)
-            result["events"] = [event._asdict() for event in events]
-            of_cars.append(result)
             self._cars[number].finish(played.of_summary(result).texts())
             records.write_summary(of_car, result)
         result = summary_of(self._stop, samples, of_cars, counters, on_bus)
@@ -206,6 +202,24 @@ def _with_recorded(samples: Samples, of_car: Path, number: int) -> Samples:
     cars = list(samples.cars)
     cars[number - 1] = recorded
     return samples._replace(cars=cars).common
+
+
+def summaries_of_cars(
+    stop: Stop, samples: Samples, counters: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the summary of each car, with its events; `counters` are those of `summary.of`."""
+    found = []
+    for number, (car, one) in enumerate(zip(stop.train.cars, samples.cars, strict=True), start=1):
+        of_stop = stop.cars[number - 1]
+        events = of_stop.events if of_stop else []
+        result = _summary_of_car(stop.train, car, number, one, counters, events)
+        found.append(result | {"events": [event._asdict() for event in events]})
+    return found
+
+
+def demand_Pa(samples: Samples) -> np.ndarray:
+    """Return the largest brake demand of all cars, shape (n,)."""
+    return np.asarray(np.max([one["brake_demand_Pa"] for one in samples.cars], axis=0))
 
 
 def _summary_of_car(
@@ -239,15 +253,18 @@ def summary_of(
     of_cars: list[dict[str, Any]],
     counters: Mapping[str, Any],
     on_bus: int = 0,
+    with_alone: bool = True,
 ) -> dict[str, Any]:
     """Return the summary of a train: that of the first car, with the axles of all cars.
 
-    In addition it has `train`, `cars` and `couplers`. Loop, bus, unit and seed are those of the car
-    on the bus, where there is one.
+    In addition it has `train`, `cars`, `couplers` and, unless it is left out, `alone`. The braking
+    begins with the demand at any car. Loop, bus, unit and seed are those of the car on the bus,
+    where there is one.
     """
     train = stop.train
     first = {
         **of_cars[0],
+        **_braking(samples),
         "events": [{**event, "car": number} for number, event in _events(of_cars)],
         "car_on_bus": on_bus or None,
         "unit_played": counters["unit_played"],
@@ -292,7 +309,21 @@ def summary_of(
             )
         ],
         "couplers": _couplers(stop),
-        "alone": _alone(train, counters["unit"]),
+        "alone": _alone(train, counters["unit"]) if with_alone else None,
+    }
+
+
+def _braking(samples: Samples) -> dict[str, float | None]:
+    """Return time and distance from the first brake demand to the standstill of the first car."""
+    first = samples.cars[0]
+    begin = braking.begin(demand_Pa(samples))
+    end = braking.standstill(first["vehicle_speed_m_s"])
+    if begin is None or end is None or begin >= end:
+        return {"braking_time_s": None, "braking_distance_m": None}
+    time_s, position_m = first["time_s"], first["position_m"]
+    return {
+        "braking_time_s": float(time_s[end] - time_s[begin]),
+        "braking_distance_m": float(position_m[end] - position_m[begin]),
     }
 
 

@@ -11,8 +11,7 @@ from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime.bench import free, tick_data
 from rollerrig.realtime.bench.options import Progress
 from rollerrig.realtime.bench.scenario import Scenario
-from rollerrig.realtime.loop import ticks_in_lanes
-from rollerrig.realtime.loop import tick
+from rollerrig.realtime.loop import tick, ticks_in_lanes
 from rollerrig.realtime.loop.ring import WRITTEN, Memory
 from rollerrig.realtime.loop.tick import DONE, TICK, TickData, Units
 from rollerrig.realtime.train import ticks

@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.realtime.loop import ticks_in_lanes
-from rollerrig.realtime.loop import appending, tick
+from rollerrig.realtime.loop import appending, tick, ticks_in_lanes
 from rollerrig.realtime.loop.tick import DONE, STOP, TICK, TickData, Units
 from rollerrig.rig import plant, wheelset
 from rollerrig.rig.compiled import record_type

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError
+from rollerrig.configs.vehicle import AXLES_OF_BOGIE
 from rollerrig.realtime.campaign.components import failures as failures_of
 from rollerrig.realtime.campaign.components import train as trains
 
@@ -41,13 +42,15 @@ def axis(key: str, unit: int) -> str:
 class Applied(NamedTuple):
     """How the values of a run act on its scenario.
 
-    discs: on each axle. factors: [brake] axle_factors of the scenario.
+    discs: on each axle. factors: [brake] axle_factors of the scenario, of a train those of all
+    cars. axles_of_car: of each car of a train; 0 for one vehicle.
     """
 
     discs: int
     factors: tuple[float, ...]
     inputs: tuple[UnitInput, ...]
     failures: tuple[failures_of.Failure, ...]
+    axles_of_car: int = 0
 
     def changes(self, values: Mapping[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Return what a run changes: texts in the form of `--set` and of `--fault`.
@@ -75,19 +78,43 @@ class Applied(NamedTuple):
         settings = {key: value for key, value in values.items() if key not in special}
         settings |= replaced
         if any(factor != 1.0 for factor in by_disc):
-            settings[FACTORS] = [
+            by_axle = [
                 self.factors[axle]
                 * math.fsum(by_disc[axle * self.discs : (axle + 1) * self.discs])
                 / self.discs
                 for axle in range(len(self.factors))
             ]
+            settings |= self._factors(by_axle)
+        if self.axles_of_car:
+            faults = [self._in_car(text) for text in faults]
         return tuple(f"{key}={json.dumps(value)}" for key, value in settings.items()), tuple(faults)
+
+    def _factors(self, by_axle: list[float]) -> dict[str, Any]:
+        """Return the factors of all axles as values of the scenario, or of the cars of a train."""
+        size = self.axles_of_car
+        if not size:
+            return {FACTORS: by_axle}
+        cars = range(len(by_axle) // size)
+        return {f"car_{n + 1}.{FACTORS}": by_axle[n * size : (n + 1) * size] for n in cars}
+
+    def _in_car(self, text: str) -> str:
+        """Return a fault at an axle or bogie of the train as that of a car."""
+        words = []
+        for word in text.split():
+            key, _, value = word.partition("=")
+            size = self.axles_of_car // (1 if key == "axle" else AXLES_OF_BOGIE)
+            if key in ("axle", "bogie"):
+                car, place = divmod(int(value) - 1, size)
+                word = f"car={car + 1} {key}={place + 1}"
+            words.append(word)
+        return " ".join(words)
 
     def as_json(self) -> dict[str, Any]:
         """Return all of it as plain data, for the file of a plan."""
         return {
             "discs": self.discs,
             "factors": self.factors,
+            "axles_of_car": self.axles_of_car,
             "inputs": [list(given) for given in self.inputs],
             "failures": [
                 {
@@ -117,6 +144,7 @@ def from_json(content: Any, where: str) -> Applied | None:
                 for key, nominal, units in content["inputs"]
             ),
             tuple(_failure(given) for given in content["failures"]),
+            int(content.get("axles_of_car", 0)),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise ConfigError(

@@ -21,11 +21,15 @@ Discs = tuple[int, ...]  # their numbers, from 0
 
 
 class Train(NamedTuple):
-    """The numbers of axles, of discs on each axle, and of cars."""
+    """The numbers of axles, of discs on each axle, and of cars.
+
+    coupled: whether the cars are those of [train], and not bodies of one vehicle.
+    """
 
     axles: int
     discs: int
     cars: int
+    coupled: bool = False
 
     def units(self, kind: str) -> tuple[Discs, ...]:
         """Return the discs of each unit of a kind, a name of UNITS, from the leading end."""

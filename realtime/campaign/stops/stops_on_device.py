@@ -13,9 +13,8 @@ import numpy as np
 from rollerrig.realtime.bench import free
 from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.campaign.stops import stops_in_lanes, ticks_on_device
-from rollerrig.realtime.loop import ticks_in_lanes
 from rollerrig.realtime.campaign.stops.stops_in_lanes import Finished
-from rollerrig.realtime.loop import ring
+from rollerrig.realtime.loop import ring, ticks_in_lanes
 from rollerrig.realtime.loop.tick import DONE
 from rollerrig.rig import many_rigs
 from rollerrig.rig.compiled import device, record_type
