@@ -111,7 +111,7 @@ def _after_tick(stamps_us: Sequence[int], period_us: int) -> list[int]:
 
 
 async def _run(ready: OnBuses) -> tuple[list[dict[str, Any]], Processor, float]:
-    """Return the summaries, and the processor time from the first to the last tick, in so many s."""
+    """Return the summaries, and the processor time from the first to the last tick, in s."""
     measuring = asyncio.ensure_future(_used(ready))
     try:
         summaries = await bench.run(list(ready.benches.values()))

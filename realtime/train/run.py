@@ -79,6 +79,8 @@ def on_buses(
         benches[number] = bench.Bench(plans[number], given[number], report, number)
     data = {number: one.parts.data for number, one in benches.items()}
     stop = Stop(train, plan.REFERENCE, options.seed, data)
+    for one in benches.values():
+        one.parts.train_deceleration_m_s2 = stop.link.deceleration_m_s2
     first = benches[numbers[0]].parts
     first.ticks_of = lambda data: stop
     first.wall = stop.wall
