@@ -174,7 +174,7 @@ def check_options(given: Mapping[str, bool]) -> None:
         if is_given:
             raise ConfigError(
                 f"{option}: a train does not have this yet; allowed is --pacing free with the reference "
-                "units or without units, or --pacing lockstep with a unit on the bus of one car; without "
+                "units or without units, or --pacing lockstep or wall with units on the buses of cars; without "
                 "--live, --hold, --start, --harness, --fault and --also-without-wsp"
             )
 

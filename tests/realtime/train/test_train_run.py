@@ -109,7 +109,7 @@ def test_without_units_wheels_slide_more(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--pacing", "wall"), "--pacing wall: a train does not have this yet"),
+        (("--pacing", "wall", "--live"), "--live: a train does not have this yet"),
         (("--pacing", "free", "--live"), "--live: a train does not have this yet"),
         (("--pacing", "free", "--fault", "bus_off node=1 at=1"), "--fault: a train does not"),
         (("--pacing", "free", "--also-without-wsp"), "--also-without-wsp: a train does not"),
