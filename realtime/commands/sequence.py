@@ -74,10 +74,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--car",
-        type=int,
-        default=1,
+        type=checked_cars,
+        default="1",
         metavar="N",
-        help="the car of a train that has the bus with the unit, from the front (default: 1)",
+        help="the cars of a train whose units are on buses, as --car of 'rollerrig run' (default: 1)",
     )
     parser.add_argument(
         "--wsp",
@@ -123,6 +123,14 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         "--check", action="store_true", help="only read and check the sequences, and run none"
     )
     output.report_arguments(parser)
+
+
+def checked_cars(text: str) -> str:
+    """Return the cars of --car as they are written. Raises ArgumentTypeError."""
+    from rollerrig.realtime.commands import run
+
+    run.parse_cars(text)
+    return text
 
 
 def call(options: argparse.Namespace) -> int:

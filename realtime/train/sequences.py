@@ -89,7 +89,7 @@ def play_one(
     sequence: Sequence,
     folder: Path,
     pacing: str,
-    car: int,
+    car: str,
     seed: int = 0,
     wsp: str = "",
     arguments: tuple[str, ...] = (),
@@ -97,8 +97,8 @@ def play_one(
 ) -> Outcome:
     """Run the train of a sequence, and judge it. A failure of the run is in the outcome.
 
-    car: the one with the bus, counted from 1; unused in free pacing. The other arguments are those
-    of `play.on_own_bench`.
+    car: those with buses, as --car of `rollerrig run`; unused in free pacing. The other arguments
+    are those of `play.on_own_bench`.
     """
     outcome = Outcome(sequence, folder)
     try:
@@ -109,7 +109,7 @@ def play_one(
         words = ["--pacing", pacing, "--seed", str(seed), *arguments]
         if _COMMAND not in arguments:
             words += ["--wsp", wsp or sequence.allowed_unit(allowed)]
-        words += ["--car", str(car)] if pacing != FREE else []
+        words += ["--car", car] if pacing != FREE else []
         _run(sequence, folder, words)
         outcome.summary = records.summary(folder)
         own_bench.check_valid(outcome.summary)

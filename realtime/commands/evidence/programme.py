@@ -71,10 +71,10 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--car",
-        type=int,
-        default=1,
+        type=sequence.checked_cars,
+        default="1",
         metavar="N",
-        help="the car of a train that has the bus with the unit, from the front (default: 1)",
+        help="the cars of a train whose units are on buses, as --car of 'rollerrig run' (default: 1)",
     )
     parser.add_argument(
         "--seed", type=int, default=0, help="seed of all random numbers (default: 0)"
