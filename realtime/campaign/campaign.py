@@ -15,7 +15,7 @@ import json
 import math
 import re
 import shlex
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -185,7 +185,8 @@ def load(
     if head["scenario"].endswith(".toml"):
         head["scenario"] = str(store.find("scenarios", head["scenario"], path).resolve())
 
-    base, coupled = None, None
+    base: Mapping[str, Any] | None = None
+    coupled = None
     if design.needs_vehicle(inputs, failures):
         found = _scenario(head["scenario"], combined.isolating(isolates))
         base = found.resolved
