@@ -14,9 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.output_files import make_folder, write_text, writing
+from rollerrig.configs.output_files import make_folder, write_bytes, write_text, writing
+from rollerrig.configs.vehicle import MOST_CARS, axle_positions_m
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.record import channels, played, records, run_folder, summary
+from rollerrig.realtime.telemetry import train_view
 from rollerrig.realtime.train import plan
 from rollerrig.realtime.train.plan import Car, Train
 from rollerrig.realtime.train.stop import Samples, Stop
@@ -72,7 +74,7 @@ def begin(train: Train, folder: Path) -> None:
 
 def _remove_further_cars(folder: Path, cars: int) -> None:
     """Remove the records of cars that an earlier run in this folder had behind so many cars."""
-    for number in range(cars + 1, plan.MOST_CARS + 1):
+    for number in range(cars + 1, MOST_CARS + 1):
         of_car = folder_of_car(folder, number)
         if (of_car / run_folder.MARK).is_file():
             run_folder.begin(of_car)
@@ -93,6 +95,7 @@ def train_channels(train: Train, samples: Samples) -> dict[str, np.ndarray]:
         "time_s": samples.cars[0]["time_s"],
         "vehicle_speed_m_s": masses @ speeds / np.sum(masses),
         "position_m": samples.cars[0]["position_m"],
+        "train_deceleration_m_s2": samples.deceleration_m_s2,
     }
     for number, one in enumerate(samples.cars, start=1):
         for name, behind in _OF_CAR.items():
@@ -117,7 +120,7 @@ def train_channels(train: Train, samples: Samples) -> dict[str, np.ndarray]:
 def write(
     stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: Sequence[int] = ()
 ) -> dict[str, Any]:
-    """Write channels and summaries of a run that is done; return the summary of the train.
+    """Write channels, summaries and run.rrd of a run that is done; return the train's summary.
 
     `counters` are those of `summary.of`. The bench has written the records of the cars `on_bus`.
     Raises ConfigError.
@@ -146,6 +149,12 @@ def write(
     result = summary_of(stop, samples, of_cars, counters, on_bus)
     _write_channels(folder, train_channels(train, samples), result)
     records.write_summary(folder, result)
+    if not len(samples.force_N):
+        # a run that failed before its first sample
+        return result
+    with writing(folder):
+        recording = train_view.recording(records.load(folder))
+        write_bytes(folder / run_folder.RRD, recording)
     return result
 
 
@@ -161,6 +170,7 @@ def _with_recorded(samples: Samples, folder: Path, on_bus: Sequence[int]) -> Sam
         force_N=samples.force_N[:count],
         displacement_m=samples.displacement_m[:count],
         pipe_Pa=samples.pipe_Pa[:count],
+        deceleration_m_s2=samples.deceleration_m_s2[:count],
     )
 
 
@@ -288,13 +298,21 @@ def _alone(train: Train, unit: str) -> dict[str, Any] | None:
 def _car(
     train: Train, number: int, of_car: Mapping[str, Any], one: Mapping[str, np.ndarray]
 ) -> dict[str, Any]:
-    """Return what the summary of a train has of a car."""
+    """Return what the summary of a train has of a car.
+
+    Its places in m are behind the leading end of the train.
+    """
     car = train.cars[number - 1]
     axles = of_car["axles"]
     first = 1 + sum(before.plan.kind.axles for before in train.cars[: number - 1])
     braked = np.flatnonzero(one["brake_demand_Pa"] > 0.0)
+    before_m = train.first_wheelset_m
+    places_m = axle_positions_m(car.plan["vehicle"])
     return {
         "vehicle": car.plan["vehicle_set"],
+        "front_m": car.front_m,
+        "length_m": car.length_m,
+        "wheelsets_m": [before_m + car.place_m + behind_m for behind_m in places_m],
         "mass_kg": float(train.mass_kg[number - 1]),
         "load_kg": car.given["load_kg"],
         "unit": of_car["wsp"]["unit"],
