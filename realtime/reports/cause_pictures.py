@@ -9,7 +9,7 @@ of 3 s, since neighbouring samples are not independent.
 """
 
 import itertools
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -281,12 +281,15 @@ def draw(figure: Figure, panels: list[Panel]) -> None:
     if len(panels) == 1:
         all_axes[0].set_title(panels[0].title, fontsize="medium")
     # one entry for each kind of line, below the panels, where it covers no point
-    handles = {}
+    handles: dict[str, Any] = {}
     for axes in all_axes:
         lines, labels = axes.get_legend_handles_labels()
         handles |= dict(zip(labels, lines, strict=True))
     figure.legend(
-        handles.values(), handles.keys(), loc="outside lower center", ncols=COLUMNS_OF_LEGEND
+        handles=list(handles.values()),
+        labels=list(handles),
+        loc="outside lower center",
+        ncols=COLUMNS_OF_LEGEND,
     )
 
 
@@ -413,7 +416,9 @@ def runs(figure: Figure, compared: SideBySide) -> None:
         axes.set_xlabel(row.title)
     if is_apart.any():
         lines, labels = figure.axes[0].get_legend_handles_labels()
-        figure.legend(lines, labels, loc="outside lower center", ncols=COLUMNS_OF_LEGEND)
+        figure.legend(
+            handles=lines, labels=labels, loc="outside lower center", ncols=COLUMNS_OF_LEGEND
+        )
 
 
 class _Row(NamedTuple):
