@@ -1,9 +1,9 @@
 """The ticks of a train: all cars begin a tick, take its steps together, and end it.
 
 A car does before and after its steps what `tick.run_tick` does. The rail, the brake pipe and the
-couplers belong to the train. At most one car is on the bus: its unit is another program, and its
-commands come through the mailbox. The reference units of all other cars are called here, where
-their SYNC would come.
+couplers belong to the train. The units of some cars are other programs, each on the bus of its car:
+their commands come through the mailbox. The reference units of all other cars are called here,
+where their SYNC would come.
 """
 
 from typing import NamedTuple
@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.realtime.campaign.stops import ticks_in_lanes
-from rollerrig.realtime.loop import appending, tick
-from rollerrig.realtime.loop.tick import DONE, STOP, TICK, TickData, Units
+from rollerrig.realtime.loop import appending, loop, tick
+from rollerrig.realtime.loop.clock import now_ns, wake
+from rollerrig.realtime.loop.tick import BUSY_NS, DONE, STOP, TICK, TickData, Units
 from rollerrig.rig import plant, wheelset
 from rollerrig.rig.compiled import record_type
 from rollerrig.rig.compiled.kernel import kernel
@@ -70,12 +71,61 @@ def run(cars, bodies, trains, most):
     most : number of ticks
     """
     train = trains[0]
-    control = cars[0].m.control
     for ran in range(most):
-        if control[DONE] != 0 or control[STOP] != 0:
+        if is_over(cars):
             return ran
         run_tick(cars, bodies, train)
     return most
+
+
+@kernel
+def is_over(cars):
+    """Return whether no further tick shall be run, because of any car."""
+    ended = 0
+    for i in range(len(cars)):
+        ended += cars[i].m.control[DONE] + cars[i].m.control[STOP]
+    return ended != 0
+
+
+@kernel
+def wall(
+    cars,
+    bodies,
+    trains,
+    tick_ns,
+    sync_ticks,
+    early_ns,
+    descriptor,
+    histogram,
+    scratch,
+    begin_ns,
+):
+    """Run the ticks of a train on their deadlines, as `loop.wall` does those of a vehicle.
+
+    `cars`, `bodies` and `trains` as for `run`, all else as for `loop.wall`. The lateness of a tick
+    is noted for each car.
+    """
+    spec = scratch[:2]
+    one = scratch[2:]
+    one[0] = 1
+    deadline = begin_ns + tick_ns
+    took = 0
+    while not is_over(cars):
+        began = loop.wait(deadline, tick_ns, early_ns, took, spec)
+        late = began - deadline
+        histogram[min(late // 1000, histogram.size - 1)] += 1
+        for i in range(len(cars)):
+            loop.note(cars[i].m.control, late, tick_ns)
+        if loop.is_stall(late, tick_ns):
+            deadline = began
+        run_tick(cars, bodies, trains[0])
+        if cars[0].m.control[TICK] % sync_ticks == 0:
+            wake(descriptor, one)
+        took = now_ns(spec) - began
+        for i in range(len(cars)):
+            cars[i].m.control[BUSY_NS] = max(cars[i].m.control[BUSY_NS], took)
+        deadline += tick_ns
+    wake(descriptor, one)
 
 
 @kernel
