@@ -570,7 +570,8 @@ def _fit_noise(design: Design, before: _Replayed) -> _Replayed:
         p[:, parameters.IRREGULARITY] = changed.sigma
         p[:, parameters.IRREGULARITY_LENGTH] = changed.length_m
         wheels = sensitivity.replay_wheels(design, replay_inputs._replace(parameters=p))
-        found = Innovations(*wheels, *before.innovations[3:])
+        nu, variance, field = wheels
+        found = before.innovations._replace(nu=nu, variance=variance, field=field)
         of_wheels = np.sum(deviance_terms(found.nu, found.variance))
         return _Replayed(changed, found, float(of_wheels + of_vehicles) + of_priors)
 

@@ -290,7 +290,9 @@ def replay_law(
 
 def innovations(design: Design, inputs: Inputs) -> Innovations:
     """Return the innovations of all wheels and vehicles."""
-    return Innovations(*replay_wheels(design, inputs), *replay_vehicles(design, inputs))
+    nu, variance, field = replay_wheels(design, inputs)
+    vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
+    return Innovations(nu, variance, field, vehicle_nu, vehicle_variance)
 
 
 def replay_wheels(design: Design, inputs: Inputs) -> np.ndarray:
