@@ -23,7 +23,7 @@ from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import brake_work, run_folder
 from rollerrig.realtime.record.records import Run
-from rollerrig.realtime.reports import friction_changes, page
+from rollerrig.realtime.reports import friction_changes, page, train
 from rollerrig.realtime.reports.friction_changes import AnyEvent
 from rollerrig.realtime.reports.page import Markup
 from rollerrig.wsp_interface.events import Code
@@ -165,6 +165,8 @@ def motion_of_record(record: Record) -> Motion:
 
 def write(run: Run, out: Path) -> list[Path]:
     """Write the picture of a recorded run, and return its path. Raises OSError."""
+    if run.is_train:
+        return train.write_picture(run, out)
     write_text(out, str(picture(motion_of(run), _marks_of(run))))
     return [out]
 
@@ -320,9 +322,22 @@ def write_runs(runs: Sequence[Run], out: Path, size: tuple[int, int]) -> Path:
     if kind not in _PICTURE_KINDS:
         allowed = ", ".join(f".{name}" for name in _PICTURE_KINDS)
         raise ConfigError(f"{out}: a picture of this kind cannot be written; allowed are {allowed}")
+    trains = [run for run in runs if run.is_train]
+    if trains and len(runs) > 1:
+        raise ConfigError(
+            f"{trains[0].folder} is the run of a train, which is drawn alone; allowed with other runs "
+            "are its cars, in the folders car_1, car_2 ..."
+        )
     width, height = size
     inches = (width / _SCREEN_DPI, height / _SCREEN_DPI)
-    content = page.picture_file(lambda figure: draw_runs(figure, runs), inches, kind, _SCREEN_DPI)
+
+    def draw_all(figure: Figure) -> None:
+        if trains:
+            train.draw(figure, trains[0])
+        else:
+            draw_runs(figure, runs)
+
+    content = page.picture_file(draw_all, inches, kind, _SCREEN_DPI)
     with writing(out, "give another file with --png"):
         make_folder(out.parent)
         write_bytes(out, content)
