@@ -25,6 +25,7 @@ from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import RADIUS, base_parameters
 from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
+from rollerrig.rig.identify.data.road import WHEELS_OF_AXLE
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
@@ -453,6 +454,8 @@ def _flat_fields(
     # friction force times creepage; 0.5: a wheel carries half of the load of its wheelset
     energy_J_m = np.maximum(adhesion * 0.5 * load_N * sliding_m_s / surface_m_s, 0.0)
 
+    wheels_of_axle = 1 if data.road is None else WHEELS_OF_AXLE
+
     # place on the rail; without a measured position, the integral of the speed (trapezoids)
     if run.position_m is not None:
         travelled_m = run.position_m
@@ -476,7 +479,7 @@ def _flat_fields(
         "sliding_m_s": sliding_m_s,
         "adhesion": adhesion,
         "energy_J_m": energy_J_m,
-        "cleaned_J_m": _work_in_front(place_m, energy_J_m),
+        "cleaned_J_m": _work_in_front(place_m, energy_J_m, wheels_of_axle),
         "heat_MJ": np.cumsum(heat_W, axis=0) * step_s / 1e6,
         "slid_m": np.cumsum(np.abs(sliding_m_s), axis=0) * step_s,
         "braked_rad": np.cumsum(turned_rad * braked, axis=0),
@@ -486,14 +489,17 @@ def _flat_fields(
     }
 
 
-def _work_in_front(place_m: np.ndarray, energy_J_m: np.ndarray) -> np.ndarray:
+def _work_in_front(
+    place_m: np.ndarray, energy_J_m: np.ndarray, wheels_of_axle: int
+) -> np.ndarray:
     """Return the work that the wheels in front have done on each metre of rail, (n, axles).
 
-    The leading wheelset has no wheels in front.
+    The leading wheelset has no wheels in front. Of a road vehicle, with two wheels of an axle, only
+    wheels of the same side run in one track.
     """
     work_J_m = np.zeros_like(energy_J_m)
     for axle in range(1, energy_J_m.shape[1]):
-        for front in range(axle):
+        for front in range(axle % wheels_of_axle, axle, wheels_of_axle):
             # 0 on rail that the wheel in front had passed before the recording began
             work_J_m[:, axle] += np.interp(
                 place_m[:, axle], place_m[:, front], energy_J_m[:, front], left=0.0
