@@ -172,7 +172,7 @@ def _write(
     speed = samples[:, 0] + rng.normal(0.0, 0.03, len(samples))
     wheels = np.column_stack([np.interp(time_s - delay_s, time_s, w) for w in samples[:, 1:5].T])
     wheels += rng.normal(0.0, 0.1, wheels.shape)
-    pressures = gain * samples[:, 5:9] + rng.normal(0.0, 0.5, wheels.shape)
+    pressures = gain * samples[:, 5:9] + rng.normal(0.0, 0.2, wheels.shape)
     names = [
         "time_s",
         "vehicle_speed_m_s",
