@@ -38,9 +38,7 @@ _WORDS = {
 }
 
 
-def find(
-    runs: Sequence[Run], apart: Sequence[int], others: Sequence[int]
-) -> dict[Shared, str]:
+def find(runs: Sequence[Run], apart: Sequence[int], others: Sequence[int]) -> dict[Shared, str]:
     """Return what the runs `apart` share and no run of `others` has, by places in `runs`.
 
     The value is the name of the rig, or the date, else "".

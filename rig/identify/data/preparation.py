@@ -25,7 +25,7 @@ from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import RADIUS, base_parameters
 from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
-from rollerrig.rig.identify.data.road import WHEELS_OF_AXLE
+from rollerrig.rig.identify.data.road import WHEELS_OF_AXLE, tyre_stiffness
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
@@ -102,6 +102,8 @@ class Design(NamedTuple):
     form: float  # how far the law of a cause may differ from the true law, as a share of its effect
     # the model
     base: np.ndarray  # (PARAMETERS,), columns of `parameters`
+    # (segments,), factor of the stiffness of the contact; 1 for wheels on a rail, and of a tyre [W3]
+    stiffness: np.ndarray
     resistance: np.ndarray  # A, B, C of the running resistance A + B v + C v^2
     released_Nm: np.ndarray  # (segments,) mean torque of the released brake; NaN: never released
     released_sd_Nm: np.ndarray  # (segments,) standard error of this mean
@@ -325,12 +327,20 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
         common_brake=CommonBrake.NONE,
         form=data.accuracy["form_fraction"],
         base=base_parameters(data),
+        stiffness=_stiffness(data, runs),
         resistance=resistance,
         released_Nm=released[:, 0].copy(),
         released_sd_Nm=released[:, 1].copy(),
         places_m=places_m,
         ends_s=ends_s,
     )
+
+
+def _stiffness(data: Dataset, runs: list[Run]) -> np.ndarray:
+    """Return the factor of the stiffness of each segment (segments,)."""
+    if data.road is None:
+        return np.ones(len(runs) * data.axles)
+    return np.concatenate([tyre_stiffness(run.load_N) for run in runs])
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
@@ -489,9 +499,7 @@ def _flat_fields(
     }
 
 
-def _work_in_front(
-    place_m: np.ndarray, energy_J_m: np.ndarray, wheels_of_axle: int
-) -> np.ndarray:
+def _work_in_front(place_m: np.ndarray, energy_J_m: np.ndarray, wheels_of_axle: int) -> np.ndarray:
     """Return the work that the wheels in front have done on each metre of rail, (n, axles).
 
     The leading wheelset has no wheels in front. Of a road vehicle, with two wheels of an axle, only

@@ -7,7 +7,12 @@ height h, the wheelbase L and the fraction b of the weight on the front axle:
     [W1] N_front = (M g b + M h a / L) / 2,  N_rear = (M g (1 - b) - M h a / L) / 2, of a wheel
     [W2] torque of a front wheel over that of a rear wheel at one pressure = p / (1 - p)
 
-p is the fraction of the front brakes. Source of [W1]: Mitschke and Wallentowitz, Dynamik der
+    [W3] creep stiffness over load = that at the mean load of all wheels, for each tyre
+
+p is the fraction of the front brakes. Polach's stiffness over the load falls with the load to the
+power of 1/3, as a contact of steel grows; that of a tyre hardly changes, so [W3] takes it out.
+
+Source of [W1]: Mitschke and Wallentowitz, Dynamik der
 Kraftfahrzeuge (2014), section 6. Lifts and dives of the body, curves and wind are left out.
 """
 
@@ -103,3 +108,9 @@ def brake_factors(vehicle: RoadVehicle) -> np.ndarray:
     if not front > 0.0:
         return np.ones(WHEELS)
     return 2.0 * np.array([front, front, 1.0 - front, 1.0 - front])
+
+
+def tyre_stiffness(load_N: np.ndarray) -> np.ndarray:
+    """Return the factor of the stiffness of each wheel (wheels,) of loads (n, wheels) [W3]."""
+    loads_N = load_N.mean(axis=0)
+    return np.asarray((loads_N / loads_N.mean()) ** (1.0 / 3.0))
