@@ -76,7 +76,6 @@ def inputs(design: Design, explanation: Explanation) -> Inputs:
     p[:, parameters.IRREGULARITY_LENGTH] = explanation.length_m
     p[:, parameters.SPEED_NOISE] = design.wheel_noise_rad_s
     p[:, parameters.TORQUE_NOISE] = design.torque_noise_Nm[design.run]
-    p[:, parameters.EPS1] *= design.stiffness
     p[:, parameters.TAU] *= np.exp(base["ln_tau"])
     p[:, parameters.MU_CD] *= np.exp([base[f"ln_mu_cd_{run}"] for run in design.run])
 

@@ -17,8 +17,8 @@ from rollerrig.configs import store, table, toml_text, user_files
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import Row, choice, flag, number
 from rollerrig.rig import params
-from rollerrig.rig.identify.data import mdf, pressures, quality, road
-from rollerrig.rig.identify.data.runs import LARGEST_ADHESION, Curve, Dataset, RoadVehicle, Run
+from rollerrig.rig.identify.data import mdf, pressures, quality
+from rollerrig.rig.identify.data.runs import LARGEST_ADHESION, Curve, Dataset, Run
 from rollerrig.rig.identify.files import channels, tables, units
 from rollerrig.rig.identify.files.channels import Source
 from rollerrig.rig.identify.files.tables import Table
@@ -141,7 +141,6 @@ def load(folder: Path | str) -> Dataset:
     missing = tables.take_missing(content, str(path))
     head = table.read(HEAD, content, str(path))
     sections = base_sections(head["vehicle_set"], toml_tables, str(path))
-    positions_m, road_vehicle = _axles(toml_tables.get("axles", {}), sections, str(path))
     dataset = Dataset(
         name=folder.name,
         kind=head["kind"],
@@ -149,11 +148,10 @@ def load(folder: Path | str) -> Dataset:
         sample_time_s=head["sample_time_s"],
         sections=sections,
         accuracy=read_rows(ACCURACY, toml_tables.get("accuracy", {}), f"{path} [accuracy]"),
-        axle_position_m=positions_m,
+        axle_position_m=_axle_positions(toml_tables.get("axles", {}), sections, str(path)),
         runs=[],
         curve=None,
         warnings=[],
-        road=road_vehicle,
     )
     if head["note"]:
         dataset.warnings.append(head["note"])
@@ -192,8 +190,6 @@ def _read_runs(
                 f"{path}: some runs have brake torques and others have pressures only; give the same "
                 "columns for all runs"
             )
-        if dataset.road is not None:
-            pressures_Pa = [road.brake_factors(dataset.road) * one for one in pressures_Pa]
         runs, gain = pressures.with_torques(runs, pressures_Pa, dataset.sections, str(path))
         dataset.warnings.append(
             "brake torques were not measured: they are the cylinder pressures above that of the "
@@ -288,30 +284,17 @@ def read_rows(rows: tuple[Row, ...], content: Mapping[str, Any], where: str) -> 
     return values
 
 
-def _axles(
-    given: Any, sections: Mapping[str, Any], where: str
-) -> tuple[np.ndarray, RoadVehicle | None]:
-    """Return what the table [axles] says. Raises ConfigError.
-
-    It is the distance in m of each wheelset, or wheel, behind the first one, and the road vehicle.
-    """
+def _axle_positions(given: Any, sections: Mapping[str, Any], where: str) -> np.ndarray:
+    """Return the distance in m of each wheelset behind the first one. Raises ConfigError."""
     default = tuple(float(x) for x in params.axle_positions(sections["vehicle"]))
-    if isinstance(given, Mapping) and given.get("wheels") == road.WHEELS_OF_AXLE:
-        road.check_positions(given, f"{where} [axles]")
-        default = road.POSITIONS_M
-    rows = (Row("positions_m", default, 0.0, 1000.0, "m"), *road.ROWS)
-    where = f"{where} [axles]"
-    values = read_rows(rows, given, where)
-    positions_m = np.array(values["positions_m"])
-    if np.any(np.diff(positions_m) <= 0.0):
+    row = Row("positions_m", default, 0.0, 1000.0, "m")
+    positions = np.array(table.read((row,), given, f"{where} [axles]")["positions_m"])
+    if np.any(np.diff(positions) <= 0.0):
         raise ConfigError(
-            f"{where}: positions_m = {positions_m.tolist()} must increase from the leading "
+            f"{where} [axles]: positions_m = {positions.tolist()} must increase from the leading "
             "wheelset to the last; give the distance in metres behind the first wheelset"
         )
-    road_vehicle = road.read(values, where)
-    if road_vehicle is None:
-        return positions_m, None
-    return np.repeat(positions_m, road.WHEELS_OF_AXLE), road_vehicle
+    return positions
 
 
 # --- the columns of data files ---
@@ -492,13 +475,7 @@ def _run(
         )
     speed_m_s = file.channel("vehicle_speed_m_s")
     wheel_speed_rad_s = file.of_axles("wheel_speed", "rad_s")
-    if dataset.road is not None and not file.has("wheel_load_1_N"):
-        wheelbase_m = float(np.ptp(dataset.axle_position_m))
-        load_N = road.loads_N(
-            dataset.road, wheelbase_m, mass_kg, speed_m_s, dataset.sample_time_s, str(path)
-        )
-    else:
-        load_N = file.of_axles("wheel_load", "N")
+    load_N = file.of_axles("wheel_load", "N")
     pressure_Pa = None
     if file.has("brake_pressure_1_Pa") and not file.has("brake_torque_1_Nm"):
         pressure_Pa = file.of_axles("brake_pressure", "Pa")

@@ -80,7 +80,4 @@ def base_parameters(data: Dataset) -> np.ndarray:
     row[INERTIA] = vehicle["wheelset_inertia_kgm2"]
     row[LAW] = [law[key] for key in Law._fields]
     row[EPS1] = patch_of(data).eps1
-    if data.road is not None:
-        # the replay halves the load of a wheelset for its two contacts, and a wheel has one
-        row[EPS1] *= 0.5 ** (1.0 / 3.0)
     return row

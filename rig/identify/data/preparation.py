@@ -25,7 +25,6 @@ from rollerrig.rig.compiled.kernel import kernel
 from rollerrig.rig.identify.data import pulses
 from rollerrig.rig.identify.data.parameters import RADIUS, base_parameters
 from rollerrig.rig.identify.data.pulses import PulseSensor, Sensor
-from rollerrig.rig.identify.data.road import WHEELS_OF_AXLE, tyre_stiffness
 from rollerrig.rig.identify.data.runs import Dataset, Run
 from rollerrig.rig.identify.data.smoothing import smoothed
 
@@ -102,8 +101,6 @@ class Design(NamedTuple):
     form: float  # how far the law of a cause may differ from the true law, as a share of its effect
     # the model
     base: np.ndarray  # (PARAMETERS,), columns of `parameters`
-    # (segments,), factor of the stiffness of the contact; 1 for wheels on a rail, and of a tyre [W3]
-    stiffness: np.ndarray
     resistance: np.ndarray  # A, B, C of the running resistance A + B v + C v^2
     released_Nm: np.ndarray  # (segments,) mean torque of the released brake; NaN: never released
     released_sd_Nm: np.ndarray  # (segments,) standard error of this mean
@@ -327,20 +324,12 @@ def prepare(data: Dataset, runs: list[Run], like: Design | None = None) -> Desig
         common_brake=CommonBrake.NONE,
         form=data.accuracy["form_fraction"],
         base=base_parameters(data),
-        stiffness=_stiffness(data, runs),
         resistance=resistance,
         released_Nm=released[:, 0].copy(),
         released_sd_Nm=released[:, 1].copy(),
         places_m=places_m,
         ends_s=ends_s,
     )
-
-
-def _stiffness(data: Dataset, runs: list[Run]) -> np.ndarray:
-    """Return the factor of the stiffness of each segment (segments,)."""
-    if data.road is None:
-        return np.ones(len(runs) * data.axles)
-    return np.concatenate([tyre_stiffness(run.load_N) for run in runs])
 
 
 def _noise(data: Dataset, run: Run) -> tuple[float, float, float]:
@@ -464,8 +453,6 @@ def _flat_fields(
     # friction force times creepage; 0.5: a wheel carries half of the load of its wheelset
     energy_J_m = np.maximum(adhesion * 0.5 * load_N * sliding_m_s / surface_m_s, 0.0)
 
-    wheels_of_axle = 1 if data.road is None else WHEELS_OF_AXLE
-
     # place on the rail; without a measured position, the integral of the speed (trapezoids)
     if run.position_m is not None:
         travelled_m = run.position_m
@@ -489,7 +476,7 @@ def _flat_fields(
         "sliding_m_s": sliding_m_s,
         "adhesion": adhesion,
         "energy_J_m": energy_J_m,
-        "cleaned_J_m": _work_in_front(place_m, energy_J_m, wheels_of_axle),
+        "cleaned_J_m": _work_in_front(place_m, energy_J_m),
         "heat_MJ": np.cumsum(heat_W, axis=0) * step_s / 1e6,
         "slid_m": np.cumsum(np.abs(sliding_m_s), axis=0) * step_s,
         "braked_rad": np.cumsum(turned_rad * braked, axis=0),
@@ -499,15 +486,14 @@ def _flat_fields(
     }
 
 
-def _work_in_front(place_m: np.ndarray, energy_J_m: np.ndarray, wheels_of_axle: int) -> np.ndarray:
+def _work_in_front(place_m: np.ndarray, energy_J_m: np.ndarray) -> np.ndarray:
     """Return the work that the wheels in front have done on each metre of rail, (n, axles).
 
-    The leading wheelset has no wheels in front. Of a road vehicle, with two wheels of an axle, only
-    wheels of the same side run in one track.
+    The leading wheelset has no wheels in front.
     """
     work_J_m = np.zeros_like(energy_J_m)
     for axle in range(1, energy_J_m.shape[1]):
-        for front in range(axle % wheels_of_axle, axle, wheels_of_axle):
+        for front in range(axle):
             # 0 on rail that the wheel in front had passed before the recording began
             work_J_m[:, axle] += np.interp(
                 place_m[:, axle], place_m[:, front], energy_J_m[:, front], left=0.0

@@ -48,10 +48,7 @@ def check_run(run: Run, path: Path, dataset: Dataset, initial_speed_m_s: float) 
     units.check_rolling(run, path, vehicle["wheel_radius_m"])
     _check_speed(run, path, initial_speed_m_s)
     _check_signs(run, path)
-    shares_of_load = units.SHARES_OF_LOAD
-    if dataset.road is not None:
-        shares_of_load = units.SHARES_OF_LOAD_ON_ROAD
-    units.check(run, path, vehicle, dataset.warnings, shares_of_load)
+    units.check(run, path, vehicle, dataset.warnings)
     _check_sliding(run, path, vehicle, dataset.warnings)
     _check_held(run, path, dataset.warnings)
 

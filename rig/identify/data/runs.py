@@ -59,18 +59,6 @@ class Curve(NamedTuple):
         )
 
 
-class RoadVehicle(NamedTuple):
-    """A vehicle with two axles whose two wheels turn separately, from the table [axles].
-
-    Its wheels take the places of wheelsets: front left, front right, rear left, rear right.
-    Fractions that are NaN, and a height that is NaN, are not given.
-    """
-
-    height_m: float  # of the centre of mass
-    front_load_fraction: float  # of the weight, at standstill
-    front_brake_fraction: float  # of the brake torque, at one pressure
-
-
 class Dataset(NamedTuple):
     """Checked measured data. `sections` are the parameter tables that `params.check` returns."""
 
@@ -84,7 +72,6 @@ class Dataset(NamedTuple):
     runs: list[Run]
     curve: Curve | None  # of a dataset of the kind creep_curve
     warnings: list[str]
-    road: RoadVehicle | None = None  # None: a rail vehicle, with wheelsets
 
     @property
     def axles(self) -> int:

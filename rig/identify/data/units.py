@@ -55,11 +55,6 @@ _TORQUE_RATIOS = (
 # a measured ratio matches a row if it differs from the ratio of the row by less than this share
 _SAME_RATIO = 0.06
 
-# from what to what the load of a wheelset may be, over the mean of all, and that of a wheel of a
-# car, whose front wheels carry more, and still more in braking
-SHARES_OF_LOAD = (0.7, 1.4)
-SHARES_OF_LOAD_ON_ROAD = (0.2, 1.8)
-
 # Shift in s between torque and wheel speed: more is two clocks, less may be a delay that `explain`
 # finds. 0.2 refused 2 of 40 fault-free recordings of sealed rigs, where wheels cycle slowly.
 LARGEST_CLOCK_SHIFT_S = 0.3
@@ -71,19 +66,13 @@ LEAST_GAIN = 0.25
 CLEAR_GAIN = 0.5
 
 
-def check(
-    run: Run,
-    path: Path,
-    vehicle: Mapping[str, Any],
-    warnings: list[str],
-    shares_of_load: tuple[float, float] = SHARES_OF_LOAD,
-) -> None:
+def check(run: Run, path: Path, vehicle: Mapping[str, Any], warnings: list[str]) -> None:
     """Check loads and torques of a run; warns where torque and speed disagree.
 
     Raises ConfigError.
     """
     if np.isfinite(run.mass_kg):
-        _check_weight(run, path, shares_of_load)
+        _check_weight(run, path)
         _check_momentum(run, path, vehicle, warnings)
 
 
@@ -116,12 +105,8 @@ def check_rolling(run: Run, path: Path, radius_m: float) -> None:
         )
 
 
-def _check_weight(run: Run, path: Path, shares: tuple[float, float]) -> None:
-    """Raise ConfigError where a load is far from the wheelset's share of the weight [D1].
-
-    `shares` is from what to what a load may be, over the mean of all.
-    """
-    low, high = shares
+def _check_weight(run: Run, path: Path) -> None:
+    """Raise ConfigError where a load is far from the wheelset's share of the weight [D1]."""
     static_N = run.mass_kg * GRAVITY_M_S2 / run.axles
     ratios = (*_LOAD_RATIOS, (run.axles, f"it is the vehicle's weight: divide by {run.axles}"))
     # braking moves load from one wheelset to another, so the mean of all shows the unit
@@ -129,7 +114,7 @@ def _check_weight(run: Run, path: Path, shares: tuple[float, float]) -> None:
     for j in range(run.axles):
         load_N = np.median(run.load_N[:, j])
         ratio = float(load_N) / static_N
-        if not low < ratio < high:
+        if not 0.7 < ratio < 1.4:
             unknown = "loads are newtons for both wheels; check mass_kg too"
             why = _meaning(ratio, ratios, _meaning(mean_ratio, ratios, unknown))
             raise ConfigError(

@@ -218,8 +218,8 @@ def _loads_and_torques_by_unit(
 ) -> dict[str, Meaning]:
     """Return columns that are loads or brake torques by their units, and their numbers alone.
 
-    Only if speeds of all wheelsets and of the vehicle are there: then columns that are numbered from
-    1 to `axles` in a unit of force are loads, and those in a unit of torque are brake torques.
+    Only if speeds of all wheelsets and of the vehicle are there: then columns that are numbered
+    from 1 to `axles` in a unit of force are loads, and those in a unit of torque brake torques.
     """
     present = set(meanings.values())
     speeds = {Meaning(words.WHEEL_SPEED, axle) for axle in range(1, axles + 1)}
