@@ -51,6 +51,8 @@ COACH = Kind()
 
 # the table that makes a scenario one of several cars
 TRAIN = "train"
+# the most cars of a train
+MOST_CARS = 16
 
 # equipment that adds channels, objects on the bus and registers to a vehicle
 DYNAMIC_BRAKE = "dynamic_brake"

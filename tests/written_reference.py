@@ -11,7 +11,7 @@ from paper import large_sliding
 
 from rollerrig.configs import store
 from rollerrig.configs.number_text import rounded
-from rollerrig.configs.vehicle import COACH, EQUIPMENT_KEYS
+from rollerrig.configs.vehicle import COACH, EQUIPMENT_KEYS, MOST_CARS
 from rollerrig.firmware_sim.faults import catalogue
 from rollerrig.firmware_sim.wsp import logic
 from rollerrig.realtime import cli
@@ -264,7 +264,7 @@ def scenario_keys():
         "## [[train.car]]",
         "",
         "A car of the train, from the front to the rear; 1 to "
-        f"{train_plan.MOST_CARS} in all. Behind it can be tables for this car alone, such as "
+        f"{MOST_CARS} in all. Behind it can be tables for this car alone, such as "
         "`[train.car.brake]`.",
         "",
         *key_table([row._replace(name=row.name.removesuffix("_set")) for row in train_plan.CAR]),

@@ -1,7 +1,8 @@
 """Which WSP unit a run gets, as text, and which units data may choose.
 
 A unit may be a program of the user, which a command line starts for each run: `command:./unit
-{host} {port}`. `{address}`, `{host}` and `{port}` are replaced by those of the bus.
+{host} {port}`. `{address}`, `{host}` and `{port}` are replaced by those of the bus, `{car}` by the
+number of the car in a train (1: a vehicle alone).
 
 An FMU and a command are programs: they run with the rights of the user. The user allows one by
 writing it on the command line (`--wsp fmu:FILE`, `--unit COMMAND`). A file, a page or a recorded
@@ -25,7 +26,7 @@ FMU = "fmu:"
 # how a program of the user is written: command:LINE
 COMMAND = "command:"
 # what a command may contain, for the bus of its run
-_PLACES = ("address", "host", "port")
+_PLACES = ("address", "host", "port", "car")
 # the option of the command line that adds a file to the allow-list
 ALLOW_UNIT = "--allow-unit"
 
@@ -47,13 +48,15 @@ def command_of(unit: str) -> str:
     return unit.removeprefix(COMMAND) if unit.startswith(COMMAND) else ""
 
 
-def command_words(command: str, address: str, host: str = "", port: int = 0) -> list[str]:
-    """Return the words of a command, with the address of the bus in the places for it.
+def command_words(
+    command: str, address: str, host: str = "", port: int = 0, car: int = 1
+) -> list[str]:
+    """Return the words of a command, with the address of the bus and its car in their places.
 
     Raises ConfigError if the command is empty, is not a command line, or has another place.
     """
     remedy = "write a command line, as in './unit {host} {port}'"
-    places = {"address": address, "host": host, "port": str(port)}
+    places = {"address": address, "host": host, "port": str(port), "car": str(car)}
     try:
         words = shlex.split(command)
         filled = [word.format(**places) for word in words]

@@ -10,8 +10,7 @@ import dataclasses
 import resource
 import time
 from asyncio.constants import ACCEPT_RETRY_DELAY
-from collections.abc import Awaitable, Callable, Iterable
-from functools import partial
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from typing import Any
 
 import pyarrow as pa
@@ -42,7 +41,8 @@ from rollerrig.rig.compiled import compile_progress
 from rollerrig.wsp_interface import places
 from rollerrig.wsp_interface.events import Code, Event
 
-PACINGS: dict[str, Callable[[Parts], Awaitable[None]]] = {
+# free pacing has no bus, and takes the parts of one vehicle; the others those of several cars
+PACINGS: dict[str, Callable[..., Awaitable[None]]] = {
     "wall": wall.run,
     "lockstep": lockstep.run,
     "free": free.run,
@@ -86,69 +86,34 @@ def check(plan: Scenario, given: Options) -> None:
 
 
 class Bench:
-    """One run. `on_progress` is called with a `Progress` now and then. Raises ConfigError."""
+    """One run, or the part of it that has the `car` of a train with its bus, counted from 1.
+
+    `on_progress` is called with a `Progress` now and then. Raises ConfigError.
+    """
 
     def __init__(
-        self, plan: Scenario, given: Options, on_progress: Callable[[Progress], None]
+        self,
+        plan: Scenario,
+        given: Options,
+        on_progress: Callable[[Progress], None],
+        car: int = 0,
     ) -> None:
         check(plan, given)
         run_folder.begin(given.out)
         with writing(given.out):
             write_text(given.out / run_folder.SCENARIO, scenario.dump(plan, given.harness))
         ring.sweep()
-        self.parts = Parts(plan, given, on_progress)
+        self.parts = Parts(plan, given, on_progress, car)
         # message and exception of the failures that are recorded already
         self._exceptions: set[tuple[str, str]] = set()
         self._out_of_descriptors = False
 
     async def run(self) -> dict[str, Any]:
         """Run to the end and return the summary. Raises RollerrigError after closing the record."""
-        parts = self.parts
-        failure: RollerrigError | None = None
-        running = asyncio.get_running_loop()
-        running.set_exception_handler(self._record_exception)
-        signals = interruption.ending_signals()
-        for signum in signals:
-            interrupt = partial(parts.stop, Code.RUN_INTERRUPTED, signal=signum.name)
-            running.add_signal_handler(signum, interrupt)
-        try:
-            await self._run_pacing()
-        except RollerrigError as error:
-            failure = error
-            parts.ended_by = validity.ENDED_BY[Code.RUN_FAILED]
-            parts.event(Code.RUN_FAILED, reason=str(error))
-        finally:
-            parts.data.control[STOP] = 1
-            # from now on signals are ignored; the end of the event loop removes the handlers
-            for signum in signals:
-                running.add_signal_handler(signum, lambda: None)
-            result = await self._close()
-        failure = failure or parts.processes.unwritten
-        if failure:
-            raise failure
+        (result,) = await run([self])
         return result
 
-    async def _run_pacing(self) -> None:
-        """Start the recorder and run the pacing. Raises RollerrigError."""
-        parts = self.parts
-        given = parts.options
-        parts.processes.start_recorder(parts.plan.kind, *parts.rings, parts.identity())
-        parts.report_scenario()
-        tick_data.warm_up(parts.data, given.pacing, given.unit)
-        if given.prepare_free and compile_progress.has_compiled():
-            tick_data.warm_up(parts.data, "free", "none")
-        if given.hold:
-            parts.report("held until a viewer has joined the live view")
-        await parts.processes.await_viewer(parts.rows, lambda: parts.ended_by)
-        if not parts.ended_by:
-            with wall.own_core(parts) if given.pacing == "wall" else contextlib.nullcontext():
-                await PACINGS[given.pacing](parts)
-        if parts.failure:
-            raise parts.failure
-
-    def _record_exception(
-        self, running: asyncio.AbstractEventLoop, context: dict[str, Any]
-    ) -> None:
+    def record_exception(self, running: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """Record and print a failure inside the bus thread, once; the run goes on."""
         if places.is_out_of_descriptors(context):
             self._make_room(context["exception"])
@@ -175,7 +140,7 @@ class Bench:
 
     # --- the end ---
 
-    async def _close(self) -> dict[str, Any]:
+    async def close(self) -> dict[str, Any]:
         """Close bus, unit and recorder, write the summary and return it."""
         parts = self.parts
         parts.derailment.look(parts.data.buffer)
@@ -217,11 +182,11 @@ class Bench:
             "random": parts.is_random,
             "loop": {
                 "ticks": int(control[TICK]),
-                "core": parts.core.number,
+                "core": parts.real_time.core.number,
                 "missed": int(control[MISSED]),
                 "stalled_s": int(control[STALLED_NS]) / clock.SECOND_NS,
-                "lateness_us": loop.percentiles(parts.histogram, int(control[WORST_NS])),
-                **parts.interruptions,
+                "lateness_us": loop.percentiles(parts.real_time.histogram, int(control[WORST_NS])),
+                **parts.real_time.interruptions,
             },
             "bus": bus_counts,
             "modbus": {"requests": parts.modbus.requests},
@@ -267,3 +232,69 @@ class Bench:
         if bus and bus.stray_syncs:
             counts["stray_syncs"] = bus.stray_syncs
         return counts
+
+
+async def run(benches: Sequence[Bench]) -> list[dict[str, Any]]:
+    """Run a vehicle, or the cars of a train that have buses, to the end; return their summaries.
+
+    The first one has the real-time thread and runs the ticks. Raises RollerrigError after closing
+    all records.
+    """
+    cars = [one.parts for one in benches]
+    for car in cars:
+        car.real_time = cars[0].real_time
+    failure: RollerrigError | None = None
+    running = asyncio.get_running_loop()
+    running.set_exception_handler(benches[0].record_exception)
+    signals = interruption.ending_signals()
+    for signum in signals:
+        running.add_signal_handler(signum, _interrupt, cars, signum.name)
+    try:
+        await _run_pacing(cars)
+    except RollerrigError as error:
+        failure = error
+        for car in cars:
+            car.ended_by = validity.ENDED_BY[Code.RUN_FAILED]
+            car.event(Code.RUN_FAILED, reason=str(error))
+    finally:
+        for car in cars:
+            car.data.control[STOP] = 1
+            # what has ended one car has ended the train
+            car.ended_by = car.ended_by or next((one.ended_by for one in cars if one.ended_by), "")
+        # from now on signals are ignored; the end of the event loop removes the handlers
+        for signum in signals:
+            running.add_signal_handler(signum, lambda: None)
+        results = await asyncio.gather(*(one.close() for one in benches))
+    failure = failure or next((car.processes.unwritten for car in cars), None)
+    if failure:
+        raise failure
+    return results
+
+
+def _interrupt(cars: Sequence[Parts], name: str) -> None:
+    """End the run because of a signal."""
+    for car in cars:
+        car.stop(Code.RUN_INTERRUPTED, signal=name)
+
+
+async def _run_pacing(cars: Sequence[Parts]) -> None:
+    """Start the recorders and run the pacing. Raises RollerrigError."""
+    first = cars[0]
+    given = first.options
+    for car in cars:
+        car.processes.start_recorder(car.plan.kind, *car.rings, car.identity())
+        car.report_scenario()
+    ticks = first.ticks_of(first.data)
+    tick_data.warm_up(first.data, given.pacing, given.unit, ticks, first.wall)
+    if given.prepare_free and compile_progress.has_compiled():
+        tick_data.warm_up(first.data, "free", "none")
+    if given.hold:
+        first.report("held until a viewer has joined the live view")
+    await first.processes.await_viewer(first.rows, lambda: first.ended_by)
+    if not first.ended_by:
+        with wall.own_core(first) if given.pacing == "wall" else contextlib.nullcontext():
+            await PACINGS[given.pacing](*cars)
+    for car in cars:
+        if car.failure:
+            with car.named():
+                raise car.failure

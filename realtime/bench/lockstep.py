@@ -5,6 +5,7 @@ The wall clock has one effect only: it ends a run whose unit or harness no longe
 
 import asyncio
 import contextlib
+from collections.abc import Sequence
 from enum import Enum
 from typing import NamedTuple
 
@@ -56,64 +57,94 @@ class _Answer(Enum):
     GONE = 3  # the partner has closed its connection
 
 
-async def run(parts: Parts) -> None:
-    """Run bus cycles until the run is done.
+class _Car(NamedTuple):
+    """A vehicle alone, or a car of a train, and its bus."""
 
-    Raises UnitError when the unit does not come, and UnitLostError when it is there and an answer
+    parts: Parts
+    bus: RigBus
+
+
+async def run(*parts: Parts) -> None:
+    """Run bus cycles of a vehicle, or of the cars of a train with buses, until the run is done.
+
+    Raises UnitError when a unit does not come, and UnitLostError when it is there and an answer
     does not come.
     """
     # the same as parts.simulated_ns(), faster: the bus calls it for each frame
-    tick_ns = clock.SECOND_NS // parts.plan["loop"]["tick_hz"]
-    slot = parts.data.control.item
-    bus = await parts.open_bus(lambda: slot(tick.TICK) * tick_ns)
-    await parts.await_unit(bus)
-    bus.start_wire(timed=False)
-    bus.take_turns(unit_answers=parts.options.unit != "none")
+    tick_ns = clock.SECOND_NS // parts[0].plan["loop"]["tick_hz"]
+    slot = parts[0].data.control.item
+    cars = [_Car(one, await one.open_bus(lambda: slot(tick.TICK) * tick_ns)) for one in parts]
+    for car in cars:
+        car.parts.start_unit()
+    for car in cars:
+        with car.parts.named():
+            await car.parts.await_unit(car.bus)
+        car.bus.start_wire(timed=False)
+        car.bus.take_turns(unit_answers=car.parts.options.unit != "none")
     try:
-        await _cycles(parts, bus)
+        await _cycles(cars)
     except UnitError as error:
         raise UnitLostError(str(error)) from error
 
 
-async def _cycles(parts: Parts, bus: RigBus) -> None:
+def _stops(cars: Sequence[_Car]) -> bool:
+    return any(car.parts.stopping for car in cars)
+
+
+async def _cycles(cars: Sequence[_Car]) -> None:
+    parts, bus = cars[0]
     ticks = parts.ticks_of(parts.data)
-    while not parts.stopping:
-        mailbox.fetch(parts.data.published, bus.row)
-        frozen = [seat for seat in bus.seats if seat.frozen]
-        bus.set_time()
-        parts.poll_faults()
-        for seat in frozen:
-            if not seat.frozen:
-                await _catch_up(parts, bus, seat)
-        if bus.late:
-            await _await_answers(parts, bus)
-        bus.sync()
-        bus.poll()
+    while not _stops(cars):
+        for car in cars:
+            with car.parts.named():
+                await _begin_cycle(*car)
         if bus.hub.wire is None:
-            await _await_answers(parts, bus)
-            await _run_ticks(parts, bus, ticks)
-        else:
+            for car in cars:
+                with car.parts.named():
+                    await _await_answers(*car)
+            await _run_ticks(cars, ticks)
+        else:  # never in a train
             await _cycle_on_wire(parts, bus, bus.hub, ticks)
-        await parts.pause()
+        for car in cars:
+            await car.parts.pause()
 
 
-async def _run_ticks(parts: Parts, bus: RigBus, ticks: tick.RunsTicks) -> None:
+async def _begin_cycle(parts: Parts, bus: RigBus) -> None:
+    """Poll the faults and send SYNC."""
+    mailbox.fetch(parts.data.published, bus.row)
+    frozen = [seat for seat in bus.seats if seat.frozen]
+    bus.set_time()
+    parts.poll_faults()
+    for seat in frozen:
+        if not seat.frozen:
+            await _catch_up(parts, bus, seat)
+    if bus.late:
+        await _await_answers(parts, bus)
+    bus.sync()
+    bus.poll()
+
+
+async def _run_ticks(cars: Sequence[_Car], ticks: tick.RunsTicks) -> None:
     """Run the ticks of a bus cycle.
 
     An alarm of a node between two SYNCs goes off at the tick after its time.
     """
+    parts = cars[0].parts
     tick_ns = clock.SECOND_NS // parts.plan["loop"]["tick_hz"]
     left = parts.plan.sync_ticks
-    while left and not parts.stopping:
+    while left and not _stops(cars):
+        next_ns = min(car.bus.rack.next_ns() for car in cars)
         # rounded up: no alarm goes off early
-        until_alarm = -((parts.simulated_ns() - bus.rack.next_ns()) // tick_ns)
+        until_alarm = -((parts.simulated_ns() - next_ns) // tick_ns)
         count = min(max(until_alarm, 1), left)
         ticks.run(count)
         left -= count
         if left:  # an alarm that is due with the SYNC comes after it
-            bus.ring()
-            if bus.late:
-                await _await_answers(parts, bus)
+            for car in cars:
+                car.bus.ring()
+                if car.bus.late:
+                    with car.parts.named():
+                        await _await_answers(*car)
 
 
 async def _await_answers(parts: Parts, bus: RigBus) -> None:

@@ -6,11 +6,12 @@ is the time since the real-time thread began.
 """
 
 import asyncio
+import contextlib
 import json
 import math
 import shlex
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import numpy as np
@@ -82,16 +83,35 @@ def _sample(row: np.ndarray, table: signals.Table, faults: list[str]) -> Sample:
     )
 
 
+class RealTime:
+    """What the real-time thread tells: the cars of a train share it.
+
+    `histogram` is the lateness of its ticks, `interruptions` what the system counted against it,
+    `begun_ns` when it began, on CLOCK_MONOTONIC; 0: it has not begun.
+    """
+
+    def __init__(self) -> None:
+        self.histogram = np.zeros(loop.BINS, dtype=np.int64)
+        self.interruptions: dict[str, int] = {}
+        self.core = cores.Claim()
+        self.begun_ns = 0
+
+
 class Parts:
-    """The parts of one run.
+    """The parts of one run, or of the `car` of a train (from 1; 0: a vehicle alone) with its bus.
 
     `on_progress` is called with a `Progress` now and then. `ended_by` says how the run ended early;
     it is empty as long as it has not.
     """
 
     def __init__(
-        self, plan: Scenario, options: Options, on_progress: Callable[[Progress], None]
+        self,
+        plan: Scenario,
+        options: Options,
+        on_progress: Callable[[Progress], None],
+        car: int = 0,
     ) -> None:
+        self.car = car
         self.plan = plan
         self.table = plan.table
         self.options = options
@@ -100,12 +120,7 @@ class Parts:
         self.ended_by = ""
         self.failure: RollerrigError | None = None
 
-        # the loop: lateness of its ticks, and what the system counted against its thread
-        self.histogram = np.zeros(loop.BINS, dtype=np.int64)
-        self.interruptions: dict[str, int] = {}
-        self.core = cores.Claim()
-        # when the real-time thread began, on CLOCK_MONOTONIC; 0: it has not begun
-        self.begun_ns = 0
+        self.real_time = RealTime()
         # when the run began, on the clock of the bus; -1: the rig is held, it has not begun
         self.zero_ns = 0
 
@@ -142,8 +157,12 @@ class Parts:
         self.event_ring = Ring(ring.place("events"), np.int64, _EVENTS, ring.EVENT_WORDS)
         self.rings = (self.rows, self.frames, self.event_ring)
         self.data = tick_data.build(plan, self.rows, seed=options.seed)
-        # what runs the ticks of `data` in lockstep; a train also runs those of its other cars
+        # what runs the ticks of `data` in lockstep, and on their deadlines; a train also runs those
+        # of its other cars
         self.ticks_of: Callable[[tick.TickData], tick.RunsTicks] = tick.Ticks
+        self.wall: Callable[..., object] = loop.wall
+        # (1,), what the cars of a train are told; None: a vehicle alone
+        self.train_deceleration_m_s2: np.ndarray | None = None
         self.row = self.data.row.copy()
 
         self._reported_s = 0.0
@@ -173,6 +192,16 @@ class Parts:
         return json.dumps({**self.identity(), "resolved": self.plan.resolved})
 
     # --- what happens ---
+
+    @contextlib.contextmanager
+    def named(self) -> Iterator[None]:
+        """Let errors inside the block begin with the car of a train."""
+        try:
+            yield
+        except RollerrigError as error:
+            if self.car == 0:
+                raise
+            raise type(error)(f"car {self.car}: {error}") from error
 
     def event(self, code: Code, /, **fields: Any) -> None:
         """Record an event at the present simulated time."""
@@ -231,7 +260,8 @@ class Parts:
 
     def elapsed_ns(self) -> int:
         """Return the wall time since the real-time thread began; 0 before."""
-        return time.monotonic_ns() - self.begun_ns if self.begun_ns else 0
+        begun_ns = self.real_time.begun_ns
+        return time.monotonic_ns() - begun_ns if begun_ns else 0
 
     def report_scenario(self) -> None:
         """Record a value of the scenario that does not act, although a file states it."""
@@ -331,6 +361,7 @@ class Parts:
             clock_ns,
             self.options.pacing,
             lambda row: mailbox.fetch(self.data.published, row),
+            self.train_deceleration_m_s2,
         )
         bus.harness.wire(
             end=self._end_by_harness,
@@ -448,17 +479,20 @@ class Parts:
 
     # --- waiting for the unit and the harness ---
 
-    async def await_unit(self, bus: rig_bus.RigBus) -> None:
-        """Start the unit of the bench, or wait for the heartbeat of another; then for the harness.
-
-        Returns when the recorder is ready, too. Raises UnitError.
-        """
+    def start_unit(self) -> None:
+        """Start the unit of the bench, or report that another is awaited. Raises ConfigError."""
         if self.options.command:
-            self.processes.start_command(self.place)
+            self.processes.start_command(self.place, max(self.car, 1))
         elif self.options.own_unit:
             self._start_own_unit()
         elif self.options.unit == "external":
             self._report_waiting(f"a WSP unit's heartbeat ({self._heartbeat_ids()})")
+
+    async def await_unit(self, bus: rig_bus.RigBus) -> None:
+        """Wait for the heartbeat of the unit, then for the harness and the recorder.
+
+        Raises UnitError.
+        """
         if self.options.unit != "none":
             await self._await_heartbeats(bus)
         if self.options.harness:
@@ -471,7 +505,7 @@ class Parts:
         loop_core = -1
         if self.options.pacing == "wall":
             priority = self.plan["loop"]["priority"]
-            loop_core = self.core.number
+            loop_core = self.real_time.core.number
         if priority:
             priority = max(int(loop.UNIT_SHARE * priority), 1)
         self.processes.start_unit(

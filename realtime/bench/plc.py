@@ -268,7 +268,7 @@ class Plc:
         if now_s - self._counted_s > _STATISTICS_S:
             self._counted_s = now_s
             worst_ns = int(self.rig.data.control[WORST_NS])
-            self._percentiles_us = loop.percentiles(self.rig.histogram, worst_ns)
+            self._percentiles_us = loop.percentiles(self.rig.real_time.histogram, worst_ns)
         return round(self._percentiles_us[percentile])
 
     # -- what a client writes

@@ -135,15 +135,15 @@ class Processes:
                 )
                 self.units.append(process)
 
-    def start_command(self, place: str) -> None:
-        """Start the unit that is a program of the user, on the bus at an address.
+    def start_command(self, place: str, car: int) -> None:
+        """Start the unit of a car that is a program of the user, on the bus at an address.
 
         Its output goes into the log of the unit. Raises ConfigError if the command is wrong.
         """
         host, port = "", 0
         with contextlib.suppress(ValueError):  # a CAN interface has neither
             host, port, _ = plugin.parse_address(place)
-        words = unit_choice.command_words(self.options.command, place, host, port)
+        words = unit_choice.command_words(self.options.command, place, host, port, car)
         with writing(self.options.out), create(self.options.out / run_folder.UNIT_LOG) as log:
             process = subprocess.Popen(
                 children.command(*words, by=signal.SIGKILL),

@@ -1,6 +1,7 @@
 """Builds what a tick works on from a scenario, and compiles the kernels of a pacing."""
 
 import os
+from collections.abc import Callable
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from rollerrig.rig.plant import Plant
 from rollerrig.wsp_interface import signals
 
 # kernels that the first run of each pacing compiles (a test counts them); the messages need them
-KERNELS = {"free": 222, "lockstep": 221, "wall": 230}
+KERNELS = {"free": 222, "lockstep": 221, "wall": 233}
 # a unit that answers in the tick of its SYNC, in every cycle: an ideal bus
 _IMMEDIATE_ANSWER = (0, 0, 1)
 
@@ -91,14 +92,23 @@ def _sensor(plan: Scenario) -> pole_wheel.Sensor:
     )
 
 
-def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
-    """Compile, or load, the kernels that the pacing calls with a unit, without running a tick."""
+def warm_up(
+    data: TickData,
+    pacing: str,
+    unit: str = "none",
+    ticks: tick.RunsTicks | None = None,
+    wall: Callable[..., object] = loop.wall,
+) -> None:
+    """Compile, or load, the kernels that the pacing calls with a unit, without running a tick.
+
+    `ticks` and `wall` run the ticks of `data`, as in `Parts`; default: those of a vehicle alone.
+    """
     if pacing == "wall":
-        _warm_up_wall(data)
+        _warm_up_wall(data, wall)
     elif pacing == "lockstep" or unit != "reference":
         # a free run with the reference unit calls the ticks inside its loop, and compiles them
         # there
-        tick.run_ticks(data, 0)
+        (ticks or tick.Ticks(data)).run(0)
     if pacing == "free":
         return  # it has no bus, and its unit is called inside the loop
     if unit == "reference" and compile_progress.has_compiled():
@@ -109,12 +119,12 @@ def warm_up(data: TickData, pacing: str, unit: str = "none") -> None:
     mailbox.post(data.commands, data.commands.values.copy())
 
 
-def _warm_up_wall(data: TickData) -> None:
+def _warm_up_wall(data: TickData, wall: Callable[..., object]) -> None:
     """Call the real-time loop with STOP set, so that it returns before its first tick."""
     stop = data.control[STOP]
     data.control[STOP] = 1
     descriptor = clock.eventfd()
-    loop.wall(
+    wall(
         data,
         1_000_000,
         1,

@@ -10,8 +10,8 @@ import contextlib
 import os
 import threading
 import time
-from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -34,46 +34,65 @@ LINGER_S = 1.0
 _REPORT_S = 0.5
 
 
-async def run(parts: Parts) -> None:
-    """Run ticks on their deadlines until the run is done. Raises BusError, UnitError."""
+class _Car(NamedTuple):
+    """A vehicle alone, or a car of a train, and its bus."""
+
+    parts: Parts
+    bus: RigBus
+
+
+async def run(*parts: Parts) -> None:
+    """Run the ticks of a vehicle, or of a train with buses, on their deadlines until all is done.
+
+    Only a vehicle alone has Modbus, and can be held. Raises BusError, UnitError.
+    """
     from rollerrig.realtime.bench.plc import Plc
 
-    bus = await parts.open_bus(parts.elapsed_ns)
-    plc = Plc(parts, bus)
+    cars = [_Car(one, await one.open_bus(one.elapsed_ns)) for one in parts]
+    first = parts[0]
+    plc = Plc(*cars[0])
     try:
-        if parts.plan["modbus"]["enabled"]:
-            held = parts.options.start == "modbus"
+        if first.plan["modbus"]["enabled"] and first.car == 0:
+            held = first.options.start == "modbus"
             if held:
-                _hold(parts, plc)
+                _hold(first, plc)
             await plc.open(needed=held)
-        await parts.await_unit(bus)
-        await _run_held_and_free(parts, bus, plc)
+        for car in cars:
+            car.parts.start_unit()
+        for car in cars:
+            with car.parts.named():
+                await car.parts.await_unit(car.bus)
+        await _run_held_and_free(cars, plc)
     finally:
         await plc.close()
 
 
-async def _run_held_and_free(parts: Parts, bus: RigBus, plc: "Plc") -> None:
+async def _run_held_and_free(cars: Sequence[_Car], plc: "Plc") -> None:
     """Run the real-time thread, and again with each scenario that a held rig is given."""
+    parts, bus = cars[0]
     descriptor = clock.eventfd()
     woken = asyncio.Event()
     running = asyncio.get_running_loop()
-    running.add_reader(descriptor, _on_tick, parts, bus, descriptor, woken)
-    bus.keep_time()
+    running.add_reader(descriptor, _on_tick, cars, descriptor, woken)
+    for car in cars:
+        car.bus.keep_time()
     loop.prefer_bus_thread(parts.plan["loop"]["priority"])
     try:
-        await _run_thread(parts, descriptor, woken)
+        await _run_thread(cars, descriptor, woken)
         while parts.next_plan and not parts.ended_by:
             _take_scenario(parts, parts.next_plan)
             _hold(parts, plc)
             bus.post()
-            await _run_thread(parts, descriptor, woken)
-        bus.close()  # what nodes would still send is not part of the run
+            await _run_thread(cars, descriptor, woken)
+        for car in cars:
+            car.bus.close()  # what nodes would still send is not part of the run
         if parts.options.start == "modbus" and not parts.ended_by:
             await asyncio.sleep(LINGER_S)
     finally:
         loop.prefer_bus_thread(0)
         memory.unlock()
-        bus.close()
+        for car in cars:
+            car.bus.close()
         running.remove_reader(descriptor)
         os.close(descriptor)
 
@@ -88,24 +107,33 @@ def own_core(parts: Parts) -> Iterator[None]:
     wanted = rates["cpu"]
     if not rates["priority"] or loop.priority_refused(rates["priority"]):
         wanted = wanted if wanted >= 0 else cores.ANY
-    parts.core = cores.claim(wanted)
-    if parts.core.number < 0:
+    parts.real_time.core = cores.claim(wanted)
+    if parts.real_time.core.number < 0:
         yield
         return
     left = {}
     # also what a child has started: the viewer is a grandchild
     for pid in cores.family(os.getpid()):
-        left.update(cores.leave({parts.core.number}, pid))
+        left.update(cores.leave({parts.real_time.core.number}, pid))
     try:
-        with interrupts.kept_off(parts.core):
+        with interrupts.kept_off(parts.real_time.core):
             yield
     finally:
         cores.restore(left)
 
 
-def _on_tick(parts: Parts, bus: RigBus, descriptor: int, woken: asyncio.Event) -> None:
+def _on_tick(cars: Sequence[_Car], descriptor: int, woken: asyncio.Event) -> None:
     """A SYNC is due, or the real-time thread has ended."""
     os.read(descriptor, 8)
+    is_over = any(car.parts.stopping for car in cars)
+    if is_over:
+        woken.set()
+    for car in cars:
+        _cycle(*car, is_over)
+
+
+def _cycle(parts: Parts, bus: RigBus, is_over: bool) -> None:
+    """Run a bus cycle of a vehicle; without SYNC when the run is over."""
     mailbox.fetch(parts.data.published, bus.row)
 
     begins_now = parts.zero_ns < 0 and parts.data.control[TICK]
@@ -115,9 +143,7 @@ def _on_tick(parts: Parts, bus: RigBus, descriptor: int, woken: asyncio.Event) -
     if parts.zero_ns >= 0:
         parts.report_stall()
 
-    if parts.stopping:
-        woken.set()
-    else:
+    if not is_over:
         bus.start_wire(timed=True)
         bus.set_time()
         parts.poll_faults()
@@ -125,22 +151,24 @@ def _on_tick(parts: Parts, bus: RigBus, descriptor: int, woken: asyncio.Event) -
     bus.poll()
 
 
-async def _run_thread(parts: Parts, descriptor: int, woken: asyncio.Event) -> None:
+async def _run_thread(cars: Sequence[_Car], descriptor: int, woken: asyncio.Event) -> None:
     """Run the real-time thread until the run is done, stopped or given another scenario."""
     woken.clear()
     failures: list[Exception] = []
     thread = threading.Thread(
-        target=_guarded_real_time, args=(parts, descriptor, failures), name="real-time"
+        target=_guarded_real_time, args=(cars[0].parts, descriptor, failures), name="real-time"
     )
     thread.start()
     try:
         while not woken.is_set() and thread.is_alive():
-            parts.report()
-            parts.processes.watch()
+            for car in cars:
+                car.parts.report()
+                car.parts.processes.watch()
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(woken.wait(), _REPORT_S)
     finally:
-        parts.data.control[STOP] = 1
+        for car in cars:
+            car.parts.data.control[STOP] = 1
         await asyncio.get_running_loop().run_in_executor(None, thread.join)
     for error in failures:
         raise RollerrigError(
@@ -160,24 +188,26 @@ def _guarded_real_time(parts: Parts, descriptor: int, failures: list[Exception])
 def _real_time(parts: Parts, descriptor: int) -> None:
     """The real-time thread."""
     rates = parts.plan["loop"]
-    for refused in loop.ask_for_priority(rates["priority"], parts.core.number):
+    for refused in loop.ask_for_priority(rates["priority"], parts.real_time.core.number):
         parts.event(Code.LOOP_REFUSED, refused=refused)
-    if parts.core.number >= 0 and os.sched_getaffinity(0) != {parts.core.number}:
+    if parts.real_time.core.number >= 0 and os.sched_getaffinity(0) != {
+        parts.real_time.core.number
+    }:
         # the system refused the core: the loop runs on any
-        parts.core.close()
-        parts.core = cores.Claim()
-    early_us = rates["wake_early_us"] if parts.core.owned else 0
+        parts.real_time.core.close()
+        parts.real_time.core = cores.Claim()
+    early_us = rates["wake_early_us"] if parts.real_time.core.owned else 0
     # locking memory may take a second: the clock starts after it
     begin_ns = time.monotonic_ns()
-    parts.begun_ns = parts.begun_ns or begin_ns
-    with clock.awake(rates["priority"] > 0), loop.interruptions(parts.interruptions):
-        loop.wall(
+    parts.real_time.begun_ns = parts.real_time.begun_ns or begin_ns
+    with clock.awake(rates["priority"] > 0), loop.interruptions(parts.real_time.interruptions):
+        parts.wall(
             parts.data,
             clock.SECOND_NS // rates["tick_hz"],
             parts.plan.sync_ticks,
             1000 * early_us,
             descriptor,
-            parts.histogram,
+            parts.real_time.histogram,
             np.zeros(3, dtype=np.int64),
             begin_ns,
         )

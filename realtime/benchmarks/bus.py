@@ -170,7 +170,7 @@ def _attach_echo(parts: Parts) -> None:
 
 def _timing(hz: int, seconds: float, measured: wall.Measured) -> Result:
     """Return the time from SYNC to the last TPDO, at the hub and at the client, and the load."""
-    begun_ns = measured.parts.begun_ns
+    begun_ns = measured.parts.real_time.begun_ns
     # the last cycle may be incomplete
     syncs = [client.Sync(**sync) for sync in measured.result["syncs"][:-1]]
     late_us = []

@@ -129,7 +129,7 @@ def _stop(
             int(control[WORST_NS]),
             int(control[MISSED]),
         )
-        for name, count in measured.parts.interruptions.items():
+        for name, count in measured.parts.real_time.interruptions.items():
             ours.interruptions[name] += count
         refused = [event.text for event in measured.parts.events if event.code == Code.LOOP_REFUSED]
         return int(control[TICK]) / tick_hz, refused

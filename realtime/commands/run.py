@@ -58,11 +58,12 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     wsp.map_argument(parser)
     parser.add_argument(
         "--car",
-        type=int,
-        default=1,
+        type=parse_cars,
+        default=(1,),
         metavar="N",
-        help="of a train in lockstep: the car, from the front, whose unit is on the bus; all other "
-        "cars have reference units (default: 1)",
+        help="of a train in lockstep or in real time: the car, from the front, whose unit is on a "
+        "bus, or several as in 1,3, or all; --wsp or --unit is started for each; all other cars "
+        "have reference units (default: 1)",
     )
     parser.add_argument("--model", default="", metavar="FILE", help="load an extended model")
     parser.add_argument(
@@ -311,7 +312,21 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
         items.append(without_wsp.sentence(without))
         folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
         items.append(f"compare both with: rollerrig compare {folders}")
+        picture = shlex.quote(str(out / "both.png"))
+        items.append(f"draw both with: rollerrig view {folders} --png {picture}")
     return Recorded(summary, result, items)
+
+
+def parse_cars(text: str) -> tuple[int, ...]:
+    """Return the cars of N, N,N or all; none for all. Raises ArgumentTypeError."""
+    if text == "all":
+        return ()
+    try:
+        return tuple(int(word) for word in text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}: write the numbers of cars, as in 2 or 1,3, or all"
+        ) from None
 
 
 def _train_of(options: argparse.Namespace) -> "Train | None":
@@ -327,10 +342,9 @@ def _train_of(options: argparse.Namespace) -> "Train | None":
         return None
     plan.check_options(
         {
-            "--pacing wall": options.pacing == "wall",
             f"--wsp {options.wsp} with --pacing free": options.pacing == "free"
             and options.wsp not in ("reference", "none"),
-            "--wsp none with --pacing lockstep": options.pacing == "lockstep"
+            f"--wsp none with --pacing {options.pacing}": options.pacing != "free"
             and options.wsp == "none",
             "--live": options.live,
             "--hold": options.hold,

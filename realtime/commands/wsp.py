@@ -147,7 +147,7 @@ def unit_argument(parser: argparse.ArgumentParser) -> None:
         default="",
         metavar="COMMAND",
         help="command that starts your unit for each run; {address}, {host} and {port} are "
-        "replaced by those of the bus, as in "
+        "replaced by those of the bus ({car}: the car of a train), as in "
         "'python docs/examples/wsp_unit.py {host} {port}'; its output is in wsp.log of the run",
     )
 

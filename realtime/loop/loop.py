@@ -63,20 +63,12 @@ def wall(m, tick_ns, sync_ticks, early_ns, descriptor, histogram, scratch, begin
     deadline = begin_ns + tick_ns
     took = 0
     while m.control[STOP] == 0 and m.control[DONE] == 0:
-        sleep_until(deadline - max(min(early_ns, int(_AWAKE_SHARE * tick_ns) - took), 0), spec)
-        began = now_ns(spec)
-        while began < deadline:
-            began = now_ns(spec)
-        late = max(began - deadline, 0)
+        began = wait(deadline, tick_ns, early_ns, took, spec)
+        late = began - deadline
         histogram[min(late // 1000, histogram.size - 1)] += 1
-        m.control[WORST_NS] = max(m.control[WORST_NS], late)
-        m.control[LATE_NS] = max(m.control[LATE_NS], late)
-        if late >= tick_ns:
-            m.control[MISSED] += 1
-            if late > _STALL_TICKS * tick_ns:
-                m.control[MISSED] += late // tick_ns - 1
-                m.control[STALLED_NS] += late
-                deadline = began
+        note(m.control, late, tick_ns)
+        if is_stall(late, tick_ns):
+            deadline = began
         if held_rig.is_held(m, sync_ticks):
             held_rig.roll(m)
         else:
@@ -87,6 +79,37 @@ def wall(m, tick_ns, sync_ticks, early_ns, descriptor, histogram, scratch, begin
         m.control[BUSY_NS] = max(m.control[BUSY_NS], took)
         deadline += tick_ns
     wake(descriptor, one)
+
+
+@kernel
+def wait(deadline, tick_ns, early_ns, took, spec):
+    """Wait for the deadline of a tick in ns; return when it begins, at the deadline or later.
+
+    `early_ns` as for `wall`, `took` the duration of the tick before, `spec` int64 (2,) scratch.
+    """
+    sleep_until(deadline - max(min(early_ns, int(_AWAKE_SHARE * tick_ns) - took), 0), spec)
+    began = now_ns(spec)
+    while began < deadline:
+        began = now_ns(spec)
+    return began
+
+
+@kernel
+def is_stall(late, tick_ns):
+    """Return whether a tick begins so late that the loop does not catch up."""
+    return late > _STALL_TICKS * tick_ns
+
+
+@kernel
+def note(control, late, tick_ns):
+    """Note in the control array of a vehicle how many ns late a tick begins."""
+    control[WORST_NS] = max(control[WORST_NS], late)
+    control[LATE_NS] = max(control[LATE_NS], late)
+    if late >= tick_ns:
+        control[MISSED] += 1
+        if is_stall(late, tick_ns):
+            control[MISSED] += late // tick_ns - 1
+            control[STALLED_NS] += late
 
 
 def ask_for_priority(priority: int, cpu: int) -> list[str]:

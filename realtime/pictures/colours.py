@@ -4,7 +4,7 @@ Source: the palette of Okabe and Ito, which colour-blind people can distinguish.
 one axle, or one model, in Rerun and on pages. Both have a light and a dark background.
 """
 
-from rollerrig.configs.vehicle import MOST_AXLES
+from rollerrig.configs.vehicle import MOST_AXLES, MOST_CARS
 
 Colour = tuple[int, int, int]
 
@@ -44,6 +44,16 @@ AXLES = tuple(
 _GROUP_DASHES: tuple[tuple[float, ...], ...] = ((), (7, 2), (4, 2, 1, 2), (2, 2))
 # those of all axles: colour is never the only mark of an axle
 AXLE_DASHES = tuple(_GROUP_DASHES[axle % len(_GROUP)] for axle in range(MOST_AXLES))
+
+# cars of a train, as many as it may have: each further six are darker
+_CARS = (BLUE, ORANGE, GREEN, PURPLE, SKY_BLUE, VERMILION)
+CARS = tuple(
+    _shaded(_CARS[car % len(_CARS)], _SHADES[car // len(_CARS)]) for car in range(MOST_CARS)
+)
+# kinds of lines of the cars, as lengths of dashes and gaps in points
+CAR_DASHES: tuple[tuple[float, ...], ...] = tuple(
+    ((), (6, 2), (2, 2))[car // len(_CARS)] for car in range(MOST_CARS)
+)
 
 VEHICLE = STEEL
 # what a signal is compared with: the reference speed of the WSP unit, the brake demand

@@ -40,6 +40,11 @@ class Run(NamedTuple):
     summary: dict[str, Any]
 
     @property
+    def is_train(self) -> bool:
+        """Whether it is the run of a train."""
+        return vehicle.TRAIN in self.scenario
+
+    @property
     def kind(self) -> vehicle.Kind:
         """The kind of its vehicle."""
         return vehicle.kind_of(self.scenario, str(self.folder / SCENARIO))

@@ -23,7 +23,7 @@ from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import brake_work, run_folder
 from rollerrig.realtime.record.records import Run
-from rollerrig.realtime.reports import friction_changes, page
+from rollerrig.realtime.reports import friction_changes, page, train
 from rollerrig.realtime.reports.friction_changes import AnyEvent
 from rollerrig.realtime.reports.page import Markup
 from rollerrig.wsp_interface.events import Code
@@ -165,6 +165,8 @@ def motion_of_record(record: Record) -> Motion:
 
 def write(run: Run, out: Path) -> list[Path]:
     """Write the picture of a recorded run, and return its path. Raises OSError."""
+    if run.is_train:
+        return train.write_picture(run, out)
     write_text(out, str(picture(motion_of(run), _marks_of(run))))
     return [out]
 
@@ -320,9 +322,22 @@ def write_runs(runs: Sequence[Run], out: Path, size: tuple[int, int]) -> Path:
     if kind not in _PICTURE_KINDS:
         allowed = ", ".join(f".{name}" for name in _PICTURE_KINDS)
         raise ConfigError(f"{out}: a picture of this kind cannot be written; allowed are {allowed}")
+    trains = [run for run in runs if run.is_train]
+    if trains and len(runs) > 1:
+        raise ConfigError(
+            f"{trains[0].folder} is the run of a train, which is drawn alone; allowed with other runs "
+            "are its cars, in the folders car_1, car_2 ..."
+        )
     width, height = size
     inches = (width / _SCREEN_DPI, height / _SCREEN_DPI)
-    content = page.picture_file(lambda figure: draw_runs(figure, runs), inches, kind, _SCREEN_DPI)
+
+    def draw_all(figure: Figure) -> None:
+        if trains:
+            train.draw(figure, trains[0])
+        else:
+            draw_runs(figure, runs)
+
+    content = page.picture_file(draw_all, inches, kind, _SCREEN_DPI)
     with writing(out, "give another file with --png"):
         make_folder(out.parent)
         write_bytes(out, content)
@@ -526,10 +541,11 @@ def _draw_run(plots: Any, motion: Motion, look: _Look) -> None:
 
     line = common | {"markevery": every}
     reference_kmh = 3.6 * column("wsp_reference_speed_m_s")
-    name = "WSP reference, brake demand"
+    name = "reference speed of the unit"
     speed.plot(time_s, reference_kmh, "--", color=page.GREY, label=name, **line)
     speed.plot(time_s, 3.6 * vehicle_m_s, color=page.INK, label="vehicle", **line)
-    pressure.plot(time_s, 1e-5 * column("brake_demand_Pa"), "--", color=page.GREY, **line)
+    demand_bar = 1e-5 * column("brake_demand_Pa")
+    pressure.plot(time_s, demand_bar, "-.", color=page.GREY, label="brake demand", **line)
 
 
 def _finish(plots: Any, axles: int, time_s: np.ndarray, marks: Sequence[Mark]) -> None:
@@ -554,6 +570,9 @@ def _finish(plots: Any, axles: int, time_s: np.ndarray, marks: Sequence[Mark]) -
 def _handles(plots: Any, marks: Iterable[Mark]) -> list[Any]:
     """Return the entries of the legend that all runs share, one for each kind of line."""
     lines, labels = plots[0].get_legend_handles_labels()
+    of_pressures, names_of_pressures = plots[2].get_legend_handles_labels()
+    lines += of_pressures
+    labels += names_of_pressures
     first = {label: line for line, label in zip(reversed(lines), reversed(labels), strict=True)}
     # the entry of the measured speeds is the last one
     names = sorted(dict.fromkeys(labels), key=lambda name: name == _MEASURED_TITLE)

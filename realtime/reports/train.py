@@ -1,17 +1,21 @@
-"""The report of a train: distance, forces in the couplers, sliding by car, and the cleaned rail."""
+"""The report of a train, and its pictures: by car over time, its couplers, and the cleaned rail."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import write_text, writing
-from rollerrig.realtime.record import channels, played, records
+from rollerrig.realtime.pictures import colours
+from rollerrig.realtime.record import cars, played, records
+from rollerrig.realtime.record.cars import Car, Column
+from rollerrig.realtime.record.records import Run
 from rollerrig.realtime.reports import page
 from rollerrig.wsp_interface import braking
 
@@ -21,7 +25,7 @@ _CARS_HEAD = (
     "vehicle",
     "mass, t",
     "axles",
-    "brake demand, s",
+    "brake demand from, s",
     "mean sliding, m/s",
     "largest, m/s",
     "longest lock, s",
@@ -40,7 +44,30 @@ _COUPLERS_HEAD = (
 # columns of the table of cars that a terminal has room for
 _SHOWN = (0, 1, 5, 6, 7, 8, 10)
 _SIZE_IN = (11.0, 4.0)
-_COLUMNS_OF_LEGEND = 8
+_STOP_SIZE_IN = (11.0, 8.0)
+# a figure, or a part of it with plots of its own
+AnyFigure = Figure | SubFigure
+
+# friction mu_cd; a smaller difference is not drawn
+_LEAST_SPREAD = 1e-6
+_KM_H_PER_M_S = 3.6
+_PA_PER_BAR = 1e5
+_COLUMNS_OF_LEGEND = 10
+_DEMAND: dict[str, Any] = {"color": page.GREY, "linestyle": "--", "linewidth": 1.3}
+
+
+class Stop(NamedTuple):
+    """What is drawn of a train: its channels until standstill, its cars and its summary."""
+
+    column: Column
+    cars: Sequence[Car]
+    summary: Mapping[str, Any]
+    has_pipe: bool
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Shape (n,)."""
+        return self.column("time_s")
 
 
 def write(folder: Path) -> Path:
@@ -84,24 +111,45 @@ def sentence(summary: Mapping[str, Any]) -> str:
 
 
 def _page(folder: Path, summary: Mapping[str, Any]) -> str:
-    columns = channels.Columns(folder)
+    stop = _stop_of(records.load(folder))
+    couplers: list[str] = []
+    if len(stop.cars) > 1:
+        couplers = [
+            page.element("h2", "Couplers"),
+            page.table(_COUPLERS_HEAD, _coupler_rows(summary)),
+            page.picture(lambda figure: _draw_couplers(figure, stop), _SIZE_IN),
+        ]
     return page.page(
         summary["title"] or summary["scenario"],
         page.paragraph(sentence(summary)),
         page.facts(played.of_summary(summary).facts()),
         page.element("h2", "Cars"),
         page.table(_CARS_HEAD, _car_rows(summary)),
-        page.picture(lambda figure: _draw_sliding(figure, columns, summary), _SIZE_IN),
-        page.element("h2", "Couplers"),
-        page.table(_COUPLERS_HEAD, _coupler_rows(summary)),
-        page.picture(lambda figure: _draw_couplers(figure, columns, summary), _SIZE_IN),
+        page.picture(lambda figure: _draw_stop(figure, stop), _STOP_SIZE_IN),
+        *couplers,
         page.element("h2", "The rail under each axle"),
         page.paragraph(
-            "Mean friction of the contaminant under each axle, from the first to the last: the wheels "
-            "ahead have cleaned the rail."
+            "The wheels ahead have cleaned the rail: means until standstill for each axle, from the "
+            "first to the last. The adhesion used also depends on the load and the brake of the car."
         ),
-        page.picture(lambda figure: _draw_rail(figure, columns, summary), _SIZE_IN),
+        page.picture(lambda figure: _draw_axles(figure, stop), _SIZE_IN),
+        *_rail(stop),
     )
+
+
+def _rail(stop: Stop) -> list[str]:
+    """Return the part on the rail place by place; none where its friction is equal everywhere."""
+    if not _is_cleaned(stop):
+        return []
+    return [
+        page.element("h2", "The rail place by place"),
+        page.paragraph(
+            "A row is an axle. Its colour at a place is the friction of the contaminant that this axle "
+            "met there, after all axles above it had passed. Without a colour, the axle has not been "
+            "there."
+        ),
+        page.picture(lambda figure: _draw_rail(figure, stop), _SIZE_IN),
+    ]
 
 
 def _car_rows(summary: Mapping[str, Any]) -> list[list[str]]:
@@ -132,67 +180,171 @@ def _coupler_rows(summary: Mapping[str, Any]) -> list[list[str]]:
         rows.append(
             [
                 f"{number}",
-                f"{1e-3 * one['tension_max_N']:.1f}",
-                f"{1e-3 * one['compression_max_N']:.1f}",
-                f"{1e3 * one['stretched_max_m']:.1f}",
-                f"{1e3 * one['compressed_max_m']:.1f}",
-                f"{1e-3 * one['work_J']:.2f}",
+                f"{1e-3 * one['tension_max_N']:z.1f}",
+                f"{1e-3 * one['compression_max_N']:z.1f}",
+                f"{1e3 * one['stretched_max_m']:z.1f}",
+                f"{1e3 * one['compressed_max_m']:z.1f}",
+                f"{1e-3 * one['work_J']:z.2f}",
             ]
         )
     return rows
 
 
-def _lines(
-    plot: Axes, time_s: np.ndarray, curves: Sequence[tuple[str, np.ndarray]], unit: str
-) -> None:
-    """Draw curves over time, with a legend beside them."""
-    for number, (name, values) in enumerate(curves):
-        colour = page.RUNS[number % len(page.RUNS)]
-        style = ("-", "--", ":")[number // len(page.RUNS) % 3]
-        plot.plot(time_s, values, color=colour, linestyle=style, label=name)
-    plot.set_xlabel("time, s")
-    plot.set_ylabel(unit)
-    if curves:
-        plot.legend(ncols=_COLUMNS_OF_LEGEND, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+# --- pictures ---
 
 
-def _until_standstill(columns: channels.Columns) -> tuple[np.ndarray, slice]:
-    """Return the times of a stop, and the samples until standstill."""
-    speed_m_s = channels.values(columns["vehicle_speed_m_s"])
-    end = braking.standstill(speed_m_s)
+def _stop_of(run: Run) -> Stop:
+    """Return what is drawn of a recorded train. Raises ConfigError for another run."""
+    of_train = cars.cars(run.summary)
+    end = braking.standstill(run.column("vehicle_speed_m_s"))
     kept = slice(0, end + 1) if end else slice(None)
-    return channels.values(columns["time_s"])[kept], kept
+    return Stop(
+        lambda name: run.column(name)[kept],
+        of_train,
+        run.summary,
+        "car_1_brake_pipe_Pa" in run.table.column_names,
+    )
 
 
-def _draw_sliding(figure: Figure, columns: channels.Columns, summary: Mapping[str, Any]) -> None:
-    time_s, kept = _until_standstill(columns)
-    curves = []
-    for number, car in enumerate(summary["cars"], start=1):
-        axles = range(car["axles"][0], car["axles"][1] + 1)
-        of_axles = [channels.values(columns[f"sliding_{axle}_m_s"])[kept] for axle in axles]
-        curves.append((f"car {number}", np.mean(of_axles, axis=0)))
-    _lines(figure.subplots(), time_s, curves, "mean sliding, m/s")
+def write_picture(run: Run, out: Path) -> list[Path]:
+    """Write the picture of a train's run as SVG, and return its path. Raises ConfigError."""
+    write_text(out, str(page.picture(lambda figure: draw(figure, run), (11.0, 11.0))))
+    return [out]
 
 
-def _draw_couplers(figure: Figure, columns: channels.Columns, summary: Mapping[str, Any]) -> None:
-    time_s, kept = _until_standstill(columns)
-    curves = []
-    for number in range(1, len(summary["couplers"]) + 1):
-        force_N = channels.values(columns[f"coupler_{number}_N"])[kept]
-        curves.append((f"coupler {number}", 1e-3 * force_N))
-    _lines(figure.subplots(), time_s, curves, "force, kN (tension positive)")
+def draw(figure: Figure, run: Run) -> None:
+    """Draw a train's stop, its couplers, and the rail under its axles in one picture."""
+    stop = _stop_of(run)
+    over_time, along = figure.subfigures(2, 1, height_ratios=(5, 2))
+    plots = _plots_over_time(over_time, stop, with_couplers=len(stop.cars) > 1)
+    _legend(over_time, stop, plots, str(run.summary["scenario"]))
+    # the legend above has the colours of the cars
+    _draw_axles(along, stop, with_legend=False)
 
 
-def _draw_rail(figure: Figure, columns: channels.Columns, summary: Mapping[str, Any]) -> None:
-    _, kept = _until_standstill(columns)
-    axles = range(1, len(summary["axles"]) + 1)
-    means = [
-        float(np.mean(channels.values(columns[f"friction_degraded_{axle}"])[kept]))
-        for axle in axles
-    ]
+def _draw_stop(figure: Figure, stop: Stop) -> None:
+    """Draw speed, sliding, cylinder pressures and adhesion by car over time."""
+    plots = _plots_over_time(figure, stop, with_couplers=False)
+    _legend(figure, stop, plots)
+
+
+def _draw_couplers(figure: Figure, stop: Stop) -> None:
+    """Draw the force of each coupler over time."""
     plot = figure.subplots()
-    plot.bar(list(axles), means, color=page.BASE)
-    plot.set_xlabel("axle")
-    # no halves of axles
-    plot.xaxis.set_major_locator(MaxNLocator(integer=True))
-    plot.set_ylabel("mean friction of the contaminant")
+    for car in stop.cars[:-1]:
+        force_N = stop.column(f"coupler_{car.number}_N")
+        name = f"cars {car.number} and {car.number + 1}"
+        plot.plot(stop.time_s, 1e-3 * force_N, label=name, **_line(car))
+    plot.set(
+        xlim=(stop.time_s[0], stop.time_s[-1]),
+        xlabel="time, s",
+        ylabel="force, kN,\ntension positive",
+    )
+    if len(stop.cars) > 1:
+        figure.legend(loc="outside upper center", ncols=_COLUMNS_OF_LEGEND // 2)
+
+
+def _draw_axles(figure: AnyFigure, stop: Stop, with_legend: bool = True) -> None:
+    """Draw the mean friction of the contaminant and the adhesion used, by axle."""
+    friction, adhesion = figure.subplots(2, 1, sharex=True)
+    for car in stop.cars:
+        axles = list(car.axles)
+        colour = colours.as_hex(colours.CARS[car.number - 1])
+        met = [float(np.mean(stop.column(f"friction_degraded_{axle}"))) for axle in axles]
+        used = [stop.summary["axles"][axle - 1]["adhesion_mean"] for axle in axles]
+        friction.bar(axles, met, color=colour, label=f"car {car.number}")
+        adhesion.bar(axles, used, color=colour)
+    friction.set_ylabel("mean friction of\nthe contaminant")
+    adhesion.set(ylabel="mean adhesion\nused", xlabel="axle, from the front of the train")
+    last = stop.cars[-1].axles[-1]
+    adhesion.set_xlim(0.4, last + 0.6)
+    adhesion.xaxis.set_major_locator(MaxNLocator(integer=True))
+    figure.align_ylabels()
+    if with_legend:
+        figure.legend(loc="outside upper center", ncols=_COLUMNS_OF_LEGEND)
+
+
+def _is_cleaned(stop: Stop) -> bool:
+    """Return whether the friction that axles met differs: only then a picture shows anything."""
+    friction = cars.rail(stop.column, list(stop.cars)).friction
+    return float(np.nanmax(friction) - np.nanmin(friction)) > _LEAST_SPREAD
+
+
+def _draw_rail(figure: Figure, stop: Stop) -> None:
+    """Draw the friction that each axle has met at each place of the rail."""
+    rail = cars.rail(stop.column, list(stop.cars))
+    plot = figure.subplots()
+    axles = len(rail.friction)
+    image = plot.imshow(
+        rail.friction,
+        aspect="auto",
+        interpolation="nearest",
+        extent=(rail.place_m[0], rail.place_m[-1], axles + 0.5, 0.5),
+        cmap="cividis",
+    )
+    figure.colorbar(image, ax=plot, label="friction of the contaminant mu_cd", pad=0.01)
+    for car in stop.cars[1:]:
+        plot.axhline(car.axles[0] - 0.5, color="white", linewidth=0.6)
+    plot.grid(visible=False)
+    plot.yaxis.set_major_locator(MaxNLocator(integer=True))
+    plot.set(xlabel="place on the rail, m", ylabel="axle, in the order of passing")
+
+
+def _line(car: Car) -> dict[str, Any]:
+    """Return how the lines of a car are drawn: colour, and kind where colours repeat."""
+    dashes = colours.CAR_DASHES[car.number - 1]
+    colour = colours.as_hex(colours.CARS[car.number - 1])
+    return {"color": colour, "linestyle": (0, dashes) if dashes else "-"}
+
+
+def _plots_over_time(figure: AnyFigure, stop: Stop, with_couplers: bool) -> list[Axes]:
+    """Draw quantities by car over time, one below another; return the plots."""
+    titles = ["speed,\nkm/h", "mean sliding,\nm/s", "mean cylinder,\nbar", "mean adhesion\nused"]
+    if stop.has_pipe:
+        titles.append("brake pipe,\nbar")
+    if with_couplers:
+        titles.append("couplers, kN,\ntension positive")
+    plots = list(figure.subplots(len(titles), 1, sharex=True))
+    speed, sliding, pressure, adhesion, *further = plots
+    for plot, title in zip(plots, titles, strict=True):
+        plot.set_ylabel(title)
+
+    column = stop.column
+    time_s = stop.time_s
+    for car in stop.cars:
+        line = _line(car)
+        speed.plot(time_s, _KM_H_PER_M_S * column(f"car_{car.number}_speed_m_s"), **line)
+        sliding.plot(time_s, car.mean(column, "sliding", "m_s"), **line)
+        cylinder_Pa = car.mean(column, "cylinder_pressure", "Pa")
+        pressure.plot(time_s, cylinder_Pa / _PA_PER_BAR, **line)
+        adhesion.plot(time_s, car.mean(column, "adhesion"), **line)
+        if stop.has_pipe:
+            pipe_Pa = column(f"car_{car.number}_brake_pipe_Pa")
+            further[0].plot(time_s, pipe_Pa / _PA_PER_BAR, **line)
+        if with_couplers and car is not stop.cars[-1]:
+            further[-1].plot(time_s, 1e-3 * column(f"coupler_{car.number}_N"), **line)
+    train_kmh = _KM_H_PER_M_S * column("vehicle_speed_m_s")
+    speed.plot(time_s, train_kmh, color=page.INK, linewidth=0.6)
+    for number in sorted({1, len(stop.cars)}):
+        demand_Pa = column(f"car_{number}_brake_demand_Pa")
+        pressure.plot(time_s, demand_Pa / _PA_PER_BAR, **_DEMAND)
+    plots[-1].set(xlabel="time, s", xlim=(time_s[0], time_s[-1]))
+    figure.align_ylabels()
+    return plots
+
+
+def _legend(figure: AnyFigure, stop: Stop, plots: Sequence[Axes], title: str = "") -> None:
+    """Write one legend for all plots: the cars, and what is not of a car."""
+    handles = [Line2D([], [], label=f"car {car.number}", **_line(car)) for car in stop.cars]
+    handles += [
+        Line2D([], [], color=page.INK, linewidth=0.6, label="train"),
+        Line2D([], [], label="brake demand, first and last car", **_DEMAND),
+    ]
+    if title:
+        title = f"{title}; a coupler has the colour of the car ahead of it"
+    figure.legend(
+        handles=handles,
+        loc="outside upper center",
+        ncols=_COLUMNS_OF_LEGEND,
+        title=title or None,
+    )

@@ -4,7 +4,7 @@ A call takes about 0.1 ms whatever its length, so rows are sent in blocks: one c
 of `views.lines` and `derived.curves`, and states only where they change.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -85,7 +85,7 @@ class Drawing:
                 views.valve(axle, self._prefix),
                 time_s,
                 views.valve_states(rows, axle),
-                _valve_columns,
+                valve_columns,
             )
         if self._rotation:
             self._rotation.rows(rows)
@@ -136,17 +136,8 @@ class Drawing:
     def _send_texts(self, path: str, events: list[Event]) -> None:
         if not events:
             return
-        levels = [views.LEVELS.get(event.level, views.LEVELS["info"]) for event in events]
         texts = [self._text(event) for event in events]
-        self._stream.send_columns(
-            self._prefix + path,
-            [views.times(np.array([event.time_s for event in events]))],
-            rr.TextLog.columns(
-                text=texts,
-                level=[name for name, _ in levels],
-                color=[colour for _, colour in levels],
-            ),
-        )
+        send_texts(self._stream, self._prefix + path, events, texts)
 
     def _text(self, event: Event) -> str:
         """Return the time, run and text of an event; the viewer's column of times is too narrow."""
@@ -156,7 +147,23 @@ class Drawing:
         return f"{event.time_s:7.2f} s  {event.text}"
 
 
-def _valve_columns(states: np.ndarray) -> Any:
+def send_texts(
+    stream: rr.RecordingStream, path: str, events: Sequence[Event], texts: Sequence[str]
+) -> None:
+    """Send events with a text for each, in the colours of their levels."""
+    levels = [views.LEVELS.get(event.level, views.LEVELS["info"]) for event in events]
+    stream.send_columns(
+        path,
+        [views.times(np.array([event.time_s for event in events]))],
+        rr.TextLog.columns(
+            text=list(texts),
+            level=[name for name, _ in levels],
+            color=[colour for _, colour in levels],
+        ),
+    )
+
+
+def valve_columns(states: np.ndarray) -> Any:
     """Return the names of valve states as columns for Rerun."""
     names = [colours.VALVE_STATES[state][0] for state in states]
     return rr.StateChange.columns(state=names)

@@ -25,12 +25,12 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from rollerrig.configs import user_files
-from rollerrig.configs.errors import RollerrigError
+from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.configs.output_files import make_folder, replaced, write_bytes, writing
 from rollerrig.configs.processes import children
 from rollerrig.configs.vehicle import Kind
 from rollerrig.realtime.record import records, run_folder
-from rollerrig.realtime.telemetry import derived, scene, views
+from rollerrig.realtime.telemetry import derived, scene, train_view, views
 from rollerrig.realtime.telemetry.drawing import Drawing
 from rollerrig.wsp_interface import signals
 
@@ -244,6 +244,15 @@ def _drawn_over(loaded: Sequence[records.Run], bare: bool) -> bytes:
 
     It is made in memory: when the disk is full, Rerun would wait for it for ever.
     """
+    trains = [run for run in loaded if run.is_train]
+    if trains and len(loaded) == 1:
+        return train_view.recording(trains[0], bare)
+    if trains:
+        raise ConfigError(
+            f"{trains[0].folder} is the run of a train, which is shown alone; allowed with other runs "
+            "are its cars, in the folders car_1, car_2 ..."
+        )
+
     first = loaded[0]
     names = _entity_names([run.folder for run in loaded[1:]])
 

@@ -254,10 +254,17 @@ def valve(axle: int, prefix: str = "") -> str:
 def valve_states(rows: np.ndarray, axle: int) -> np.ndarray:
     """Return the states of the dump valve of an axle, int64 (n,).
 
-    A state is its place in `colours.VALVE_STATES`. NaN becomes state 0, and other values are
-    limited to the table. `rows` are rows of all signals, shape (n, signals.WIDTH).
+    `rows` are rows of all signals, shape (n, signals.WIDTH).
     """
-    states = np.nan_to_num(rows[:, signals.column("valve", axle)])
+    return states_of(rows[:, signals.column("valve", axle)])
+
+
+def states_of(recorded: np.ndarray) -> np.ndarray:
+    """Return recorded states of a dump valve, shape (n,), as places in `colours.VALVE_STATES`.
+
+    NaN becomes state 0, and other values are limited to the table.
+    """
+    states = np.nan_to_num(recorded)
     return np.clip(states, 0, len(colours.VALVE_STATES) - 1).astype(np.int64)
 
 
@@ -315,7 +322,7 @@ def log_styles(
     # the name of a reference run is the last part of its path
     run = prefix.rpartition("/")[2]
     for entity in (*lines(table), *curves):
-        style = _series_style(entity, run, faint)
+        style = series_style(entity, run, faint)
         stream.log(prefix + entity.path, style, static=True)
 
     names = [name for name, _ in colours.VALVE_STATES]
@@ -325,7 +332,7 @@ def log_styles(
         stream.log(valve(axle, prefix), states, static=True)
 
 
-def _series_style(entity: Styled, run: str, faint: bool) -> rr.SeriesLines:
+def series_style(entity: Styled, run: str, faint: bool) -> rr.SeriesLines:
     """Return the style of an entity. `run` is the name of a reference run, empty for the first."""
     names = list(entity.names)
     if run:
@@ -429,7 +436,7 @@ def blueprint(
     """
     page = _Page(
         table=table,
-        axis=_time_axis(live),
+        axis=time_axis(live),
         window=_window() if live else None,
         runs=("", *(f"{REFERENCES}/{name}" for name in references)),
         ends=ends,
@@ -437,9 +444,16 @@ def blueprint(
     by_axle = [_axle_by_axle(page, group) for group in range(table.kind.groups)]
     equipment = _motors_and_magnets(page)
     plots = rrb.Tabs(*by_axle, _all_axles(page), *equipment, active_tab=0)
+    return framed(
+        rrb.Horizontal(plots, _right_column(page, eye), column_shares=[8, 2.6]), live, bare
+    )
+
+
+def framed(content: rrb.Container, live: bool = False, bare: bool = False) -> rrb.Blueprint:
+    """Return a layout with the bars of the viewer; `live` and `bare` as for `blueprint`."""
     panels: Literal["hidden", "collapsed"] = "hidden" if bare else "collapsed"
     return rrb.Blueprint(
-        rrb.Horizontal(plots, _right_column(page, eye), column_shares=[8, 2.6]),
+        content,
         rrb.TopPanel(state="hidden" if bare else "expanded"),
         rrb.TimePanel(
             state=panels,
@@ -453,7 +467,7 @@ def blueprint(
     )
 
 
-def _time_axis(live: bool) -> rrb.TimeAxis:
+def time_axis(live: bool) -> rrb.TimeAxis:
     """Return the time axis of a plot: a separate one if live, else one that all plots share."""
     link = rrb.components.LinkAxis
     return rrb.TimeAxis(link=link.Independent if live else link.LinkToGlobal)
@@ -668,14 +682,19 @@ def _further_plots(page: _Page) -> rrb.Tabs:
 
 def _event_lists(page: _Page) -> rrb.Tabs:
     """Return a tab with the events of the run, and one with those of the network."""
+    lists = [
+        event_list(name, page.contents(path))
+        for name, path in (("Events", EVENTS), ("Network", NETWORK))
+    ]
+    return rrb.Tabs(*lists, active_tab=0)
+
+
+def event_list(name: str, contents: list[str]) -> rrb.TextLogView:
+    """Return a view with the events of paths."""
     level = encodings.TextLogColumn(encodings.TextLogColumnKind.LogLevel)
     text = encodings.TextLogColumn(encodings.TextLogColumnKind.Body)
     columns = rrb.TextLogColumns(
         timeline_columns=[encodings.TimelineColumn(TIMELINE)],
         text_log_columns=[level, text],
     )
-    lists = []
-    for name, path in (("Events", EVENTS), ("Network", NETWORK)):
-        contents = page.contents(path)
-        lists.append(rrb.TextLogView(name=name, origin="/", contents=contents, columns=columns))
-    return rrb.Tabs(*lists, active_tab=0)
+    return rrb.TextLogView(name=name, origin="/", contents=contents, columns=columns)

@@ -16,14 +16,19 @@ import tomli_w
 from rollerrig.configs import store, table
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.table import choice, flag, integer, number
-from rollerrig.configs.vehicle import EQUIPMENT_KEYS, MOST_AXLES, TRAIN, axle_positions_m
+from rollerrig.configs.vehicle import (
+    EQUIPMENT_KEYS,
+    MOST_AXLES,
+    MOST_CARS,
+    TRAIN,
+    axle_positions_m,
+)
 from rollerrig.firmware_sim.faults import catalogue, panel
 from rollerrig.realtime.bench import scenario
 from rollerrig.realtime.bench.scenario import COMMAND_LINE, Scenario, Sources
 from rollerrig.rig.params import TRACK
 from rollerrig.rig.train import coupler, pipe
 
-MOST_CARS = 16
 # what lies beyond the first and the last wheelset of a car without length_m, up to the couplers
 OVERHANG_M = 2.4
 ELECTRO_PNEUMATIC = "electro_pneumatic"
@@ -124,6 +129,12 @@ class Train:
         return np.array([car.plan["vehicle"]["mass_kg"] for car in self.cars])
 
     @property
+    def first_wheelset_m(self) -> float:
+        """The distance of the first wheelset behind the leading end."""
+        first = self.cars[0]
+        return 0.5 * (first.length_m - axle_positions_m(first.plan["vehicle"])[-1])
+
+    @property
     def length_m(self) -> float:
         """The length over couplers."""
         return self.cars[-1].front_m + self.cars[-1].length_m
@@ -163,7 +174,7 @@ def check_options(given: Mapping[str, bool]) -> None:
         if is_given:
             raise ConfigError(
                 f"{option}: a train does not have this yet; allowed is --pacing free with the reference "
-                "units or without units, or --pacing lockstep with a unit on the bus of one car; without "
+                "units or without units, or --pacing lockstep or wall with units on the buses of cars; without "
                 "--live, --hold, --start, --harness, --fault and --also-without-wsp"
             )
 

@@ -8,15 +8,17 @@ prefix car_n_, and axles count through.
 import contextlib
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rollerrig.configs.output_files import make_folder, write_text, writing
+from rollerrig.configs.output_files import make_folder, write_bytes, write_text, writing
+from rollerrig.configs.vehicle import MOST_CARS, axle_positions_m
 from rollerrig.realtime.bench import free, scenario
 from rollerrig.realtime.record import channels, played, records, run_folder, summary
+from rollerrig.realtime.telemetry import train_view
 from rollerrig.realtime.train import plan
 from rollerrig.realtime.train.plan import Car, Train
 from rollerrig.realtime.train.stop import Samples, Stop
@@ -31,7 +33,7 @@ _OF_CAR = {
     "air_consumption_NL": "air_consumption_NL",
     "reservoir_pressure_Pa": "reservoir_pressure_Pa",
 }
-# parts of a summary that only the bench of the car on the bus knows
+# parts of a summary that only the bench of a car on a bus knows
 _OF_BENCH = ("ended", "loop", "bus", "modbus", "recorder", "unit_played", "random", "seed")
 # signals of axles that the record of the train has; the folders of the cars have all
 _OF_AXLES = (
@@ -72,7 +74,7 @@ def begin(train: Train, folder: Path) -> None:
 
 def _remove_further_cars(folder: Path, cars: int) -> None:
     """Remove the records of cars that an earlier run in this folder had behind so many cars."""
-    for number in range(cars + 1, plan.MOST_CARS + 1):
+    for number in range(cars + 1, MOST_CARS + 1):
         of_car = folder_of_car(folder, number)
         if (of_car / run_folder.MARK).is_file():
             run_folder.begin(of_car)
@@ -93,6 +95,7 @@ def train_channels(train: Train, samples: Samples) -> dict[str, np.ndarray]:
         "time_s": samples.cars[0]["time_s"],
         "vehicle_speed_m_s": masses @ speeds / np.sum(masses),
         "position_m": samples.cars[0]["position_m"],
+        "train_deceleration_m_s2": samples.deceleration_m_s2,
     }
     for number, one in enumerate(samples.cars, start=1):
         for name, behind in _OF_CAR.items():
@@ -114,20 +117,24 @@ def train_channels(train: Train, samples: Samples) -> dict[str, np.ndarray]:
     return found
 
 
-def write(stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: int = 0) -> dict[str, Any]:
-    """Write channels and summaries of a run that is done; return the summary of the train.
+def write(
+    stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: Sequence[int] = ()
+) -> dict[str, Any]:
+    """Write channels, summaries and run.rrd of a run that is done; return the train's summary.
 
-    `counters` are those of `summary.of`. The bench has written the record of the car `on_bus`.
+    `counters` are those of `summary.of`. The bench has written the records of the cars `on_bus`.
     Raises ConfigError.
     """
     train = stop.train
     samples = stop.samples()
     if on_bus:
-        samples = _with_recorded(samples, folder_of_car(folder, on_bus), on_bus)
+        samples = _with_recorded(samples, folder, on_bus)
+        # all cars have the ticks of one loop
+        counters = {**counters, "loop": records.summary(folder_of_car(folder, on_bus[0]))["loop"]}
     of_cars = []
     for number, (car, one) in enumerate(zip(train.cars, samples.cars, strict=True), start=1):
         of_car = folder_of_car(folder, number)
-        if number == on_bus:
+        if number in on_bus:
             of_cars.append(records.summary(of_car))
             continue
         of_stop = stop.cars[number - 1]
@@ -142,21 +149,28 @@ def write(stop: Stop, folder: Path, counters: Mapping[str, Any], on_bus: int = 0
     result = summary_of(stop, samples, of_cars, counters, on_bus)
     _write_channels(folder, train_channels(train, samples), result)
     records.write_summary(folder, result)
+    if not len(samples.force_N):
+        # a run that failed before its first sample
+        return result
+    with writing(folder):
+        recording = train_view.recording(records.load(folder))
+        write_bytes(folder / run_folder.RRD, recording)
     return result
 
 
-def _with_recorded(samples: Samples, of_car: Path, number: int) -> Samples:
-    """Return the samples with those of a car that a recorder has written, as far as all go."""
-    columns = channels.Columns(of_car)
-    recorded = {name: channels.values(columns[name]) for name in columns}
+def _with_recorded(samples: Samples, folder: Path, on_bus: Sequence[int]) -> Samples:
+    """Return the samples with those of cars that a recorder has written, as far as all go."""
     cars = list(samples.cars)
-    cars[number - 1] = recorded
+    for number in on_bus:
+        columns = channels.Columns(folder_of_car(folder, number))
+        cars[number - 1] = {name: channels.values(columns[name]) for name in columns}
     count = min(len(one["time_s"]) for one in cars)
     return Samples(
         cars=[{name: values[:count] for name, values in one.items()} for one in cars],
         force_N=samples.force_N[:count],
         displacement_m=samples.displacement_m[:count],
         pipe_Pa=samples.pipe_Pa[:count],
+        deceleration_m_s2=samples.deceleration_m_s2[:count],
     )
 
 
@@ -198,22 +212,22 @@ def summary_of(
     samples: Samples,
     of_cars: list[dict[str, Any]],
     counters: Mapping[str, Any],
-    on_bus: int = 0,
+    on_bus: Sequence[int] = (),
 ) -> dict[str, Any]:
     """Return the summary of a train: that of the first car, with the axles of all cars.
 
-    In addition it has `train`, `cars` and `couplers`. Loop, bus, unit and seed are those of the car
-    on the bus, where there is one.
+    In addition it has `train`, `cars` and `couplers`. Loop, bus, unit and seed are those of the
+    first car on a bus, where there is one.
     """
     train = stop.train
     first = {
         **of_cars[0],
         "events": [{**event, "car": number} for number, event in _events(of_cars)],
-        "car_on_bus": on_bus or None,
+        "cars_on_bus": list(on_bus),
         "unit_played": counters["unit_played"],
     }
     if on_bus:
-        of_bench = of_cars[on_bus - 1]
+        of_bench = of_cars[on_bus[0] - 1]
         first |= {key: of_bench[key] for key in _OF_BENCH}
     axles = [axle for one in of_cars for axle in one["axles"]]
     invalid = [
@@ -231,7 +245,7 @@ def summary_of(
         "config_hash": digest(train),
         "axles": axles,
         "wsp": {
-            "unit": of_cars[on_bus - 1]["wsp"]["unit"] if on_bus else counters["unit"],
+            "unit": of_cars[on_bus[0] - 1]["wsp"]["unit"] if on_bus else counters["unit"],
             "active_s": max(one["wsp"]["active_s"] for one in of_cars),
             "vents": sum(vents),
         },
@@ -284,13 +298,21 @@ def _alone(train: Train, unit: str) -> dict[str, Any] | None:
 def _car(
     train: Train, number: int, of_car: Mapping[str, Any], one: Mapping[str, np.ndarray]
 ) -> dict[str, Any]:
-    """Return what the summary of a train has of a car."""
+    """Return what the summary of a train has of a car.
+
+    Its places in m are behind the leading end of the train.
+    """
     car = train.cars[number - 1]
     axles = of_car["axles"]
     first = 1 + sum(before.plan.kind.axles for before in train.cars[: number - 1])
     braked = np.flatnonzero(one["brake_demand_Pa"] > 0.0)
+    before_m = train.first_wheelset_m
+    places_m = axle_positions_m(car.plan["vehicle"])
     return {
         "vehicle": car.plan["vehicle_set"],
+        "front_m": car.front_m,
+        "length_m": car.length_m,
+        "wheelsets_m": [before_m + car.place_m + behind_m for behind_m in places_m],
         "mass_kg": float(train.mass_kg[number - 1]),
         "load_kg": car.given["load_kg"],
         "unit": of_car["wsp"]["unit"],

@@ -1,7 +1,8 @@
 """A stop of a train in memory: its cars on their places, run to the end or some ticks at a time."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from rollerrig.realtime.bench.scenario import Scenario
 from rollerrig.realtime.campaign.stops import ticks_in_lanes
 from rollerrig.realtime.loop import tick
 from rollerrig.realtime.loop.ring import WRITTEN, Memory
-from rollerrig.realtime.loop.tick import DONE, TICK, TickData, Units
+from rollerrig.realtime.loop.tick import DONE, STOP, TICK, TickData, Units
 from rollerrig.realtime.train import ticks
 from rollerrig.realtime.train.plan import Train
 from rollerrig.rig import plant
@@ -34,21 +35,21 @@ class Samples(NamedTuple):
     """What a train has recorded.
 
     cars: for each car its channels (n,) by the names of the table of signals. The other arrays have
-    the shapes (n, couplers) and (n, cars).
+    the shapes (n, couplers) and (n, cars); that of the train (n,).
     """
 
     cars: list[dict[str, np.ndarray]]
     force_N: np.ndarray
     displacement_m: np.ndarray
     pipe_Pa: np.ndarray
+    deceleration_m_s2: np.ndarray
 
 
 class Stop:
     """One stop of a train.
 
-    `unit`: "reference" (each car that has a unit gets a reference unit) or "none". `on_bus` is the
-    number of the car, counted from 1, whose `data` a bench has built for a unit on its bus; 0: no
-    car is.
+    `unit`: "reference" (each car that has a unit gets a reference unit) or "none". `on_bus` has the
+    data that a bench has built for a unit on the bus of a car, by the number of the car from 1.
     """
 
     def __init__(
@@ -56,13 +57,12 @@ class Stop:
         train: Train,
         unit: str = "reference",
         seed: int = 0,
-        on_bus: int = 0,
-        data: TickData | None = None,
+        on_bus: Mapping[int, TickData] = MappingProxyType({}),
     ) -> None:
         self.train = train
         self._seed = seed
         axles = [car.plan.params.axles for car in train.cars]
-        self.groups = motion.groups(axles, on_bus - 1)
+        self.groups = motion.groups(axles, {number - 1 for number in on_bus})
         self.data: list[TickData] = []
         self._memories: list[Memory] = []
         for first, count in self.groups.tolist():
@@ -72,8 +72,8 @@ class Stop:
                 car = train.cars[number]
                 memory = Memory(free.most_samples(car.plan), car.plan.table)
                 self._memories.append(memory)
-                if data is not None and number + 1 == on_bus:
-                    made = data
+                if number + 1 in on_bus:
+                    made = on_bus[number + 1]
                 else:
                     made = tick_data.build(
                         car.plan, memory, seed=seed + number, seat=(buffer, seat)
@@ -85,7 +85,7 @@ class Stop:
         self.couplers = coupler.build(train.couplers)
         self.link = self._link()
         self.cars = [
-            _stop_of(made, car.plan, unit if car.has_unit else "none", number == on_bus)
+            _stop_of(made, car.plan, unit if car.has_unit else "none", number in on_bus)
             for number, (made, car) in enumerate(zip(self.data, train.cars, strict=True), start=1)
         ]
         self._cars = record_type.table(
@@ -97,6 +97,10 @@ class Stop:
         self._bodies = record_type.table(self.bodies)
         self._trains = record_type.table([self.link])
 
+    def _speed_m_s(self) -> float:
+        speeds = [float(body.state.vehicle_speed[0]) for body in self.bodies]
+        return float(np.average(speeds, weights=self.train.mass_kg))
+
     def _link(self) -> ticks.Train:
         """Return what belongs to the train."""
         cars = self.train.cars
@@ -105,7 +109,7 @@ class Stop:
         tick_s = cars[0].plan.params.tick_s
         plans = [car.plan for car in cars]
         acts = any(plan["mechanisms"]["rail_cleaning_gain"] != 0.0 for plan in plans)
-        width = 2 * (count - 1) + count
+        width = 2 * (count - 1) + count + 1
         return ticks.Train(
             groups=self.groups,
             couplers=self.couplers,
@@ -124,12 +128,14 @@ class Stop:
             header=np.zeros(_HEADER, dtype=np.int64),
             rows=np.empty((free.most_samples(plans[0]), width)),
             row=np.zeros(width),
+            deceleration_m_s2=np.zeros(1),
+            before_m_s=np.array([self._speed_m_s()]),
         )
 
     @property
     def is_done(self) -> bool:
         """Whether the train has stood long enough, or its time is up."""
-        return bool(self.data[0].control[DONE])
+        return any(data.control[DONE] or data.control[STOP] for data in self.data)
 
     @property
     def ticks(self) -> int:
@@ -146,6 +152,10 @@ class Stop:
                 break
             ran += now
         return ran
+
+    def wall(self, _data: TickData, *given: Any) -> None:
+        """Run all ticks on their deadlines; arguments as for `loop.wall`."""
+        ticks.wall(self._cars, self._bodies, self._trains, *given)
 
     def _poll_faults(self) -> int:
         """Let the faults of this tick begin and end; return the ticks until the next change."""
@@ -203,7 +213,8 @@ class Stop:
             cars=cars,
             force_N=rows[:, :couplers],
             displacement_m=rows[:, couplers : 2 * couplers],
-            pipe_Pa=rows[:, 2 * couplers :],
+            pipe_Pa=rows[:, 2 * couplers : -1],
+            deceleration_m_s2=rows[:, -1],
         )
 
 

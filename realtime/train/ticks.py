@@ -1,9 +1,9 @@
 """The ticks of a train: all cars begin a tick, take its steps together, and end it.
 
 A car does before and after its steps what `tick.run_tick` does. The rail, the brake pipe and the
-couplers belong to the train. At most one car is on the bus: its unit is another program, and its
-commands come through the mailbox. The reference units of all other cars are called here, where
-their SYNC would come.
+couplers belong to the train. The units of some cars are other programs, each on the bus of its car:
+their commands come through the mailbox. The reference units of all other cars are called here,
+where their SYNC would come.
 """
 
 from typing import NamedTuple
@@ -11,8 +11,9 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.realtime.campaign.stops import ticks_in_lanes
-from rollerrig.realtime.loop import appending, tick
-from rollerrig.realtime.loop.tick import DONE, STOP, TICK, TickData, Units
+from rollerrig.realtime.loop import appending, loop, tick
+from rollerrig.realtime.loop.clock import now_ns, wake
+from rollerrig.realtime.loop.tick import BUSY_NS, DONE, STOP, TICK, TickData, Units
 from rollerrig.rig import plant, wheelset
 from rollerrig.rig.compiled import record_type
 from rollerrig.rig.compiled.kernel import kernel
@@ -22,6 +23,9 @@ from rollerrig.rig.train.coupler import Couplers
 from rollerrig.rig.train.motion import Motion
 from rollerrig.rig.train.pipe import Pipe
 from rollerrig.rig.train.rail import Rail
+
+# assumption: the lag with which a train measures its deceleration
+DECELERATION_LAG_S = 0.1
 
 
 class Car(NamedTuple):
@@ -38,8 +42,8 @@ class Car(NamedTuple):
 class Train(NamedTuple):
     """What belongs to the train.
 
-    A sample has the force of each coupler, its displacement, and the pressure of the pipe at each
-    car.
+    A sample has the force of each coupler, its displacement, the pressure of the pipe at each car,
+    and the deceleration.
     """
 
     groups: np.ndarray  # int64 (groups, 2), of `motion.groups`
@@ -51,8 +55,11 @@ class Train(NamedTuple):
     extremes_N: np.ndarray  # (couplers, 2): largest tension, and largest compression, negative
     extremes_m: np.ndarray  # (couplers, 2): largest and least displacement
     header: np.ndarray  # of the samples, as of a ring
-    rows: np.ndarray  # (samples, 2 couplers + cars)
+    rows: np.ndarray  # (samples, 2 couplers + cars + 1)
     row: np.ndarray  # the sample that is being made
+    # (1,) m/s2, positive in braking: what the cars are told, with a lag of DECELERATION_LAG_S
+    deceleration_m_s2: np.ndarray
+    before_m_s: np.ndarray  # (1,): the speed of the centre of mass before the tick
 
 
 record_type.register(Car)
@@ -70,12 +77,61 @@ def run(cars, bodies, trains, most):
     most : number of ticks
     """
     train = trains[0]
-    control = cars[0].m.control
     for ran in range(most):
-        if control[DONE] != 0 or control[STOP] != 0:
+        if is_over(cars):
             return ran
         run_tick(cars, bodies, train)
     return most
+
+
+@kernel
+def is_over(cars):
+    """Return whether no further tick shall be run, because of any car."""
+    ended = 0
+    for i in range(len(cars)):
+        ended += cars[i].m.control[DONE] + cars[i].m.control[STOP]
+    return ended != 0
+
+
+@kernel
+def wall(
+    cars,
+    bodies,
+    trains,
+    tick_ns,
+    sync_ticks,
+    early_ns,
+    descriptor,
+    histogram,
+    scratch,
+    begin_ns,
+):
+    """Run the ticks of a train on their deadlines, as `loop.wall` does those of a vehicle.
+
+    `cars`, `bodies` and `trains` as for `run`, all else as for `loop.wall`. The lateness of a tick
+    is noted for each car.
+    """
+    spec = scratch[:2]
+    one = scratch[2:]
+    one[0] = 1
+    deadline = begin_ns + tick_ns
+    took = 0
+    while not is_over(cars):
+        began = loop.wait(deadline, tick_ns, early_ns, took, spec)
+        late = began - deadline
+        histogram[min(late // 1000, histogram.size - 1)] += 1
+        for i in range(len(cars)):
+            loop.note(cars[i].m.control, late, tick_ns)
+        if loop.is_stall(late, tick_ns):
+            deadline = began
+        run_tick(cars, bodies, trains[0])
+        if cars[0].m.control[TICK] % sync_ticks == 0:
+            wake(descriptor, one)
+        took = now_ns(spec) - began
+        for i in range(len(cars)):
+            cars[i].m.control[BUSY_NS] = max(cars[i].m.control[BUSY_NS], took)
+        deadline += tick_ns
+    wake(descriptor, one)
 
 
 @kernel
@@ -97,6 +153,7 @@ def run_tick(cars, bodies, train):
     for _ in range(params.substeps):
         motion.step(bodies, train.groups, train.couplers, train.motion)
     watch(train)
+    measure(train, bodies)
     for i in range(len(cars)):
         end(cars[i], now)
     if train.rail.has_sand:
@@ -150,7 +207,31 @@ def sample(train, cars):
         train.row[couplers + i] = train.motion.displacement_m[i]
     for i in range(cars):
         train.row[2 * couplers + i] = train.pipe.pressure_Pa[i]
+    train.row[2 * couplers + cars] = train.deceleration_m_s2[0]
     appending.push(train.header, train.rows, train.row)
+
+
+@kernel
+def measure(train, bodies):
+    """Measure how much the centre of mass has slowed down in this tick, with a first-order lag."""
+    speed_m_s = speed(bodies)
+    tick_s = bodies[0].params.tick_s
+    slowed_m_s2 = (train.before_m_s[0] - speed_m_s) / tick_s
+    share = tick_s / (DECELERATION_LAG_S + tick_s)
+    train.deceleration_m_s2[0] += share * (slowed_m_s2 - train.deceleration_m_s2[0])
+    train.before_m_s[0] = speed_m_s
+
+
+@kernel
+def speed(bodies):
+    """Return the speed of the centre of mass in m/s."""
+    mass_kg = 0.0
+    momentum = 0.0
+    for i in range(len(bodies)):
+        of_car_kg = bodies[i].params.vehicle.mass_kg
+        mass_kg += of_car_kg
+        momentum += of_car_kg * bodies[i].state.vehicle_speed[0]
+    return momentum / mass_kg
 
 
 @kernel

@@ -17,6 +17,7 @@ signs, so couplers change no momentum.
 No car rolls backwards. The cars of a train come to rest together, when the fastest hardly moves.
 """
 
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -63,16 +64,16 @@ def begin(cars: int) -> Motion:
     return Motion(**{name: np.zeros(size) for name, size in sizes.items()})
 
 
-def groups(axles: list[int], alone: int = -1) -> np.ndarray:
+def groups(axles: list[int], alone: Collection[int] = ()) -> np.ndarray:
     """Return the groups of cars that share a buffer, int64 (groups, 2): first car, and number.
 
     `axles` are those of each car. Cars of a group follow one another and have the same number of
-    axles, and a buffer has room for all of them. The car `alone`, counted from 0, shares no buffer.
+    axles, and a buffer has room for all of them. The cars `alone`, counted from 0, share no buffer.
     """
     found: list[list[int]] = []
     for car, count in enumerate(axles):
         has_room = found and axles[found[-1][0]] == count
-        shares = alone not in (car - 1, car)
+        shares = car - 1 not in alone and car not in alone
         if shares and has_room and (found[-1][1] + 1) * count <= MOST_LANES:
             found[-1][1] += 1
         else:

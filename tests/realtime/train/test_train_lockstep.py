@@ -39,7 +39,7 @@ def test_lockstep_is_equal_to_the_free_run_and_repeats_to_the_byte(tmp_path, cap
     on_bus = run(first, capsys, *LOCKSTEP)
     run(second, capsys, *LOCKSTEP, "--unit", AS_PROGRAM)
     assert on_bus["valid"]
-    assert on_bus["car_on_bus"] == 2
+    assert on_bus["cars_on_bus"] == [2]
     assert on_bus["bus"]["frames"] > 1000
     assert on_bus["cars"][1]["vents"] > 0
     assert on_bus["braking_distance_m"] == of_free["braking_distance_m"]

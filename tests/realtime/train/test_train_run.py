@@ -44,7 +44,7 @@ def test_a_run_of_a_train_is_a_folder_with_a_folder_for_each_car(tmp_path, capsy
 
     page = (tmp_path / "run" / "report.html").read_text()
     assert "couplers" in page.lower()
-    assert page.count("<svg") == 3
+    assert page.count("<svg") == 4
     # the record of a car is what other verbs open
     cars = [str(tmp_path / "run" / f"car_{number}") for number in (1, 2)]
     assert cli.main(["compare", *cars]) == output.PASS
@@ -109,7 +109,7 @@ def test_without_units_wheels_slide_more(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--pacing", "wall"), "--pacing wall: a train does not have this yet"),
+        (("--pacing", "wall", "--live"), "--live: a train does not have this yet"),
         (("--pacing", "free", "--live"), "--live: a train does not have this yet"),
         (("--pacing", "free", "--fault", "bus_off node=1 at=1"), "--fault: a train does not"),
         (("--pacing", "free", "--also-without-wsp"), "--also-without-wsp: a train does not"),
