@@ -1,9 +1,9 @@
 """The axle speed unit, node 16: four pole wheels read by a CiA 406 encoder for several sensors.
 
 TPDO1 carries the speeds as 16-bit values. Other objects have finer speeds, the tooth frequency and
-pulse counters. A position is the pulse counter of its axle plus an offset that the preset sets.
-Source: CiA 406 (objects 6000h to 65xxh, multi-sensor objects). 2100h to 2102h are specific to this
-rig.
+pulse counters. A position is the pulse counter of its axle plus an offset that the preset sets. In
+a car of a train, TPDO4 carries the deceleration of the train. Source: CiA 406 (objects 6000h to
+65xxh, multi-sensor objects). 2100h to 2103h are specific to this rig.
 """
 
 from collections.abc import Mapping
@@ -18,6 +18,7 @@ from rollerrig.firmware_sim.cia301.dictionary import Row, array
 from rollerrig.firmware_sim.cia301.node import Node
 from rollerrig.firmware_sim.cia301.objects import key
 from rollerrig.wsp_interface import signals
+from rollerrig.wsp_interface.rig_objects import TRAIN_DECELERATION
 from rollerrig.wsp_interface.signals import SPEED_NODE, Place, Table
 
 DEVICE_TYPE = 0x000A0196  # encoder, multi-sensor
@@ -32,9 +33,23 @@ TITLES = {
 # The acceleration is no signal, but it is converted like one: a count is 0.01 rad/s2.
 ACCELERATION = Place(SPEED_NODE, 0x6040, 1, "I16", 0.01)
 DEFAULTS = {"teeth": 80.0}
+# the TPDO of the deceleration of a train, counted from 1, and its object
+_TRAIN_TPDO = 4
+_TRAIN_ROW = Row(
+    TRAIN_DECELERATION.index,
+    TRAIN_DECELERATION.sub,
+    "Deceleration of the train",
+    TRAIN_DECELERATION.kind,
+    "ro",
+    0,
+    mappable=True,
+    unit="m/s2",
+    factor=TRAIN_DECELERATION.scale,
+    text="of its centre of mass, positive in braking",
+)
 
 
-def tpdos(axles: int) -> tuple[Pdo, ...]:
+def tpdos(axles: int, in_train: bool = False) -> tuple[Pdo, ...]:
     """Return the TPDOs of a unit for so many axles."""
     speeds = Pdo(SYNCHRONOUS, tuple((0x6030, axle, 16) for axle in range(1, axles + 1)))
     # the tooth frequencies of two axles in each
@@ -42,10 +57,17 @@ def tpdos(axles: int) -> tuple[Pdo, ...]:
         Pdo(SYNCHRONOUS, ((0x2100, axle, 32), (0x2100, axle + 1, 32)))
         for axle in range(1, axles + 1, 2)
     ]
-    return (speeds, *frequencies)
+    if not in_train:
+        return (speeds, *frequencies)
+    unused = [Pdo(SYNCHRONOUS, ())] * (_TRAIN_TPDO - len(frequencies) - 2)
+    place = TRAIN_DECELERATION
+    train = Pdo(SYNCHRONOUS, ((place.index, place.sub, signals.bits(place)),))
+    return (speeds, *frequencies, *unused, train)
 
 
-def rows(table: Table, parameters: Mapping[str, float], group: int = 0) -> list[Row]:
+def rows(
+    table: Table, parameters: Mapping[str, float], group: int = 0, in_train: bool = False
+) -> list[Row]:
     """Return the objects of the device profile. `parameters`: `teeth` of each pole wheel."""
     node_number = signals.in_group(SPEED_NODE, group)
     teeth = round(parameters["teeth"])
@@ -56,6 +78,7 @@ def rows(table: Table, parameters: Mapping[str, float], group: int = 0) -> list[
     by_axle = [f"Axle {axle}" for axle in axles]
     return [
         *process_image.rows(process_image.carried(table, node_number, parameters), TITLES),
+        *([_TRAIN_ROW] if in_train else []),
         Row(0x6000, 0, "Operating parameters", "U16", "rw", 0),
         Row(0x6001, 0, "Measuring units per revolution", "U32", "const", teeth),
         Row(0x6002, 0, "Total measuring range in measuring units", "U32", "const", 0xFFFFFFFF),
@@ -120,26 +143,33 @@ def build(
     parameters: Mapping[str, float] | None = None,
     storage: Path | None = None,
     group: int = 0,
+    train_deceleration_m_s2: np.ndarray | None = None,
 ) -> Node:
     """Build the node of a group of axles (0: the leading one).
 
     `table`: the signals of the vehicle. `row`: live float64 array of all signals. `storage`: the
-    file of stored parameters (1010h).
+    file of stored parameters (1010h). `train_deceleration_m_s2`: live float64 (1,) in the car of a
+    train, None in a vehicle alone, which has no such object.
     """
+    in_train = train_deceleration_m_s2 is not None
     parameters = DEFAULTS | dict(parameters or {})
     axles = table.axles_of(group)
-    profile = Profile(DEVICE_TYPE, PRODUCT.name, tpdos=tpdos(len(axles)))
+    profile = Profile(DEVICE_TYPE, PRODUCT.name, tpdos=tpdos(len(axles), in_train))
     number = signals.in_group(SPEED_NODE, group)
     node = process_image.build(
         number,
         profile,
         PRODUCT,
-        rows(table, parameters, group),
+        rows(table, parameters, group, in_train),
         row,
         process_image.carried(table, number, parameters),
         storage,
     )
     node.device = SpeedUnit(node, row, axles)
+    if train_deceleration_m_s2 is not None:
+        place = TRAIN_DECELERATION
+        read = process_image.reader(train_deceleration_m_s2, 0, place)
+        node.objects.attach(place.index, place.sub, read=read)
     return node
 
 

@@ -123,6 +123,7 @@ FILES = {
     "converts it (`.asc` also)",
     run_folder.RRD: "the recording for the viewer Rerun",
     run_folder.UNIT_LOG: "what the unit printed, where the bench started it",
+    run_folder.UNIT_CAN_LOG: "the frames on a bus of the unit's own, as `candump -l` writes them",
     run_folder.TRACE: "what a harness read, one line a bus cycle, where a sequence was played",
 }
 # environment variables that the product reads or sets

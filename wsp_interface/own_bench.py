@@ -213,7 +213,11 @@ def start(
             harness = Harness(buses.open_client(address, 60.0))
             harness.on_event = observer.event
             with contextlib.ExitStack() as stack:
-                started = [stack.enter_context(companion(address)) for companion in companions]
+                started = []
+                for companion in companions:
+                    started.append(stack.enter_context(companion(address)))
+                    # a gateway may give the unit after it another bus
+                    address = getattr(started[-1], "address", address)
                 programs = [one for one in started if isinstance(one, Program)]
                 helpers = [one for one in started if isinstance(one, Helper)]
                 harness.on_silence = partial(_check, programs, helpers)
@@ -339,7 +343,9 @@ def program(command: str, log: Path) -> Companion:
 
     @contextlib.contextmanager
     def run_program(address: str) -> Iterator[Program]:
-        host, port, _ = plugin.parse_address(address)
+        # an interface of the kernel has no port
+        is_hub = address.startswith("socketcand:")
+        host, port, _ = plugin.parse_address(address) if is_hub else ("", 0, "")
         words = unit_choice.command_words(command, address, host, port)
         with output_files.create(log) as output:
             process = subprocess.Popen(

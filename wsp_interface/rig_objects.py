@@ -104,6 +104,11 @@ def struct_format(place: signals.Place) -> str:
     return "<" + _LETTERS[place.kind]
 
 
+# how much the centre of mass of a train slows down, in m/s2: an object of each speed unit, only on
+# the buses of a train's cars. It is sent with every SYNC
+TRAIN_DECELERATION = signals.Place(SPEED_NODE, 0x2103, 0, "I16", 1e-3)
+TRAIN_DECELERATION_ID = TPDO[3] + SPEED_NODE  # 490h, two bytes
+
 # frames between the rig and the unit of the leading group
 SPEEDS_ID = TPDO[0] + SPEED_NODE  # 190h
 PRESSURES_ID = TPDO[0] + BRAKE_NODE  # 191h

@@ -5,8 +5,8 @@
     Test Teardown    End Bench
 
     *** Test Cases ***
-    No wheel locks on soap
-        Start Bench    speed=60 km/h    adhesion=soap
+    No wheel locks on low adhesion
+        Start Bench    speed=90 km/h    adhesion=low
         Brake    3.8 bar
         Wait Until Standstill
         Longest Lock Should Be Below    0.4 s
@@ -16,7 +16,7 @@ there for all tests of the suite, and of the suites in it, and ends with the sui
 
     *** Settings ***
     Library          rollerrig.wsp_interface.robot
-    Suite Setup      Start Bench    speed=60 km/h    adhesion=soap
+    Suite Setup      Start Bench    speed=90 km/h    adhesion=low
     Suite Teardown   End Bench
 
 Values are written with their units.

@@ -171,9 +171,9 @@ def _sdo_server(server: int) -> list[Row]:
 def _pdo(index: int, name: str, cob_id: int, used: Sequence[Pdo]) -> list[Row]:
     """Return the communication and mapping parameters of a PDO.
 
-    `used` holds the PDO of the device; if it is empty, the PDO is not valid.
+    `used` holds the PDO of the device; if it is empty, or maps nothing, it is not valid.
     """
-    if used:
+    if used and used[0].mapped:
         pdo = used[0]
     else:
         pdo = Pdo(254, ())

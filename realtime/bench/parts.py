@@ -162,6 +162,8 @@ class Parts:
         # of its other cars
         self.ticks_of: Callable[[tick.TickData], tick.RunsTicks] = tick.Ticks
         self.wall: Callable[..., object] = loop.wall
+        # (1,), what the cars of a train are told; None: a vehicle alone
+        self.train_deceleration_m_s2: np.ndarray | None = None
         self.row = self.data.row.copy()
 
         self._reported_s = 0.0
@@ -360,6 +362,7 @@ class Parts:
             clock_ns,
             self.options.pacing,
             lambda row: mailbox.fetch(self.data.published, row),
+            self.train_deceleration_m_s2,
         )
         bus.harness.wire(
             end=self._end_by_harness,

@@ -249,7 +249,7 @@ class RigBus:
 
     `row` is the live row of all signals. `command` (tick.COMMANDS,) float64 is what the bus
     requires of the rig; `on_command(command)` is called when it has changed, `refresh(row)` before
-    an alarm goes off.
+    an alarm goes off. `train_deceleration_m_s2` as for `encoder406.build`.
     """
 
     def __init__(
@@ -262,6 +262,7 @@ class RigBus:
         clock_ns: Callable[[], int],
         pacing: str = "wall",
         refresh: Callable[[np.ndarray], Any] = lambda row: None,
+        train_deceleration_m_s2: np.ndarray | None = None,
     ) -> None:
         bus = scenario["bus"]
         table = scenario.table
@@ -321,7 +322,7 @@ class RigBus:
         self._armed_ns = NEVER
 
         self.master = _build_master(scenario, pacing)
-        self.nodes = _build_nodes(scenario, row, self.command, self.post)
+        self.nodes = _build_nodes(scenario, row, self.command, self.post, train_deceleration_m_s2)
         self._numbers = {id(node): number for number, node in self.nodes.items()}
         friction = self.command[tick.FRICTION : tick.SAND]
         self.bench_node = bench_node.build(table, row, friction, self.post, pacing)
@@ -704,7 +705,11 @@ def _build_master(scenario: Scenario, pacing: str) -> NmtMaster:
 
 
 def _build_nodes(
-    scenario: Scenario, row: np.ndarray, command: np.ndarray, post: Callable[[], None]
+    scenario: Scenario,
+    row: np.ndarray,
+    command: np.ndarray,
+    post: Callable[[], None],
+    train_deceleration_m_s2: np.ndarray | None = None,
 ) -> dict[int, Node]:
     """Return the nodes of the rig by number. They read `row`, write `command` and call `post()`."""
     bus, motors = scenario["bus"], scenario["drive"]
@@ -736,7 +741,9 @@ def _build_nodes(
             store(number),
         )
     for group, number in enumerate(table.nodes(signals.SPEED_NODE)):
-        nodes[number] = encoder406.build(table, row, parameters, store(number), group)
+        nodes[number] = encoder406.build(
+            table, row, parameters, store(number), group, train_deceleration_m_s2
+        )
     for group, number in enumerate(table.nodes(signals.BRAKE_NODE)):
         commands = command[: io401.COMMANDS]
         track_brake = command[tick.TRACK_BRAKE :]

@@ -1,6 +1,6 @@
 """`rollerrig bench` runs the project's benchmarks by name; `rollerrig score` judges answers.
 
-Eight benchmarks belong to the installed package, because users want their figures of a new machine.
+Nine benchmarks belong to the installed package, because users want their figures of a new machine.
 The others judge the project itself. They are in `tests/` and run from a clone only.
 """
 
@@ -36,6 +36,7 @@ BENCHMARKS = {
     "loop": _installed("loop", "lateness of the real-time loop, compared with cyclictest"),
     "bus": _installed("bus", "TPDO to valve, SYNC to last TPDO, round trips, on a running bench"),
     "vehicle": _installed("vehicle", "45 s of four axles without deadlines; the start of a run"),
+    "train": _installed("train", "five coaches with five units in real time, each on a bus"),
     "start": _installed(
         "start", "first and next starts of run and explain: processor time, wall time, kernels"
     ),
@@ -117,7 +118,8 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         default=None,
         metavar="S",
         help="loop: duration of all slices together (default: 20); soak: duration of both pacings "
-        "together (default: 480); desk: duration of all rounds together (default: 120)",
+        "together (default: 480); desk: duration of all rounds together (default: 120); train: duration of "
+        "each run (default: 20)",
     )
     parser.add_argument(
         "--count",
@@ -199,7 +201,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="SECTION.KEY=VALUE",
-        help="loop, hunting, protection, sensors: change one value of the scenario, as in loop.priority=0",
+        help="loop, train, hunting, protection, sensors: change one value of the scenario, as in loop.priority=0",
     )
     parser.add_argument(
         "--png", type=Path, metavar="FILE", help="protection: also draw the figures"

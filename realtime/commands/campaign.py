@@ -163,6 +163,7 @@ def _show(options: argparse.Namespace, done: list[_Done]) -> int:
 def _play(options: argparse.Namespace, plan: "Plan", out: Path, about: dict[str, str]) -> _Done:
     """Do the runs of one plan that are not done yet, and write its report."""
     from rollerrig.realtime.campaign import campaign, outcome, stopping
+    from rollerrig.realtime.record import figures
     from rollerrig.realtime.reports import campaign as campaign_report
 
     # without it SIGTERM would end this process before it has stopped its workers
@@ -176,7 +177,8 @@ def _play(options: argparse.Namespace, plan: "Plan", out: Path, about: dict[str,
     worst = campaign_report.worst(plan, found.longest, options.worst)
     not_valid = campaign_report.not_valid(plan, found)
 
-    lines = [f"{found.runs} runs, {found.not_valid} not valid; the worst {options.worst}:"]
+    title_of_worst = figures.BY_NAME[options.worst].title
+    lines = [f"{found.runs} runs, {found.not_valid} not valid; the worst {title_of_worst}:"]
     for case in worst:
         value = campaign_report.read_with_unit(options.worst, case[options.worst])
         lines.append(f"  run {case['run']}: {value}: {case['replay']}")

@@ -4,6 +4,7 @@
 """
 
 import argparse
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -21,6 +22,8 @@ DATASET = "dataset"  # a format of `export`
 PLAN = "plan.json"
 # rows of the table of differences; --json has all of them
 _TABLE_ROWS = 12
+# a difference of sums that is smaller than this share of them is of their rounding
+_ROUNDING = 1e-12
 _THIRDS = ("first third", "second third", "last third")
 
 
@@ -86,7 +89,7 @@ def compare(options: argparse.Namespace) -> int:
         "passed": not (failed or warnings),
     }
 
-    items: list[Any] = [_figure_table(runs, figures)]
+    items: list[Any] = _figure_tables(runs, figures)
     if failed:
         items.append(_difference_table(runs, failed))
     if tolerances:
@@ -179,29 +182,37 @@ def _less_the_first(values: Sequence[float | None]) -> list[float | None]:
     for value in others:
         if first is None or value is None:
             differences.append(None)
+        elif math.isclose(value, first, rel_tol=_ROUNDING):
+            differences.append(0.0)
         else:
             differences.append(value - first)
     return differences
 
 
-def _figure_table(runs: "Sequence[Run]", figures: Sequence[_Figure]) -> tuple[Any, ...]:
+def _figure_tables(runs: "Sequence[Run]", figures: Sequence[_Figure]) -> list[Any]:
     """Return the table of figures for `output.show`.
 
     Columns are the value of each run, and the difference of each further run from the first; "-"
-    for no value.
+    for no value. The differences of more than two runs have a table.
     """
     from rollerrig.realtime.record.run_folder import short_names
 
     names = short_names([run.folder for run in runs])
-    differences = [f"{name} - {names[0]}" for name in names[1:]]
-    head = ("", "unit", *names, *differences)
-    rows = []
+    values = []
+    differences = []
     for figure in figures:
+        begin = (figure.name, figure.unit)
         cells = ["-" if value is None else rounded(value) for value in figure.values]
-        for difference in figure.differences:
-            cells.append("-" if difference is None else _signed(difference))
-        rows.append((figure.name, figure.unit, *cells))
-    return None, head, rows
+        values.append((*begin, *cells))
+        cells = ["-" if value is None else _signed(value) for value in figure.differences]
+        differences.append((*begin, *cells))
+    if len(runs) > 2:
+        return [
+            (None, ("", "unit", *names), values),
+            (f"less {names[0]}", ("", "unit", *names[1:]), differences),
+        ]
+    rows = [(*row, *cells[2:]) for row, cells in zip(values, differences, strict=True)]
+    return [(None, ("", "unit", *names, f"{names[1]} - {names[0]}"), rows)]
 
 
 def _signed(difference: float) -> str:

@@ -312,6 +312,8 @@ def _run(options: argparse.Namespace, processes: dict[str, Any]) -> Recorded:
         items.append(without_wsp.sentence(without))
         folders = f"{shlex.quote(str(out))} {shlex.quote(without.folder)}"
         items.append(f"compare both with: rollerrig compare {folders}")
+        picture = shlex.quote(str(out / "both.png"))
+        items.append(f"draw both with: rollerrig view {folders} --png {picture}")
     return Recorded(summary, result, items)
 
 

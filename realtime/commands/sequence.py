@@ -574,7 +574,10 @@ def _play_on_new_bench(
         if options.wsp == "external":
             # the gateway starts before the unit, which may send immediately
             vehicle = signals.table(sequence.kind)
-            companions.append(gateway.companion(options.unit_map, vehicle))
+            scenario = scenario_of(sequence).resolved
+            start_rad_s = scenario["initial_speed_m_s"] / scenario["vehicle"]["wheel_radius_m"]
+            log = folder / run_folder.UNIT_CAN_LOG
+            companions.append(gateway.companion(options.unit_map, vehicle, start_rad_s, log))
         else:
             run_arguments += ("--unit-map", str(options.unit_map))
     if options.unit:

@@ -21,8 +21,9 @@ SUMMARY = "summary.json"
 CAN_LOG = "can.log"
 RRD = "run.rrd"
 UNIT_LOG = "wsp.log"
+UNIT_CAN_LOG = "unit_can.log"
 TRACE = "harness.csv"
-FILES = (SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, TRACE)
+FILES = (SCENARIO, CHANNELS, TAIL, EVENTS, SUMMARY, CAN_LOG, RRD, UNIT_LOG, UNIT_CAN_LOG, TRACE)
 MARK = ".rollerrig"
 
 

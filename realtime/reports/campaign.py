@@ -49,10 +49,10 @@ _LEAST_RUNS = 3
 
 # units at the end of the names of inputs
 _UNITS = {
-    "m_s2": "m/s2",
+    "m_s2": "m/s²",
     "rad_s": "rad/s",
     "m_s": "m/s",
-    "kgm2": "kg m2",
+    "kgm2": "kg m²",
     "Nm": "N m",
     "kg": "kg",
     "Pa": "Pa",
@@ -63,6 +63,15 @@ _UNITS = {
     "K": "K",
     "L": "L",
 }
+
+# the axis of probabilities ends here, or at a rarer stop
+_LEAST_SHOWN = 1e-4
+
+# inputs against which every figure is drawn: those that matter most
+_MOST_DRAWN = 3
+
+# columns of inputs in the list of the worst; if there are more, each run has the inputs in a line
+_MOST_COLUMNS = 5
 
 # standard errors of a 95 % interval
 _NORMAL_95 = 1.96
@@ -132,7 +141,10 @@ def step(plan: campaign.Plan, outcome: Outcome) -> str:
 
 def cells(outcome: Outcome) -> list[list[str]]:
     """Return rows under `HEAD`; the last one has the number of runs that are not valid."""
-    rows = [[name, *(rounded(value) for value in values)] for name, values in outcome.quantiles]
+    rows = []
+    for name, values in outcome.quantiles:
+        scale = figures.BY_NAME[name].scale
+        rows.append([_title(name), *(rounded(scale * value) for value in values)])
     empty = [""] * (len(QUANTILES) - 1)
     rows.append(["not valid (runs, left out)", str(outcome.not_valid), *empty])
     return rows
@@ -249,15 +261,12 @@ def _page(
         page.element("h2", "What was varied"),
         page.table(_RANGES_HEAD, _range_rows(plan)),
         page.element("h2", f"Worst {_title(figure)}"),
-        page.table(
-            ("run", _title(figure), *map(input_title, plan.axes), "to see it"),
-            _worst_rows(plan, outcome, figure),
-        ),
+        *_worst_parts(plan, outcome, figure),
     ]
     pair = _pair(table, varied, figure)
     if pair is not None:
         draw = partial(_draw_map, plan=plan, table=table, pair=pair, figure=figure)
-        parts.append(page.picture(draw, (8.0, 4.6)))
+        parts.append(page.picture(draw, (11.0, 5.0)))
     parts += tail.parts(plan, outcome)
 
     parts += [page.element("h2", "All figures"), page.table(HEAD, cells(outcome))]
@@ -266,7 +275,15 @@ def _page(
     if constant:
         parts.append(page.paragraph(f"The same in every run: {', '.join(constant)}."))
     if differing:
-        draw = partial(_draw_distributions, plan=plan, varied=varied, table=table, names=differing)
+        drawn = _most_important(table, varied, figure)
+        if len(drawn) < len(varied):
+            parts.append(
+                page.paragraph(
+                    f"Each figure is drawn against the {len(drawn)} inputs that correlate most with "
+                    f"the {figures.BY_NAME[figure].title}."
+                )
+            )
+        draw = partial(_draw_distributions, plan=plan, varied=drawn, table=table, names=differing)
         parts.append(page.picture(draw, (11.0, 2.3 * len(differing))))
 
     rows = [
@@ -296,17 +313,27 @@ def _kept(outcome: Outcome) -> list[page.Markup]:
     ]
 
 
-def _worst_rows(plan: campaign.Plan, outcome: Outcome, figure: str) -> list[tuple[str, ...]]:
-    """Return the worst runs with their inputs."""
+def _worst_parts(plan: campaign.Plan, outcome: Outcome, figure: str) -> list[page.Markup]:
+    """Return the table of the worst runs with their inputs, and the command that repeats each."""
     table = outcome.longest
     row_of_run = {run: row for row, run in enumerate(table["run"].to_pylist())}
+    titles = [input_title(key) for key in plan.axes]
+    has_columns = len(titles) <= _MOST_COLUMNS
     rows = []
+    commands = []
     for case in worst(plan, table, figure):
         row = row_of_run[case["run"]]
         inputs = [_input(table[key][row].as_py()) for key in plan.axes]
-        replay = page.element("code", case["replay"])
-        rows.append((str(case["run"]), read(figure, case[figure]), *inputs, replay))
-    return rows
+        if not has_columns:
+            pairs = zip(titles, inputs, strict=True)
+            inputs = ["; ".join(f"{title} {value}" for title, value in pairs)]
+        rows.append((str(case["run"]), read(figure, case[figure]), *inputs))
+        commands.append((str(case["run"]), page.element("code", case["replay"])))
+    heads = titles if has_columns else ["inputs"]
+    return [
+        page.table(("run", _title(figure), *heads), rows),
+        page.table(("run", "to see it"), commands),
+    ]
 
 
 def _title(name: str) -> str:
@@ -346,15 +373,36 @@ def failure_columns(plan: campaign.Plan) -> set[str]:
 
 def _pair(table: pa.Table, varied: Sequence[str], figure: str) -> tuple[str, str] | None:
     """Return the two numeric inputs on which a figure depends most; None if there are not two."""
-    numeric = []
-    for key in varied:
-        kind = table[key].type
-        if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-            numeric.append(key)
-    values = _values(table, figure)
-    known = np.isfinite(values)
+    numeric = [key for key in varied if _is_numeric(table, key)]
+    known = np.isfinite(_values(table, figure))
     if len(numeric) < 2 or known.sum() < _LEAST_RUNS:
         return None
+    first, second, *_ = _by_correlation(table, numeric, figure)
+    return first, second
+
+
+def _is_numeric(table: pa.Table, key: str) -> bool:
+    kind = table[key].type
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
+
+
+def _most_important(table: pa.Table, varied: Sequence[str], figure: str) -> list[str]:
+    """Return the inputs on which a figure depends most, in the order of the plan."""
+    if len(varied) <= _MOST_DRAWN:
+        return list(varied)
+    words = [key for key in varied if not _is_numeric(table, key)]
+    numeric = [key for key in varied if key not in words]
+    if np.isfinite(_values(table, figure)).sum() >= _LEAST_RUNS:
+        numeric = _by_correlation(table, numeric, figure)
+    # an input of words has no rank, and may matter most
+    chosen = [*words, *numeric][:_MOST_DRAWN]
+    return [key for key in varied if key in chosen]
+
+
+def _by_correlation(table: pa.Table, numeric: Sequence[str], figure: str) -> list[str]:
+    """Return numeric inputs, that with the largest rank correlation with a figure first."""
+    values = _values(table, figure)
+    known = np.isfinite(values)
 
     def ranks(column: np.ndarray) -> np.ndarray:
         return np.argsort(np.argsort(column[known]))
@@ -364,8 +412,7 @@ def _pair(table: pa.Table, varied: Sequence[str], figure: str) -> tuple[str, str
     for key in numeric:
         ranks_of_input = ranks(table[key].to_numpy())
         correlation[key] = abs(np.corrcoef(ranks_of_figure, ranks_of_input)[0, 1])
-    first, second, *_ = sorted(numeric, key=lambda key: -correlation[key])
-    return first, second
+    return sorted(numeric, key=lambda key: -correlation[key])
 
 
 def _draw_map(
@@ -619,5 +666,6 @@ def _draw_strata(counts: Axes, exceeded: Axes, distance_m: strata.Sample) -> Non
         xlabel="stopping distance, m (triangles: bounds)",
         ylabel="probability of a longer stop",
         yscale="log",
-        ylim=(1e-10, 1.1),
+        ylim=(min(_LEAST_SHOWN, 0.5 * float(above[known].min(initial=1.0))), 1.1),
     )
+    page.plain_logarithm(exceeded.yaxis)

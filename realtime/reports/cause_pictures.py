@@ -8,7 +8,8 @@ difference that the cause makes to what is left. Bars are two standard errors fr
 of 3 s, since neighbouring samples are not independent.
 """
 
-from typing import NamedTuple
+import itertools
+from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -34,9 +35,11 @@ from rollerrig.rig.mechanisms.table import BY_NAME
 
 BINS = 12
 LEAST_OF_BIN = 50  # samples of a bin; smaller bins are left out
+GAP_SHARE = 0.1  # of the range of a covariate, without samples: no line crosses it
 BAR_DEVIATIONS = 2.0  # half length of a bar in standard errors
 STRETCH_S = 5.0  # length of the stretch that is shown in full
 MOST_PANELS = 3
+COLUMNS_OF_LEGEND = 6
 BAR_HEIGHT = 0.36  # of a horizontal bar of the gains; bars of one run are BAR_PITCH apart
 BAR_PITCH = 0.38
 BLOCKS_OF_WHEEL = 10_000  # more than a run has
@@ -55,6 +58,11 @@ QUANTITY_TITLES = {
     Quantity.TO_FRONT: "load moved to the front",
     Quantity.FRICTION: "ln of friction while sliding",
     Quantity.NOISE: "ln of noise",
+}
+
+METRIC_TITLES = {
+    gain.ADHESION: "adhesion that the model lacks (rms)",
+    gain.FREE_RUN: "error of the speed 5 s ahead (rms), m/s",
 }
 
 # axis titles of covariates
@@ -77,7 +85,7 @@ _ALWAYS_OF_INTEREST = ("sliding_m_s", "speed_m_s", "time_s")
 
 
 class Binned(NamedTuple):
-    """Means in bins of a covariate, shape (bins,) each."""
+    """Means in bins of a covariate, shape (bins,) each; NaN where the line breaks."""
 
     x: np.ndarray  # mean of the covariate
     mean: np.ndarray
@@ -106,7 +114,21 @@ def binned(x: np.ndarray, y: np.ndarray, block: np.ndarray, edges: np.ndarray) -
         mean_x.append(x[inside].mean())
         mean_y.append(y[inside].mean())
         error.append(BAR_DEVIATIONS * standard_error)
-    return Binned(np.array(mean_x), np.array(mean_y), np.array(error))
+    return _broken(Binned(np.array(mean_x), np.array(mean_y), np.array(error)), x)
+
+
+def _broken(means: Binned, x: np.ndarray) -> Binned:
+    """Return the means with a NaN where the samples at x have a gap between two of them."""
+    ordered = np.sort(x)
+    wide = np.diff(ordered) > GAP_SHARE * (ordered[-1] - ordered[0])
+    begins = ordered[:-1][wide]
+    ends = ordered[1:][wide]
+    is_broken = [
+        bool(((begins >= left) & (ends <= right)).any())
+        for left, right in itertools.pairwise(means.x)
+    ]
+    at = np.flatnonzero(is_broken) + 1
+    return Binned(*(np.insert(column, at, np.nan) for column in means))
 
 
 def where(diagnosis: Diagnosis, against: list[str]) -> list[Panel]:
@@ -258,8 +280,17 @@ def draw(figure: Figure, panels: list[Panel]) -> None:
     all_axes[0].set_ylabel(panels[0].y_label)
     if len(panels) == 1:
         all_axes[0].set_title(panels[0].title, fontsize="medium")
-    for axes in all_axes if not is_shared else all_axes[-1:]:
-        axes.legend()
+    # one entry for each kind of line, below the panels, where it covers no point
+    handles: dict[str, Any] = {}
+    for axes in all_axes:
+        lines, labels = axes.get_legend_handles_labels()
+        handles |= dict(zip(labels, lines, strict=True))
+    figure.legend(
+        handles=list(handles.values()),
+        labels=list(handles),
+        loc="outside lower center",
+        ncols=COLUMNS_OF_LEGEND,
+    )
 
 
 def _draw_series(axes: Axes, series: Series) -> None:
@@ -310,7 +341,7 @@ def stretch(figure: Figure, diagnosis: Diagnosis) -> None:
     axle = int(design.axle[segment]) + 1
     top.set_ylabel("adhesion")
     top.set_title(f"run {run}, axle {axle}", fontsize="medium")
-    top.legend(ncol=3)
+    figure.legend(loc="outside lower center", ncols=COLUMNS_OF_LEGEND)
     below.plot(design.time_s[at], sliding[at], color=INK)
     below.set_ylabel("sliding, m/s")
     below.set_xlabel("time, s")
@@ -349,8 +380,8 @@ def gains(axes: Axes, by_run: dict[str, RunGain], metric: str) -> None:
         labels.append(f"{run}: {reduction:.0%}\n({gain_of_run.low:.0%} to {gain_of_run.high:.0%})")
     axes.set_yticks(places + 0.5 * BAR_PITCH, labels)
     axes.invert_yaxis()
-    axes.set_xlabel(metric.replace("_", " "))
-    axes.legend()
+    axes.set_xlabel(METRIC_TITLES.get(metric, metric.replace("_", " ")))
+    axes.figure.legend(loc="outside lower center", ncols=COLUMNS_OF_LEGEND)
 
 
 # --- runs side by side ---
@@ -384,7 +415,10 @@ def runs(figure: Figure, compared: SideBySide) -> None:
         axes.invert_yaxis()
         axes.set_xlabel(row.title)
     if is_apart.any():
-        figure.axes[0].legend()
+        lines, labels = figure.axes[0].get_legend_handles_labels()
+        figure.legend(
+            handles=lines, labels=labels, loc="outside lower center", ncols=COLUMNS_OF_LEGEND
+        )
 
 
 class _Row(NamedTuple):
@@ -401,7 +435,8 @@ def _rows_to_show(compared: SideBySide) -> list[_Row]:
     if compared.cause is not None:
         name = compared.cause.cause.name
         first = BY_NAME[name].parameters[0]
-        rows.append(_Row(f"{first.name} of {name}", compared.cause.sizes, compared.cause.errors))
+        title = f"{first.name} of {name}".replace("_", " ")
+        rows.append(_Row(title, compared.cause.sizes, compared.cause.errors))
     differing = {
         (one.quantity, one.channel) for apart in compared.apart for one in apart.differences
     }

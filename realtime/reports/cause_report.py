@@ -32,9 +32,9 @@ NOISE_FLOOR_SEED = 1
 EMPIRICAL = "empirical"
 
 # sizes of pictures in inches
-_CAUSE_SIZE = (7.5, 3.8)
+_CAUSE_SIZE = (11.0, 4.2)
 _STRETCH_SIZE = (11.0, 5.0)
-_GAIN_SIZE = (7.5, 2.6)
+_GAIN_SIZE = (11.0, 2.8)
 _RUNS_SIZE = (11.0, 3.4)
 
 

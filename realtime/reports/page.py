@@ -9,6 +9,7 @@ import base64
 import contextlib
 import html
 import io
+import math
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,7 +21,7 @@ from urllib.parse import quote
 import matplotlib
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, StrMethodFormatter
 
 from rollerrig.configs.printable import printable
 from rollerrig.realtime.pictures import colours
@@ -97,6 +98,10 @@ td{overflow-wrap:break-word}td.long{overflow-wrap:anywhere}
 # characters. A cell with a longer word, such as a path, may break it anywhere.
 _LONGEST_WORD = 24
 _TAG = re.compile(r"<[^>]*>")
+
+# a logarithmic axis whose ends have a larger ratio has labels such as 10⁻⁶
+_WIDE_LOGARITHM = 1e4
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 # text of a cell in a column of numbers
 _NUMBER = re.compile(r"[-+]?\d|-?$|never|nan")
@@ -269,10 +274,24 @@ def picture(draw: Callable[[Figure], None], size: tuple[float, float] = (11.0, 4
 
 
 def plain_logarithm(axis: Axis) -> None:
-    """Give a logarithmic axis labels such as 0.02, at 1, 2 and 5 times the powers of ten."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    axis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    """Give a logarithmic axis labels such as 0.02, at 1, 2 and 5 times the powers of ten.
+
+    An axis of many powers of ten has labels such as 10⁻⁶, at every second of them.
+    """
+    low, high = sorted(axis.get_view_interval())
+    if low > 0.0 and high > _WIDE_LOGARITHM * low:
+        axis.set_major_locator(LogLocator(base=100.0))
+        axis.set_major_formatter(FuncFormatter(_power_of_ten))
+    else:
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(StrMethodFormatter("{x:g}"))
     axis.set_minor_formatter(NullFormatter())
+
+
+def _power_of_ten(value: float, _: int) -> str:
+    """Return a power of ten for the label of an axis."""
+    exponent = round(math.log10(value))
+    return "1" if exponent == 0 else f"10{str(exponent).translate(_SUPERSCRIPTS)}"
 
 
 def picture_file(

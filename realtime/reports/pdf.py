@@ -167,12 +167,15 @@ def _add_part(paper: Any, part: ET.Element) -> None:
             paper.ln(3)
             if paper.will_page_break(_LEAST_MM):
                 paper.add_page()
+        text = _text(part)
         if part.tag in _LEVELS:
-            paper.start_section(_cell_text(part), level=_LEVELS[part.tag])
+            # headings are bold, and have no marks
+            text = text.replace(_BOLD, "")
+            paper.start_section(" ".join(text.split()), level=_LEVELS[part.tag])
         paper.set_font(_FONT, "" if part.tag == "p" else "B", _SIZES[part.tag])
         paper.multi_cell(
             0,
-            text=_text(part),
+            text=text,
             align="LEFT",
             markdown=part.tag == "p",
             new_x="LMARGIN",

@@ -475,7 +475,7 @@ def page(account: Account) -> str:
     parts += [
         html.element("h2", "How far each wheel is from the vehicle"),
         html.paragraph("Medians of blocks in which nobody brakes hard; bars are 95 % intervals."),
-        html.picture(partial(pictures.wheels, account=account), (8.0, 2.8)),
+        html.picture(partial(pictures.wheels, account=account), (10.0, 3.2)),
     ]
     parts += _table_of_findings(account, found)
 

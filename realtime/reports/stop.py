@@ -541,10 +541,11 @@ def _draw_run(plots: Any, motion: Motion, look: _Look) -> None:
 
     line = common | {"markevery": every}
     reference_kmh = 3.6 * column("wsp_reference_speed_m_s")
-    name = "WSP reference, brake demand"
+    name = "reference speed of the unit"
     speed.plot(time_s, reference_kmh, "--", color=page.GREY, label=name, **line)
     speed.plot(time_s, 3.6 * vehicle_m_s, color=page.INK, label="vehicle", **line)
-    pressure.plot(time_s, 1e-5 * column("brake_demand_Pa"), "--", color=page.GREY, **line)
+    demand_bar = 1e-5 * column("brake_demand_Pa")
+    pressure.plot(time_s, demand_bar, "-.", color=page.GREY, label="brake demand", **line)
 
 
 def _finish(plots: Any, axles: int, time_s: np.ndarray, marks: Sequence[Mark]) -> None:
@@ -569,6 +570,9 @@ def _finish(plots: Any, axles: int, time_s: np.ndarray, marks: Sequence[Mark]) -
 def _handles(plots: Any, marks: Iterable[Mark]) -> list[Any]:
     """Return the entries of the legend that all runs share, one for each kind of line."""
     lines, labels = plots[0].get_legend_handles_labels()
+    of_pressures, names_of_pressures = plots[2].get_legend_handles_labels()
+    lines += of_pressures
+    labels += names_of_pressures
     first = {label: line for line, label in zip(reversed(lines), reversed(labels), strict=True)}
     # the entry of the measured speeds is the last one
     names = sorted(dict.fromkeys(labels), key=lambda name: name == _MEASURED_TITLE)

@@ -180,11 +180,11 @@ def _coupler_rows(summary: Mapping[str, Any]) -> list[list[str]]:
         rows.append(
             [
                 f"{number}",
-                f"{1e-3 * one['tension_max_N']:.1f}",
-                f"{1e-3 * one['compression_max_N']:.1f}",
-                f"{1e3 * one['stretched_max_m']:.1f}",
-                f"{1e3 * one['compressed_max_m']:.1f}",
-                f"{1e-3 * one['work_J']:.2f}",
+                f"{1e-3 * one['tension_max_N']:z.1f}",
+                f"{1e-3 * one['compression_max_N']:z.1f}",
+                f"{1e3 * one['stretched_max_m']:z.1f}",
+                f"{1e3 * one['compressed_max_m']:z.1f}",
+                f"{1e-3 * one['work_J']:z.2f}",
             ]
         )
     return rows

@@ -218,13 +218,17 @@ class _PanelWriter:
         """Write a series: a line, or points with error bars."""
         self.words(f"names/{k}", [[0.8, -0.32 + 0.06 * k]], [series.label], series.colour)
         points = frame.placed(series.x, series.y)
+        # a line breaks where there is no number
+        known = np.isfinite(series.x)
         if series.error is None:
-            self.lines(f"series/{k}", [points], series.colour, 0.005)
+            parts = np.split(points, np.flatnonzero(~known))
+            strips = [part[np.isfinite(part[:, 0])] for part in parts]
+            self.lines(f"series/{k}", strips, series.colour, 0.005)
             return
-        self.points(f"series/{k}", points, series.colour)
+        self.points(f"series/{k}", points[known], series.colour)
         error = np.nan_to_num(series.error)
-        lower = frame.placed(series.x, series.y - error)
-        upper = frame.placed(series.x, series.y + error)
+        lower = frame.placed(series.x, series.y - error)[known]
+        upper = frame.placed(series.x, series.y + error)[known]
         self.lines(f"bars/{k}", list(np.stack((lower, upper), axis=1)), series.colour, 0.002)
 
 
@@ -232,7 +236,7 @@ def _log_panel(recording: rr.RecordingStream, entity: str, panel: Panel) -> rrb.
     """Write a panel in a frame 1.6 wide and 1 high, with the values at the ends of its axes."""
     x = np.concatenate([series.x for series in panel.series])
     y = np.concatenate([series.y for series in panel.series])
-    frame = _Frame(x.min(), x.max(), min(y.min(), 0.0), max(y.max(), 0.0))
+    frame = _Frame(np.nanmin(x), np.nanmax(x), min(np.nanmin(y), 0.0), max(np.nanmax(y), 0.0))
 
     writer = _PanelWriter(recording, entity)
     for k, series in enumerate(panel.series):

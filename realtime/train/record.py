@@ -95,6 +95,7 @@ def train_channels(train: Train, samples: Samples) -> dict[str, np.ndarray]:
         "time_s": samples.cars[0]["time_s"],
         "vehicle_speed_m_s": masses @ speeds / np.sum(masses),
         "position_m": samples.cars[0]["position_m"],
+        "train_deceleration_m_s2": samples.deceleration_m_s2,
     }
     for number, one in enumerate(samples.cars, start=1):
         for name, behind in _OF_CAR.items():
@@ -169,6 +170,7 @@ def _with_recorded(samples: Samples, folder: Path, on_bus: Sequence[int]) -> Sam
         force_N=samples.force_N[:count],
         displacement_m=samples.displacement_m[:count],
         pipe_Pa=samples.pipe_Pa[:count],
+        deceleration_m_s2=samples.deceleration_m_s2[:count],
     )
 
 

@@ -9,7 +9,7 @@ import asyncio
 import dataclasses
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rollerrig.configs.errors import ConfigError, RollerrigError
 from rollerrig.realtime.bench import bench, rig_bus
@@ -45,17 +45,22 @@ def record_free(
     return record.write(stop, out, counters(stop, unit, seed, "free"))
 
 
-def record_on_bus(
+class OnBuses(NamedTuple):
+    """A train that is ready to run: the benches of the cars with buses, by car, and the stop."""
+
+    benches: dict[int, bench.Bench]
+    stop: Stop
+
+
+def on_buses(
     train: Train,
     cars: Sequence[int],
     options: Options,
     on_progress: Callable[[Progress], None],
-) -> dict[str, Any]:
-    """Run a train in lockstep or in real time, with units on the buses of cars, counted from 1.
+) -> OnBuses:
+    """Return a train with units on the buses of cars, counted from 1; empty: all with a unit.
 
-    `cars` empty: all cars with a unit. `options` are those of the bench; `out` is the folder of the
-    train. Writes the folder and returns the summary. Raises ConfigError, and what `Bench.run`
-    raises.
+    `options` are those of the bench; `out` is the folder of the train. Raises ConfigError.
     """
     numbers = _checked(train, cars)
     out = options.out
@@ -68,20 +73,31 @@ def record_on_bus(
         # the processes that wait already are those of the first car
         options = options._replace(recorder=None, waiting_unit=None)
     record.begin(train, out)
-    benches = {
-        number: bench.Bench(plans[number], given[number], _of_car(on_progress, number), number)
-        for number in numbers
-    }
+    benches = {}
+    for number in numbers:
+        report = _of_car(on_progress, number, has_figures=number == numbers[0])
+        benches[number] = bench.Bench(plans[number], given[number], report, number)
+    data = {number: one.parts.data for number, one in benches.items()}
+    stop = Stop(train, plan.REFERENCE, options.seed, data)
+    for one in benches.values():
+        one.parts.train_deceleration_m_s2 = stop.link.deceleration_m_s2
     first = benches[numbers[0]].parts
-    first.on_progress = _of_car(on_progress, first.car, has_figures=True)
-    stop = Stop(
-        train,
-        plan.REFERENCE,
-        options.seed,
-        {number: one.parts.data for number, one in benches.items()},
-    )
     first.ticks_of = lambda data: stop
     first.wall = stop.wall
+    return OnBuses(benches, stop)
+
+
+def record_on_bus(
+    train: Train,
+    cars: Sequence[int],
+    options: Options,
+    on_progress: Callable[[Progress], None],
+) -> dict[str, Any]:
+    """Run a train in lockstep or in real time; write its folder and return its summary.
+
+    Arguments as for `on_buses`. Raises ConfigError, and what `Bench.run` raises.
+    """
+    benches, stop = on_buses(train, cars, options, on_progress)
     failure: RollerrigError | None = None
     try:
         asyncio.run(bench.run(list(benches.values())))
@@ -92,7 +108,7 @@ def record_on_bus(
         failure = error
     stop.end()
     of_run = counters(stop, plan.REFERENCE, options.seed, options.pacing)
-    result = record.write(stop, out, of_run, numbers)
+    result = record.write(stop, options.out, of_run, list(benches))
     if failure is not None:
         raise failure
     return result
@@ -150,7 +166,7 @@ def _on_own_bus(train: Train, number: int, numbers: Sequence[int], options: Opti
 
 
 def _of_car(
-    on_progress: Callable[[Progress], None], number: int, has_figures: bool = False
+    on_progress: Callable[[Progress], None], number: int, has_figures: bool
 ) -> Callable[[Progress], None]:
     """Return what reports the messages of a car with its number, and figures if it has them."""
 

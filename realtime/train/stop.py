@@ -35,13 +35,14 @@ class Samples(NamedTuple):
     """What a train has recorded.
 
     cars: for each car its channels (n,) by the names of the table of signals. The other arrays have
-    the shapes (n, couplers) and (n, cars).
+    the shapes (n, couplers) and (n, cars); that of the train (n,).
     """
 
     cars: list[dict[str, np.ndarray]]
     force_N: np.ndarray
     displacement_m: np.ndarray
     pipe_Pa: np.ndarray
+    deceleration_m_s2: np.ndarray
 
 
 class Stop:
@@ -96,6 +97,10 @@ class Stop:
         self._bodies = record_type.table(self.bodies)
         self._trains = record_type.table([self.link])
 
+    def _speed_m_s(self) -> float:
+        speeds = [float(body.state.vehicle_speed[0]) for body in self.bodies]
+        return float(np.average(speeds, weights=self.train.mass_kg))
+
     def _link(self) -> ticks.Train:
         """Return what belongs to the train."""
         cars = self.train.cars
@@ -104,7 +109,7 @@ class Stop:
         tick_s = cars[0].plan.params.tick_s
         plans = [car.plan for car in cars]
         acts = any(plan["mechanisms"]["rail_cleaning_gain"] != 0.0 for plan in plans)
-        width = 2 * (count - 1) + count
+        width = 2 * (count - 1) + count + 1
         return ticks.Train(
             groups=self.groups,
             couplers=self.couplers,
@@ -123,6 +128,8 @@ class Stop:
             header=np.zeros(_HEADER, dtype=np.int64),
             rows=np.empty((free.most_samples(plans[0]), width)),
             row=np.zeros(width),
+            deceleration_m_s2=np.zeros(1),
+            before_m_s=np.array([self._speed_m_s()]),
         )
 
     @property
@@ -206,7 +213,8 @@ class Stop:
             cars=cars,
             force_N=rows[:, :couplers],
             displacement_m=rows[:, couplers : 2 * couplers],
-            pipe_Pa=rows[:, 2 * couplers :],
+            pipe_Pa=rows[:, 2 * couplers : -1],
+            deceleration_m_s2=rows[:, -1],
         )
 
 

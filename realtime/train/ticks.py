@@ -24,6 +24,9 @@ from rollerrig.rig.train.motion import Motion
 from rollerrig.rig.train.pipe import Pipe
 from rollerrig.rig.train.rail import Rail
 
+# assumption: the lag with which a train measures its deceleration
+DECELERATION_LAG_S = 0.1
+
 
 class Car(NamedTuple):
     """A car as the ticks need it."""
@@ -39,8 +42,8 @@ class Car(NamedTuple):
 class Train(NamedTuple):
     """What belongs to the train.
 
-    A sample has the force of each coupler, its displacement, and the pressure of the pipe at each
-    car.
+    A sample has the force of each coupler, its displacement, the pressure of the pipe at each car,
+    and the deceleration.
     """
 
     groups: np.ndarray  # int64 (groups, 2), of `motion.groups`
@@ -52,8 +55,11 @@ class Train(NamedTuple):
     extremes_N: np.ndarray  # (couplers, 2): largest tension, and largest compression, negative
     extremes_m: np.ndarray  # (couplers, 2): largest and least displacement
     header: np.ndarray  # of the samples, as of a ring
-    rows: np.ndarray  # (samples, 2 couplers + cars)
+    rows: np.ndarray  # (samples, 2 couplers + cars + 1)
     row: np.ndarray  # the sample that is being made
+    # (1,) m/s2, positive in braking: what the cars are told, with a lag of DECELERATION_LAG_S
+    deceleration_m_s2: np.ndarray
+    before_m_s: np.ndarray  # (1,): the speed of the centre of mass before the tick
 
 
 record_type.register(Car)
@@ -147,6 +153,7 @@ def run_tick(cars, bodies, train):
     for _ in range(params.substeps):
         motion.step(bodies, train.groups, train.couplers, train.motion)
     watch(train)
+    measure(train, bodies)
     for i in range(len(cars)):
         end(cars[i], now)
     if train.rail.has_sand:
@@ -200,7 +207,31 @@ def sample(train, cars):
         train.row[couplers + i] = train.motion.displacement_m[i]
     for i in range(cars):
         train.row[2 * couplers + i] = train.pipe.pressure_Pa[i]
+    train.row[2 * couplers + cars] = train.deceleration_m_s2[0]
     appending.push(train.header, train.rows, train.row)
+
+
+@kernel
+def measure(train, bodies):
+    """Measure how much the centre of mass has slowed down in this tick, with a first-order lag."""
+    speed_m_s = speed(bodies)
+    tick_s = bodies[0].params.tick_s
+    slowed_m_s2 = (train.before_m_s[0] - speed_m_s) / tick_s
+    share = tick_s / (DECELERATION_LAG_S + tick_s)
+    train.deceleration_m_s2[0] += share * (slowed_m_s2 - train.deceleration_m_s2[0])
+    train.before_m_s[0] = speed_m_s
+
+
+@kernel
+def speed(bodies):
+    """Return the speed of the centre of mass in m/s."""
+    mass_kg = 0.0
+    momentum = 0.0
+    for i in range(len(bodies)):
+        of_car_kg = bodies[i].params.vehicle.mass_kg
+        mass_kg += of_car_kg
+        momentum += of_car_kg * bodies[i].state.vehicle_speed[0]
+    return momentum / mass_kg
 
 
 @kernel

@@ -380,6 +380,7 @@ def test_the_help_of_bench_marks_which_benchmarks_need_a_clone(capsys):
         "loop",
         "bus",
         "vehicle",
+        "train",
         "start",
         "campaign",
         "million",

@@ -13,6 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from rollerrig.firmware_sim.faults import catalogue
+from rollerrig.wsp_interface.sequences import play, sequence
+from rollerrig.wsp_interface.sequences.verdict import Result
+
 PAGES = (
     "tutorial_unit.md",
     "tutorial_judge.md",
@@ -73,6 +77,21 @@ def test_a_tutorial_does_what_it_says(page, docs, tmp_path):
             is_in_output(shown["lines"], output)
         done += 1
     assert done >= 1
+
+
+@pytest.mark.parametrize("page", ["tutorial_unit.md", "tutorial_ci.md", "howto_sequence.md"])
+def test_the_sequence_of_a_page_fails_without_a_wsp(page, docs, tmp_path):
+    """A limit that a train without a WSP meets says nothing of the reader's unit."""
+    for found in BLOCK.finditer((docs / page).read_text()):
+        if name := re.fullmatch(r"`(\w+\.toml)`:", found["before"]):
+            text = re.sub(r"^ {4}", "", found["block"], flags=re.MULTILINE)
+            (tmp_path / name[1]).write_text(text)
+            break
+    stop = sequence.load(tmp_path / name[1], catalogue.parse)
+    outcome = play.on_own_bench(stop, tmp_path / "run", wsp="none")
+    assert outcome.result is Result.FAIL
+    results = {verdict.measure: verdict.result for verdict in outcome.verdicts}
+    assert results["longest_lock"] is Result.FAIL
 
 
 def free_port():

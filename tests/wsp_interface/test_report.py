@@ -538,6 +538,15 @@ def test_bold_text_of_a_page_is_bold_on_paper_and_asterisks_of_a_user_stay(tmp_p
     assert fonts["**x**"] == fonts["__y__"] == {False}
 
 
+def test_a_heading_with_bold_text_has_no_character_without_a_glyph(tmp_path, caplog):
+    heading = report_page.element("h2", "An emergency brake · ", report_page.element("b", "pass"))
+    with report_page.on_paper():
+        pdf.write(report_page.page("A title", heading), tmp_path / "report.pdf")
+    assert "missing" not in caplog.text
+    (sheet,) = PdfReader(tmp_path / "report.pdf").pages
+    assert "An emergency brake · pass" in sheet.extract_text()
+
+
 @pytest.mark.parametrize("lines_above", range(30, 60, 3))
 def test_a_table_of_axles_is_on_one_page(tmp_path, lines_above):
     rows = [[f"axle_{axle}", "1.25", "a text of some length"] for axle in range(1, 10)]

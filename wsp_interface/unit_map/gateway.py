@@ -7,8 +7,11 @@ heartbeat of node 32. So such a unit runs the same sequences. In lockstep it mus
 message of each cycle; a unit that keeps its own time is for real time only. If the unit is silent,
 its heartbeat stops and the brakes apply. If a signal of the unit is no finite number, the unit has
 failed: the gateway sends its EMCY FF02h, its heartbeat stops for the rest of the run, and no magnet
-is energised. Before the first SYNC the gateway sends the speeds of a standing train until the unit
-answers.
+is energised. Before the first SYNC the gateway sends the speed at the start of the run until the
+unit answers.
+
+With `bus` in the mapping the unit has a bus of its own, so its messages may have identifiers of the
+rig. The gateway is then on both buses, and writes the frames of the unit's to a log.
 
 If the gateway itself fails, the run ends with that reason, and the unit is not blamed.
 """
@@ -41,8 +44,9 @@ from rollerrig.wsp_interface.rig_objects import (
     unit_frames,
 )
 from rollerrig.wsp_interface.signals import BENCH_NODE, Table
-from rollerrig.wsp_interface.unit_map import fields
+from rollerrig.wsp_interface.unit_map import fields, own_bus
 from rollerrig.wsp_interface.unit_map.mapping import (
+    MEASURED_SPEED,
     Outgoing,
     UnitMap,
     load,
@@ -59,19 +63,39 @@ _FAILED = struct.pack("<HB5x", UNIT_HAS_FAILED, GENERIC_ERROR)
 
 
 class Gateway:
-    """Translates between the rig and a unit on the same bus. `run` returns when the bus ends.
+    """Translates between the rig and a unit. `run` returns when the bus of the rig ends.
 
-    `values` holds the quantities of the rig by source, `answers` counts the unit's answers.
+    bus: that of the rig.
+    unit_bus: that of the unit; None: the same.
+    start_rad_s: how fast the wheels turn when the run begins.
+    log: takes each frame on the bus of the unit, with the time of the last frame of the rig in s.
+
+    `address` is that of the unit's bus. `values` holds the quantities of the rig by source,
+    `answers` counts the unit's answers.
     `failure` is the reason why the unit has failed; it is empty as long as it has not.
     `breakdown` is the reason why the gateway itself has failed; empty as long as it has not.
     """
 
-    def __init__(self, bus: can.BusABC, mapping: UnitMap) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC,
+        mapping: UnitMap,
+        unit_bus: can.BusABC | None = None,
+        start_rad_s: float = 0.0,
+        log: Callable[[can.Message, float], None] | None = None,
+    ) -> None:
         self.bus = bus
+        self.address = ""
         self.mapping = mapping
+        self._unit_bus = unit_bus or bus
+        self._log = log
+        self._time_s = 0.0  # of the last frame of the rig
         self._frames = unit_frames(mapping.vehicle, 0)
         self._sources = source_of_column(mapping.vehicle)
-        self.values = dict.fromkeys(self._sources.values(), 0.0)
+        self.values = {
+            source: start_rad_s if source.startswith(MEASURED_SPEED) else 0.0
+            for source in self._sources.values()
+        }
         self.answers = 0
         self.failure = ""
         self.breakdown = ""
@@ -98,9 +122,7 @@ class Gateway:
                     self._send_to_unit()
                     if self._alive:
                         self._send_heartbeat()
-                message = self.bus.recv(QUIET_S)
-                if message is not None:
-                    self._take(message)
+                self._receive()
         except can.CanError:
             return
         except Exception as error:
@@ -128,16 +150,40 @@ class Gateway:
                 "wrong checksum and were ignored"
             )
 
-    def _take(self, message: can.Message) -> None:
+    def _receive(self) -> None:
+        """Take what comes within 0.1 s, from the rig and from the unit."""
+        if self._unit_bus is self.bus:
+            message = self.bus.recv(QUIET_S)
+            if message is not None and not self._take_of_unit(message):
+                self._take_of_rig(message)
+            return
+        own_bus.wait(self.bus, self._unit_bus, QUIET_S)
+        while (message := self.bus.recv(0.0)) is not None:
+            self._time_s = message.timestamp
+            self._take_of_rig(message)
+        while (message := self._unit_bus.recv(0.0)) is not None:
+            if self._log:
+                self._log(message, self._time_s)
+            self._take_of_unit(message)
+
+    def _take_of_unit(self, message: can.Message) -> bool:
+        """Translate a message if it is the unit's answer; return whether it is."""
         incoming = self.mapping.incoming
+        if (message.arbitration_id, message.is_extended_id) != (
+            incoming.frame_id,
+            incoming.is_extended_frame,
+        ):
+            return False
+        self._translate_answer(bytes(message.data))
+        return True
+
+    def _take_of_rig(self, message: can.Message) -> None:
         can_id = message.arbitration_id
         if can_id == SYNC:
             self._syncs += 1
             if self._syncs % HEARTBEAT_SYNCS == 0 and self._alive:
                 self._send_heartbeat()
                 self._alive = False
-        elif can_id == incoming.frame_id and message.is_extended_id == incoming.is_extended_frame:
-            self._translate_answer(bytes(message.data))
         elif can_id == self._frames.speeds.can_id:
             self._store(self._frames.speeds.read(message.data))
         elif can_id == self._frames.pressures.can_id:
@@ -154,13 +200,14 @@ class Gateway:
     def _send_to_unit(self) -> None:
         for number, outgoing in enumerate(self.mapping.outgoing):
             message = outgoing.message
-            self.bus.send(
-                can.Message(
-                    arbitration_id=message.frame_id,
-                    data=self._data(outgoing, self._counts[number]),
-                    is_extended_id=message.is_extended_frame,
-                )
+            sent = can.Message(
+                arbitration_id=message.frame_id,
+                data=self._data(outgoing, self._counts[number]),
+                is_extended_id=message.is_extended_frame,
             )
+            self._unit_bus.send(sent)
+            if self._log:
+                self._log(sent, self._time_s)
             self._counts[number] += 1
 
     def _data(self, outgoing: Outgoing, count: int) -> bytes:
@@ -246,17 +293,30 @@ class Gateway:
         self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
 
-def companion(path: Path, vehicle: Table) -> Callable[[str], AbstractContextManager[Gateway]]:
+def companion(
+    path: Path, vehicle: Table, start_rad_s: float = 0.0, log: Path | None = None
+) -> Callable[[str], AbstractContextManager[Gateway]]:
     """Return a context manager that runs a gateway during a bench, given the address of its bus.
 
-    `vehicle`: the signals of the vehicle of the bench.
+    `vehicle`: the signals of the vehicle of the bench. `start_rad_s`: how fast its wheels turn when
+    the run begins. `log`: the file for the frames on a bus of the unit's own. Where the unit has
+    such a bus, the gateway's `address` is that bus. Raises ConfigError, and on entry BusError.
     """
     mapping = load(path, vehicle)
 
     @contextlib.contextmanager
     def run_gateway(address: str) -> Iterator[Gateway]:
-        with buses.open_client(address) as bus:
-            gateway = Gateway(bus, mapping)
+        with contextlib.ExitStack() as stack:
+            bus = stack.enter_context(buses.open_client(address))
+            unit_bus: can.BusABC | None = None
+            write: Callable[[can.Message, float], None] | None = None
+            if mapping.bus:
+                address = stack.enter_context(own_bus.served(mapping.bus))
+                unit_bus = stack.enter_context(buses.open_client(address))
+                if log:
+                    write = stack.enter_context(own_bus.logged(log))
+            gateway = Gateway(bus, mapping, unit_bus, start_rad_s, write)
+            gateway.address = address
             thread = threading.Thread(target=gateway.run, name="unit gateway", daemon=True)
             thread.start()
             try:

@@ -45,14 +45,14 @@ from rollerrig.wsp_interface.bus.connection_set import (
     TIME,
 )
 from rollerrig.wsp_interface.signals import BENCH_NODE, Table
-from rollerrig.wsp_interface.unit_map import fields
+from rollerrig.wsp_interface.unit_map import fields, own_bus
 from rollerrig.wsp_interface.unit_map.fields import CHECKSUMS, Checksum, Filled
 
 # the service codes of nodes in the predefined connection set: EMCY to SDO, and heartbeat
 _SERVICES = (*range(1, 13), 14)
 _SERVICE_BITS = 7  # the service code is above the bits of the node's number
 
-_TOP_KEYS = ("title", "dbc", "to_unit", "from_unit")
+_TOP_KEYS = ("title", "dbc", "bus", "to_unit", "from_unit")
 _TO_UNIT_KEYS = ("message", "signals", "factor", "constants", "counter", "checksum")
 _FMU_KEYS = ("hold", "vent", "reference", "reference_factor")
 _FROM_UNIT_KEYS = ("message", *_FMU_KEYS, "checksum")
@@ -67,7 +67,8 @@ _MOST_OF_MESSAGE = 1_000
 _DBC_TEXT = re.compile(r'"(\\"|[^"])*?"')
 _DBC_BEGIN = re.compile(r"\b(?P<message>BO_)\s|\bSG_\s+\w+\s*(M|m\d+M?)?\s*:")
 
-_QUANTITIES = ("measured_speed", "cylinder_pressure")
+MEASURED_SPEED = "measured_speed"
+_QUANTITIES = (MEASURED_SPEED, "cylinder_pressure")
 
 
 def source_of_column(table: Table) -> dict[str, str]:
@@ -107,6 +108,7 @@ class UnitMap:
     reference: str  # the unit's signal of the reference speed; "" for none
     reference_factor: float  # m/s of one unit of that signal
     checksum: Checksum | None  # of the unit's message
+    bus: str = ""  # address of the unit's own bus; "" for the bus of the rig
 
 
 class FmuMap(NamedTuple):
@@ -162,17 +164,21 @@ def load(path: Path, vehicle: Table) -> UnitMap:
     content = store.parse(path)
     known(content, _TOP_KEYS, lambda key: str(path))
     database = _database(path, content.get("dbc"))
+    bus = own_bus.check(content.get("bus", ""), str(path))
+    # on a bus of its own the unit may use each identifier
+    taken = vehicle if not bus else None
 
     outgoing = []
     for number, table in enumerate(content.get("to_unit", []), start=1):
-        outgoing.append(_outgoing(table, database, f"{path} [[to_unit]] {number}", vehicle))
+        where = f"{path} [[to_unit]] {number}"
+        outgoing.append(_outgoing(table, database, where, vehicle, taken))
 
     from_unit = content.get("from_unit")
     if not outgoing or not isinstance(from_unit, dict):
         raise ConfigError(f"{path}: {_BOTH_WAYS}")
     where = f"{path} [from_unit]"
     known(from_unit, _FROM_UNIT_KEYS, lambda key: where)
-    incoming = _message(from_unit, database, where, vehicle)
+    incoming = _message(from_unit, database, where, taken)
     hold, vent = _magnets(from_unit, where, vehicle.kind.axles)
     _check_signals(hold, incoming, f"{where}: hold")
     _check_signals(vent, incoming, f"{where}: vent")
@@ -188,6 +194,7 @@ def load(path: Path, vehicle: Table) -> UnitMap:
         reference=reference,
         reference_factor=_factor(from_unit, "reference_factor", where),
         checksum=_checksum(from_unit, incoming, where),
+        bus=bus,
     )
 
 
@@ -232,9 +239,11 @@ def _check_sizes(text: str) -> None:
             )
 
 
-def _outgoing(table: Any, database: Any, where: str, vehicle: Table) -> Outgoing:
+def _outgoing(
+    table: Any, database: Any, where: str, vehicle: Table, taken: Table | None
+) -> Outgoing:
     known(table, _TO_UNIT_KEYS, lambda key: where)
-    message = _message(table, database, where, vehicle)
+    message = _message(table, database, where, taken)
     sources = _sources(table, where, tuple(source_of_column(vehicle).values()))
     _check_signals(tuple(sources), message, f"{where}: signals")
     filled = Filled(
@@ -379,8 +388,13 @@ def _magnets(
     return hold, vent
 
 
-def _message(table: Mapping[str, Any], database: Any, where: str, vehicle: Table) -> DbcMessage:
-    """Return the message of a table. Raises ConfigError when the rig uses its identifier."""
+def _message(
+    table: Mapping[str, Any], database: Any, where: str, taken: Table | None
+) -> DbcMessage:
+    """Return the message of a table. Raises ConfigError when a vehicle's rig uses its identifier.
+
+    `taken`: the signals of the vehicle on the same bus; None: the unit has a bus of its own.
+    """
     name = table.get("message")
     messages: dict[str, DbcMessage] = {}
     for message in database.messages:
@@ -403,10 +417,11 @@ def _message(table: Mapping[str, Any], database: Any, where: str, vehicle: Table
         message.refresh(strict=True)
     except (cantools.Error, ValueError) as error:
         raise ConfigError(f"{where}: message = {name!r}: {error}; correct the DBC") from None
-    if _is_used_by_rig(message, vehicle):
+    if taken is not None and _is_used_by_rig(message, taken):
         raise ConfigError(
             f"{where}: {name} has the identifier {message.frame_id:X}h, which the rig "
-            f"uses{_group_of(message, vehicle)}; give the unit another, or 29-bit identifiers"
+            f'uses{_group_of(message, taken)}; write bus = "{own_bus.OWN}" above the tables, and the '
+            "unit has a bus of its own"
         )
     return message
 

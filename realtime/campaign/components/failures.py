@@ -206,7 +206,8 @@ def _probability(head: Mapping[str, Any], at: str) -> tuple[float, str]:
     if probability is not None:
         return float(probability), f"probability {probability:g}"
     found = failing.probability_at_a_stop(rate_1_h, interval_h)
-    return found, f"probability {found:.3g} ({rate_1_h:g}/h, inspected every {interval_h:g} h)"
+    rate = f"{rate_1_h:g}".replace("e-0", "e-")
+    return found, f"probability {found:.3g} ({rate}/h, inspected every {interval_h:g} h)"
 
 
 def shown(places: tuple[int, ...], failure: Failure) -> str:

@@ -12,8 +12,11 @@ from matplotlib.figure import Figure
 
 from rollerrig.realtime.reports import page
 from rollerrig.realtime.reports.creep_curve.tuned import (
+    draw_maximum,
     fine_curve,
+    legend_above,
     parameter_json,
+    parameter_title,
     parameter_words,
     stiffness_words,
 )
@@ -33,6 +36,8 @@ from rollerrig.rig.identify.data.runs import Dataset
 from rollerrig.rig.mechanisms.table import TABLE
 
 LAW = "law"
+# names of checks in words, where the name is none
+_WORDS = {LAW: "Polach's law"}
 # condition -> name of its cause, and of its check
 CAUSES = {
     conditions.SERIES: "series_differ",
@@ -134,7 +139,7 @@ def _where_is_the_maximum(shown: Shown) -> str:
             f"the maximum is at or below the smallest creepages, from {_percent(smallest)} on, so "
             "the fall may be larger"
         )
-    return f"the maximum is at a creepage of {_percent(fall.peak_creepage)}"
+    return f"the maximum of the smooth curve is at a creepage of {_percent(fall.peak_creepage)}"
 
 
 def _how_it_ends(shown: Shown) -> str:
@@ -452,18 +457,17 @@ def explain_page(data: Dataset, judged: Judgement, sentences: list[str]) -> str:
     """Return the page: the sentences, the points with the judged law, checks and parameters."""
     rows = []
     for check in checks(judged):
-        state = "could not be judged" if check.why_not else "found" if check.found else "not found"
         smallest = _finite(check.smallest)
         rows.append(
             (
-                check.name,
-                state,
+                _WORDS.get(check.name, check.name.replace("_", " ")),
+                _result_words(check),
                 check.why_not,
                 "" if smallest is None else f"{smallest:.2g} {check.unit}",
             )
         )
     parameters = [
-        (f"Polach's {name}", parameter_words(parameter_json(*parameter)))
+        (parameter_title(name), parameter_words(parameter_json(*parameter)))
         for name, parameter in judged.law.parameters.items()
     ]
     return page.page(
@@ -474,6 +478,15 @@ def explain_page(data: Dataset, judged: Judgement, sentences: list[str]) -> str:
         table(("check", "result", "why not", "smallest size that is shown"), rows),
         table(("the drawn law", "value (95 %)"), parameters),
     )
+
+
+def _result_words(check: Check) -> str:
+    """Return what a check found: of Polach's law a misfit, of the others an effect."""
+    if check.why_not:
+        return "could not be judged"
+    if check.name == LAW:
+        return "does not fit" if check.found else "fits"
+    return "found" if check.found else "not found"
 
 
 _MOST_DRAWN_GROUPS = 12
@@ -509,10 +522,11 @@ def _draw(figure: Figure, data: Dataset, judged: Judgement) -> None:
         adhesion = laws.modelled(judged.law.x, judged.law.beta, columns, fine, patch)
         label = f"Polach's law, rms {judged.law.rms:.3g}" if k == 0 else None
         axes.plot(100.0 * fine.creepage, adhesion, "-", color=colour, label=label)
+        draw_maximum(axes, fine.creepage, adhesion, colour)
     axes.set(
         xlabel="creepage, %", ylabel="adhesion coefficient", xlim=(0.0, None), ylim=(0.0, None)
     )
-    axes.legend()
+    legend_above(axes)
 
 
 def _group_label(judged: Judgement, here: np.ndarray) -> str:

@@ -9,6 +9,7 @@ from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rollerrig.realtime.reports import page
@@ -25,6 +26,11 @@ from rollerrig.rig.identify.paper.polach_fit import (
     bound_of,
     model,
 )
+
+# symbols in the paper, by the names of the parameters
+_SYMBOLS = {"gamma_s_m": "B, s/m", "k_a": "k_A", "k_s": "k_S"}
+# columns of the legend above a picture
+_COLUMNS_OF_LEGEND = 3
 
 
 class _Line(NamedTuple):
@@ -59,6 +65,11 @@ def parameter_json(value: float, low: float, high: float, bound: str) -> dict[st
     """Return a parameter as JSON; one at a bound of its range has no interval."""
     ci95 = None if bound else [low, high]
     return {"value": value, "ci95": ci95, "bound": bound or None}
+
+
+def parameter_title(name: str) -> str:
+    """Return the title of a parameter of Polach's law: the symbol of his paper, and its unit."""
+    return f"Polach's {_SYMBOLS.get(name, name)}"
 
 
 def parameter_words(parameter: Mapping[str, Any]) -> str:
@@ -109,7 +120,8 @@ def tune_json(data: Dataset, fitted: PolachFit, shown: Shown) -> dict[str, Any]:
 def tune_rows(result: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the content of tune.json as rows under HEAD."""
     rows = [
-        (f"Polach's {name}", parameter_words(value)) for name, value in result["parameters"].items()
+        (parameter_title(name), parameter_words(value))
+        for name, value in result["parameters"].items()
     ]
     for title, key in (
         ("rms error, five parameters", "rms"),
@@ -165,6 +177,20 @@ def fine_curve(points: Curve) -> Curve:
     )
 
 
+def draw_maximum(axes: Axes, creepage: np.ndarray, adhesion: np.ndarray, colour: str) -> None:
+    """Mark the maximum of a drawn law, with its numbers, if adhesion falls after it."""
+    top = int(np.argmax(adhesion))
+    if top == adhesion.size - 1:
+        return
+    label = f"maximum of the law: {adhesion[top]:.3f} at {100.0 * creepage[top]:.2g} %"
+    axes.plot(100.0 * creepage[top], adhesion[top], "^", color=colour, ms=7, zorder=4, label=label)
+
+
+def legend_above(axes: Axes) -> None:
+    """Add a legend above a picture, where it covers no point."""
+    axes.legend(ncols=_COLUMNS_OF_LEGEND, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+
+
 def _draw_curve(figure: Figure, data: Dataset, fitted: PolachFit, shown: Shown) -> None:
     """Draw points, fits and recommended sets against creepage.
 
@@ -208,7 +234,9 @@ def _draw_curve(figure: Figure, data: Dataset, fitted: PolachFit, shown: Shown) 
             axes.plot(
                 100 * fine.creepage, adhesion, line.style, color=line.colour, label=shown_label
             )
+            if line is lines[0]:
+                draw_maximum(axes, fine.creepage, adhesion, line.colour)
     axes.set(
         xlabel="creepage, %", ylabel="adhesion coefficient", xlim=(0.0, None), ylim=(0.0, None)
     )
-    axes.legend()
+    legend_above(axes)

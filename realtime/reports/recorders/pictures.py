@@ -9,8 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from rollerrig.realtime.pictures import gaps
 from rollerrig.realtime.reports.page import EXTENDED, GREY, INK, RUNS, VERMILION
-from rollerrig.rig.identify.train_recorder import scales
+from rollerrig.rig.identify.train_recorder import scales, thresholds
 from rollerrig.rig.identify.train_recorder.alignment import Aligned, slope
 from rollerrig.rig.identify.train_recorder.findings import Finding
 from rollerrig.rig.identify.train_recorder.recording import Run
@@ -20,6 +21,8 @@ from rollerrig.rig.identify.train_recorder.verdict import Account
 _AROUND_S = 6.0
 _AROUND_SLIDE_S = 3.0
 _AROUND_DELAY_S = 5.0
+
+_COLUMNS_OF_LEGEND = 6
 
 # s. Of a longer finding only the beginning is shown.
 _LONGEST_S = 60.0
@@ -51,16 +54,19 @@ def slide(figure: Figure, account: Account, finding: Finding, title: str) -> Non
     shown = (aligned.time_s > finding.start_s - _AROUND_SLIDE_S) & (
         aligned.time_s < finding.end_s + _AROUND_SLIDE_S
     )
-    time_s = aligned.time_s[shown]
+    stamps_s = aligned.time_s[shown]
+    longest_s = thresholds.gap_s(float(np.median(np.diff(aligned.time_s))))
 
     axes = figure.subplots()
     for k, name in enumerate(aligned.names):
-        axes.plot(time_s, aligned.speed[shown, k], color=RUNS[k % len(RUNS)], label=name)
-    axes.plot(time_s, vehicle[shown], color=INK, lw=1.8, label="vehicle")
+        time_s, speed_m_s = gaps.with_breaks(stamps_s, longest_s, aligned.speed[shown, k])
+        axes.plot(time_s, speed_m_s, color=RUNS[k % len(RUNS)], label=name)
+    time_s, vehicle_m_s = gaps.with_breaks(stamps_s, longest_s, vehicle[shown])
+    axes.plot(time_s, vehicle_m_s, color=INK, lw=1.8, label="vehicle")
     axes.axvspan(finding.start_s, finding.end_s, color=VERMILION, alpha=0.1, lw=0)
-    axes.set(xlabel="time, s", ylabel="m/s, delay and radius corrected")
+    axes.set(xlabel="time, s", ylabel="speed (delay and radius corrected), m/s")
     axes.set_title(title, fontsize="medium")
-    axes.legend(ncol=3)
+    _legend_below(axes)
 
 
 def places(figure: Figure, account: Account, finding: Finding, title: str) -> None:
@@ -117,6 +123,7 @@ def wheels(figure: Figure, account: Account) -> None:
     axes = figure.subplots()
     groups = sorted({_group(aligned) for aligned in account.aligned})
     names = list(dict.fromkeys(name for aligned in account.aligned for name in aligned.names))
+    unnamed = set(names)
     for g, group in enumerate(groups):
         of_group = [
             aligned.as_recorded() for aligned in account.aligned if _group(aligned) == group
@@ -135,15 +142,16 @@ def wheels(figure: Figure, account: Account) -> None:
                 100.0 * wheel.half_width,
                 color=RUNS[k % len(RUNS)],
                 marker="o",
-                label=name if g == 0 else "_",
+                label=name if name in unnamed else "_",
             )
+            unnamed.discard(name)
     axes.axhline(0.0, color=GREY)
     labels = [" ".join(filter(None, group)) or "all runs" for group in groups]
     axes.set_xticks(range(len(groups)), labels)
     axes.set_xlim(-0.7, len(groups) - 0.3)
     axes.set_ylabel("radius less setting, %")
     if axes.get_legend_handles_labels()[1]:
-        axes.legend(ncol=4)
+        _legend_below(axes)
 
 
 def _group(aligned: Aligned) -> tuple[str, str]:
@@ -178,13 +186,23 @@ def _as_recorded(
             emphasis = {"lw": 2.2, "marker": "o", "zorder": 3}
 
         shown = (channel.time_s >= start_s) & (channel.time_s <= end_s)
+        # rows of other channels have no value of this one
+        shown &= np.isfinite(channel.values)
+        time_s, values = gaps.with_breaks(
+            channel.time_s[shown], thresholds.gap_s(channel.step_s), channel.values[shown]
+        )
         axes.plot(
-            channel.time_s[shown],
-            channel.values[shown],
+            time_s,
+            values,
             ms=2.5,
             label=channel.name,
             **style,
             **emphasis,
         )
-    axes.set(xlabel="time as recorded, s", ylabel="m/s")
-    axes.legend(ncol=3)
+    axes.set(xlabel="time as recorded, s", ylabel="speed, m/s")
+    _legend_below(axes)
+
+
+def _legend_below(axes: Axes) -> None:
+    """Add a legend below the picture, where it covers no line."""
+    axes.figure.legend(loc="outside lower center", ncols=_COLUMNS_OF_LEGEND)

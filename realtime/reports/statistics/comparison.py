@@ -202,7 +202,7 @@ def _size(distance: Compared, first: str) -> str:
     median_m = abs(distance.difference.median)
     if not math.isfinite(median_m):
         return "more than any distance (median; it does not stop)"
-    text = f"{median_m:.3g} m (median)"
+    text = f"{rounded(median_m, digits=3)} m (median)"
     if distance.quantiles[0]:
         text += f", {100 * median_m / distance.quantiles[0][MEDIAN]:.2g} % of the median of {first}"
     return text
@@ -242,7 +242,7 @@ def worst_lines(found: Comparison) -> list[str]:
     for case in found.became_worse:
         change = ""
         if case.first_m is not None and case.second_m is not None:
-            change = f" ({case.second_m - case.first_m:+.3g} m)"
+            change = f" ({case.second_m - case.first_m:+.1f} m)"
         lines.append(
             f"  run {case.run}: {_metres(case.first_m)} -> {_metres(case.second_m)}{change}"
         )

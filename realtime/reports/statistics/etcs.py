@@ -104,7 +104,7 @@ def _page(table: Table) -> str:
             f"confidence of {confidence}, rounded down. Kwet_rst: estimate."
         ),
         page.table(HEAD, rows(table)),
-        page.picture(partial(_draw, table=table), (9.0, 4.6)),
+        page.picture(partial(_draw, table=table), (11.0, 4.6)),
         page.element("h2", "Intervals"),
         page.table(
             (

@@ -21,7 +21,12 @@ def parts(plan: campaign.Plan, outcome: Outcome) -> list[page.Markup]:
     found: list[page.Markup] = []
     if plan.applied is not None and plan.applied.failures:
         rows = [
-            (failure.name, failure.law, percent(failure.kind.probability), failure.source)
+            (
+                failure.name.replace("_", " "),
+                failure.law,
+                percent(failure.kind.probability),
+                failure.source,
+            )
             for failure in plan.applied.failures
         ]
         found += [

@@ -132,7 +132,7 @@ def _tail(plan: campaign.Plan, distance_m: draws.Draws) -> list[page.Markup]:
             "If the rows of the second table differ by more than the interval of the first one, the "
             "law does not describe this tail: make more runs."
         ),
-        page.picture(partial(_draw, found=found, distance_m=distance_m), (8.0, 4.0)),
+        page.picture(partial(_draw, found=found, distance_m=distance_m), (11.0, 4.5)),
     ]
 
 
@@ -156,4 +156,5 @@ def _draw(drawn: Figure, found: stopping.Extrapolation, distance_m: draws.Draws)
             ends_m = (value.low, value.high)
             plot.plot(ends_m, (value.exceeded, value.exceeded), "|-", color=page.VERMILION)
     plot.set(xlabel="stopping distance, m", ylabel="share of runs that go further", yscale="log")
+    page.plain_logarithm(plot.yaxis)
     plot.legend()

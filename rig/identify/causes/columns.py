@@ -21,7 +21,7 @@ from rollerrig.rig.identify.causes.table import Search, Shape
 from rollerrig.rig.identify.data import parameters, pulses
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.replay import sensitivity
-from rollerrig.rig.identify.replay.sensitivity import F00, Inputs, LinearisedReplay
+from rollerrig.rig.identify.replay.sensitivity import F00, Innovations, Inputs, LinearisedReplay
 from rollerrig.rig.mechanisms.mechanism import CONTACT, FRICTION, LOAD, TORQUE, VEHICLE
 
 # grids of the search for patches and for sand; edges are moved off them afterwards
@@ -216,11 +216,16 @@ def vehicle_mass(design: Design) -> np.ndarray:
 
 
 def build(
-    design: Design, inputs: Inputs, causes: Sequence[Cause] = (), search: bool = True
+    design: Design,
+    inputs: Inputs,
+    causes: Sequence[Cause] = (),
+    search: bool = True,
+    replayed: Innovations | None = None,
 ) -> tuple[SensitivityMatrix, LinearisedReplay]:
     """Return the sensitivity matrix around a replay, and that replay.
 
     The matrix has the base and `causes`; with `search` also all other causes and smooth functions.
+    `replayed` are the innovations of these inputs, if they are known.
     """
     wanted = _wanted(causes, search)
     constants = [
@@ -228,7 +233,7 @@ def build(
         for row, shape in wanted
         if row.mechanism.acts_on == CONTACT and row.mechanism.constants
     ]
-    linear = sensitivity.linearise(design, inputs, _changed(inputs, constants))
+    linear = sensitivity.linearise(design, inputs, _changed(inputs, constants), replayed)
     writer = _Writer(design, inputs, linear)
 
     _add_base(writer)
@@ -351,6 +356,7 @@ def _add_discrepancy(writer: _Writer) -> None:
     design = writer.design
     of_vehicle = np.repeat(np.arange(design.mass_kg.size), np.diff(design.vehicle_start))
     parts: dict[tuple[bool, int], tuple[int, np.ndarray | None]] = {}
+    vehicles: dict[tuple[bool, int, int], np.ndarray | None] = {}
     for mode in discrepancy.modes(design):
         is_common = mode.axle == discrepancy.ALL_AXLES
         kind = (is_common, mode.number)
@@ -358,7 +364,11 @@ def _add_discrepancy(writer: _Writer) -> None:
             part = writer.of_torque(writer.torque_Nm * discrepancy.course(design, mode))
             parts[kind] = (writer.add_course(part.wheel), part.felt)
         course, felt = parts[kind]
-        vehicle = writer.vehicle_acceleration(felt, mode.axle)
+        # the runs share the course of a wheelset
+        of_wheelset = (*kind, mode.axle)
+        if of_wheelset not in vehicles:
+            vehicles[of_wheelset] = writer.vehicle_acceleration(felt, mode.axle)
+        vehicle = vehicles[of_wheelset]
         assert vehicle is not None
         run = None
         if mode.run != discrepancy.ALL_RUNS:

@@ -94,6 +94,10 @@ def acts_on(design: Design, axle: int) -> np.ndarray:
 
     0 means all wheelsets, -n those of bogie n (`configs.vehicle.wheelsets_of`).
     """
+    if axle == 0:
+        return np.ones(design.axle.shape, bool)
+    if axle > 0:
+        return np.asarray(design.axle == axle - 1)
     return np.isin(design.axle + 1, wheelsets_of(axle, design.axles))
 
 

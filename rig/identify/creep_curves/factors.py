@@ -23,6 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
+from rollerrig.configs.number_text import rounded
 from rollerrig.rig.identify.creep_curves import conditions, shape
 from rollerrig.rig.identify.creep_curves.conditions import Condition, Prepared
 from rollerrig.rig.identify.statistics.interval import Estimate
@@ -314,4 +315,4 @@ def _one_value(c: Condition) -> str:
         return "there is one series"
     if c.name == conditions.DIRECTION:
         return f"all points are in {'braking' if np.median(c.values) > 0.0 else 'traction'}"
-    return f"all points have the same {c.name}, {float(np.median(c.values)):.4g} {c.unit}"
+    return f"all points have the same {c.name}, {rounded(float(np.median(c.values)))} {c.unit}"

@@ -180,8 +180,9 @@ def fit_significant(
 ) -> list[Candidate]:
     """Fit each significant cause together with an explanation, at most `most` of them.
 
-    `ready` are fits that were made before. Those of causes with a finite step are not repeated:
-    they start from an untuned base, which takes long. With a cause in the explanation, the further
+    `ready` are fits of the same explanation that were made before. Those in the same shape are not
+    repeated, and those of causes with a finite step in no shape: they start from an untuned base,
+    which takes long. With a cause in the explanation, the further
     one is fitted in all shapes that are nearly as significant as the best, and the best fit counts.
     """
     present = {cause.name for cause in explanation.causes}
@@ -199,9 +200,13 @@ def fit_significant(
     missing = []
     for test in significant:
         has_finite_step = table.BY_NAME[test.name].finite_step > 0.0
-        if has_finite_step and test.name in ready_by_name:
-            best[test.name] = Candidate(test, ready_by_name[test.name])
-            continue
+        ready_fit = ready_by_name.get(test.name)
+        if ready_fit is not None:
+            fitted = ready_fit.explanation.causes[-1]
+            is_same = fitted.axle == test.axle and fitted.shape == test.shape
+            if has_finite_step or is_same:
+                best[test.name] = Candidate(test, ready_fit)
+                continue
         missing.append(test)
         if explanation.causes and not has_finite_step:
             missing += test.near

@@ -33,6 +33,7 @@ from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import CommonBrake, Design
 from rollerrig.rig.identify.decide import evidence, fitting, shapes, stopping, thresholds
 from rollerrig.rig.identify.decide.evidence import ScoreTest
+from rollerrig.rig.identify.replay import sensitivity
 from rollerrig.rig.mechanisms.mechanism import TORQUE, VEHICLE
 from rollerrig.rig.mechanisms.table import BY_NAME
 
@@ -211,7 +212,7 @@ def disagreement(design: Design, explanation: Explanation, at: int) -> tuple[flo
     for run, response in enumerate(responses[design.segments :]):
         used, places, whitened = response
         innovation = z[design.vehicle_span(run)].astype(whitened.dtype)
-        A[np.ix_(used, used)] += (whitened.T @ whitened)[np.ix_(places, places)]
+        sensitivity.add_squares(whitened.T @ whitened, used, places, A)
         b[used] += (whitened.T @ innovation)[places]
     of_wheels = normal._replace(A=normal.A - A, b=normal.b - b)
     # the tolerances hold in both; they are in the normal equations of all filters together

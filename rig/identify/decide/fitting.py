@@ -1,19 +1,18 @@
 """Fits an explanation to a design: base parameters, causes, irregularity of the rail.
 
 The fit is Gauss-Newton on the whitened innovations, whose derivatives come from the linearised
-filter. Between the steps scipy finds the strength and length of the irregularity on the exact
-likelihood. A cause thus earns likelihood only by making what is left unexplained smaller.
+filter. Between the steps Newton's method finds the strength and length of the irregularity on the
+exact likelihood. A cause thus earns likelihood only by making what is left unexplained smaller.
 
     [T1] -2 ln L = sum innovation^2 / variance + ln variance + sum (x / prior)^2,
          the first sum over wheels and vehicles
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
-from scipy.optimize import minimize
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import wheelsets_of
@@ -21,11 +20,12 @@ from rollerrig.rig.identify.causes import columns, discrepancy, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation, inputs
 from rollerrig.rig.identify.causes.columns import BASE, SensitivityMatrix, Variant
 from rollerrig.rig.identify.causes.courses import acts_on
+from rollerrig.rig.identify.data import parameters
 from rollerrig.rig.identify.data.preparation import Design
 from rollerrig.rig.identify.decide import thresholds
 from rollerrig.rig.identify.decide.thresholds import OUTLIER_DEVIATIONS
 from rollerrig.rig.identify.replay import sensitivity
-from rollerrig.rig.identify.replay.sensitivity import LinearisedReplay
+from rollerrig.rig.identify.replay.sensitivity import Innovations, LinearisedReplay
 
 # step of a finite difference: of a base parameter, and of a coefficient as a share of itself
 _STEP = 1e-3
@@ -50,6 +50,13 @@ _LEAST_STEP = 3
 # a step of Gauss-Newton is shortened by this factor until it improves, at most so often
 _SHORTER = 0.35
 _MOST_SHORTENED = 5.0
+
+# Of the logarithms of the irregularity's standard deviation and length: differences of the
+# likelihood, longest step of Newton's method, and the step after which no other one is made.
+_DIFFERENCES = np.array([0.06, 0.15])
+_LONGEST_STEP = np.array([0.5, 1.0])
+_NEAR_IRREGULARITY = np.array([0.2, 0.4])
+_NEWTON_STEPS = 3
 
 # bounds of the irregularity of the rail: standard deviation, then length in m
 _IRREGULARITY_BOUNDS = (1e-3, 0.5)
@@ -85,12 +92,24 @@ class Fit(NamedTuple):
 
 def deviance(design: Design, explanation: Explanation) -> float:
     """Return -2 ln L without constants [T1]."""
-    innovation, variance, _, vehicle_innovation, vehicle_variance = sensitivity.innovations(
-        design, inputs(design, explanation)
-    )
-    of_wheels = np.sum(deviance_terms(innovation, variance))
-    of_vehicles = np.sum(deviance_terms(vehicle_innovation, vehicle_variance))
-    return float(of_wheels + of_vehicles) + prior_deviance(design, explanation)
+    return _replayed(design, explanation).deviance
+
+
+class _Replayed(NamedTuple):
+    """An explanation with its innovations and its deviance [T1]."""
+
+    explanation: Explanation
+    innovations: Innovations
+    deviance: float
+
+
+def _replayed(design: Design, explanation: Explanation) -> _Replayed:
+    """Return an explanation, replayed."""
+    found = sensitivity.innovations(design, inputs(design, explanation))
+    of_wheels = np.sum(deviance_terms(found.nu, found.variance))
+    of_vehicles = np.sum(deviance_terms(found.vehicle_nu, found.vehicle_variance))
+    value = float(of_wheels + of_vehicles) + prior_deviance(design, explanation)
+    return _Replayed(explanation, found, value)
 
 
 def deviance_terms(innovation: np.ndarray, variance: np.ndarray) -> np.ndarray:
@@ -125,15 +144,18 @@ def prior_deviance(design: Design, explanation: Explanation) -> float:
 
 
 def normal_equations(
-    design: Design, explanation: Explanation, search: bool = True
+    design: Design,
+    explanation: Explanation,
+    search: bool = True,
+    replayed: Innovations | None = None,
 ) -> tuple[NormalEquations, LinearisedReplay, list[Response]]:
     """Return the normal equations around an explanation, its linearised replay, and the responses.
 
     The columns are the base and the explanation's causes, and with `search` all possible causes and
-    smooth functions.
+    smooth functions. `replayed` are the innovations of the explanation, if they are known.
     """
     replay_inputs = inputs(design, explanation)
-    matrix, linear = columns.build(design, replay_inputs, explanation.causes, search)
+    matrix, linear = columns.build(design, replay_inputs, explanation.causes, search, replayed)
     exact = _finite_differences(design, explanation, matrix, linear, search)
     responses = _responses(design, matrix, linear, exact)
 
@@ -148,7 +170,7 @@ def normal_equations(
     with np.errstate(over="ignore", invalid="ignore"):
         for response, innovation in zip(responses, innovations, strict=True):
             used, places, Z = response
-            A[np.ix_(used, used)] += (Z.T @ Z)[np.ix_(places, places)]
+            sensitivity.add_squares(Z.T @ Z, used, places, A)
             b[used] += (Z.T @ innovation.astype(Z.dtype))[places]
     _add_priors(design, explanation, matrix, A, b)
     return NormalEquations(A, b, matrix), linear, responses
@@ -420,13 +442,14 @@ def fit(
     the deviance by less than `tolerance`. With `free` only those base parameters are fitted whose
     labels begin so, and of the causes only those with a finite step.
     """
-    value = deviance(design, explanation)
+    best = _replayed(design, explanation)
     covariance = np.zeros((0, 0))
     for step in range(steps):
         if noise and step in _NOISE_STEPS and step + 1 < steps:
-            explanation, value = fit_noise(design, explanation, value)
+            best = _fit_noise(design, best)
+        explanation = best.explanation
 
-        normal, _, _ = normal_equations(design, explanation, search=False)
+        normal, _, _ = normal_equations(design, explanation, False, best.innovations)
         matrix = normal.matrix
         fitted_base = [
             c for c in base_columns(matrix) if not free or matrix.columns[c].label.startswith(free)
@@ -448,32 +471,33 @@ def fit(
                 raise
             # one cause that cannot be fitted further does not make the data useless
             break
-        value_before = value
+        before = best.deviance
         labels = [matrix.columns[c].label for c in fitted_base]
-        explanation, value = _step(design, explanation, labels, fitted_causes, change, value)
-        if value_before - value < tolerance and step > _LEAST_STEP:
+        best = _step(design, best, labels, fitted_causes, change)
+        if before - best.deviance < tolerance and step > _LEAST_STEP:
             break
 
+    explanation = best.explanation
     size = sum(len(cause.values) for cause in explanation.causes)
     first_of_causes = len(covariance) - size
     if first_of_causes < 0:
-        return Fit(explanation, value, np.full((size, size), np.inf))
-    return Fit(explanation, value, covariance[first_of_causes:, first_of_causes:])
+        return Fit(explanation, best.deviance, np.full((size, size), np.inf))
+    return Fit(explanation, best.deviance, covariance[first_of_causes:, first_of_causes:])
 
 
 def _step(
     design: Design,
-    explanation: Explanation,
+    before: _Replayed,
     labels: list[str],
     fitted_causes: tuple[Cause, ...],
     change: np.ndarray,
-    value: float,
-) -> tuple[Explanation, float]:
-    """Return the explanation after a step, shortened until it improves, and its deviance.
+) -> _Replayed:
+    """Return the explanation after a step, shortened until it improves.
 
     `change` holds the changes of the base parameters with these labels, then of the causes'
     coefficients.
     """
+    explanation = before.explanation
     of_base = change[: len(labels)]
     for share in _SHORTER ** np.arange(_MOST_SHORTENED):
         base = dict(explanation.base)
@@ -489,10 +513,10 @@ def _step(
             tried = tried.with_cause(explanation.causes.index(cause), within_bounds(moved))
             at = end
 
-        better = deviance(design, tried)
-        if better < value:
-            return tried, better
-    return explanation, value
+        better = _replayed(design, tried)
+        if better.deviance < before.deviance:
+            return better
+    return before
 
 
 def _base_bound(label: str) -> float:
@@ -524,26 +548,74 @@ def bounds(cause: Cause) -> list[tuple[float, float]]:
     return limits
 
 
-def fit_noise(design: Design, explanation: Explanation, value: float) -> tuple[Explanation, float]:
-    """Return the explanation with the most likely irregularity, and its deviance.
+def _fit_noise(design: Design, before: _Replayed) -> _Replayed:
+    """Return the explanation with the most likely irregularity. All else remains fixed.
 
-    All else remains fixed.
+    Each step of Newton's method takes the derivatives from differences of the likelihood. What an
+    irregularity does not change, inputs and vehicles, is not computed again.
     """
-
-    def with_irregularity(x: np.ndarray) -> Explanation:
-        """Return the explanation with the logarithms of strength and length in `x`."""
-        return explanation._replace(sigma=float(np.exp(x[0])), length_m=float(np.exp(x[1])))
-
-    x0 = np.log([explanation.sigma, explanation.length_m])
-    simplex = x0 + np.array([[0.0, 0.0], [-0.15, 0.0], [0.0, -0.3]])
-    lengths_m = (_SHORTEST_IRREGULARITY_M, thresholds.LONGEST_IRREGULARITY_M)
-    best = minimize(
-        lambda x: deviance(design, with_irregularity(x)),
-        x0,
-        method="Nelder-Mead",
-        bounds=np.log([_IRREGULARITY_BOUNDS, lengths_m]),
-        options={"maxfev": 18, "initial_simplex": simplex, "fatol": 0.3},
+    explanation = before.explanation
+    replay_inputs = inputs(design, explanation)
+    of_vehicles = np.sum(
+        deviance_terms(before.innovations.vehicle_nu, before.innovations.vehicle_variance)
     )
-    if best.fun < value:
-        return with_irregularity(best.x), float(best.fun)
-    return explanation, value
+    of_priors = prior_deviance(design, explanation)
+    lengths_m = (_SHORTEST_IRREGULARITY_M, thresholds.LONGEST_IRREGULARITY_M)
+    low, high = np.log([_IRREGULARITY_BOUNDS, lengths_m]).T
+
+    def at(x: np.ndarray) -> _Replayed:
+        """Return the replay with the logarithms of strength and length in `x`."""
+        changed = explanation._replace(sigma=float(np.exp(x[0])), length_m=float(np.exp(x[1])))
+        p = replay_inputs.parameters.copy()
+        p[:, parameters.IRREGULARITY] = changed.sigma
+        p[:, parameters.IRREGULARITY_LENGTH] = changed.length_m
+        wheels = sensitivity.replay_wheels(design, replay_inputs._replace(parameters=p))
+        nu, variance, field = wheels
+        found = before.innovations._replace(nu=nu, variance=variance, field=field)
+        of_wheels = np.sum(deviance_terms(found.nu, found.variance))
+        return _Replayed(changed, found, float(of_wheels + of_vehicles) + of_priors)
+
+    best = before
+    x = np.log([explanation.sigma, explanation.length_m])
+    for _ in range(_NEWTON_STEPS):
+        change = _newton_step(lambda x: at(x).deviance, x, best.deviance, low, high)
+        tried = at(x + change)
+        if not tried.deviance < best.deviance:
+            break
+        best = tried
+        x = x + change
+        if np.all(np.abs(change) < _NEAR_IRREGULARITY):
+            break
+    return best
+
+
+def _newton_step(
+    function: Callable[[np.ndarray], float],
+    x: np.ndarray,
+    value: float,
+    low: np.ndarray,
+    high: np.ndarray,
+) -> np.ndarray:
+    """Return the step (2,) to the least of a function by its differences, within bounds.
+
+    `value` is the function at `x`. Where it is not convex the step goes down the slope.
+    """
+    # differences toward the middle of the bounds
+    towards = np.where(x + _DIFFERENCES <= high, 1.0, -1.0)
+    h = _DIFFERENCES * towards
+    first = np.array([h[0], 0.0])
+    second = np.array([0.0, h[1]])
+    plus = np.array([function(x + first), function(x + second)])
+    minus = np.array([function(x - first), function(x - second)])
+    gradient = (plus - minus) / (2.0 * h)
+    curvature = (plus + minus - 2.0 * value) / (h * h)
+    mixed = (function(x + first + second) - plus.sum() + value) / (h[0] * h[1])
+    hessian = np.array([[curvature[0], mixed], [mixed, curvature[1]]])
+    if not np.all(np.isfinite(hessian)):
+        return np.zeros(2)
+    if np.all(np.linalg.eigvalsh(hessian) > 0.0):
+        change = -np.linalg.solve(hessian, gradient)
+    else:
+        change = -np.sign(gradient) * _LONGEST_STEP
+    change *= min(1.0, float(np.min(_LONGEST_STEP / np.maximum(np.abs(change), 1e-12))))
+    return np.clip(x + change, low, high) - x

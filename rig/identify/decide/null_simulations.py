@@ -13,7 +13,7 @@ import numpy as np
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.processes import children, cores
-from rollerrig.rig.identify.causes import columns, discrepancy, simulate
+from rollerrig.rig.identify.causes import columns, discrepancy, simulate, table
 from rollerrig.rig.identify.causes.candidates import Explanation, inputs
 from rollerrig.rig.identify.data.preparation import Design, prepare
 from rollerrig.rig.identify.data.pulses import Sensor
@@ -95,7 +95,10 @@ def simulate_and_score(
     """
     rng = np.random.default_rng(seed)
     simulated = simulate.runs(data, design, measured, explanation, rng, shares)
-    normal, linear, _ = fitting.normal_equations(prepare(data, simulated, design), explanation)
+    prepared = prepare(data, simulated, design)
+    if any(table.BY_NAME[cause.name].phase for cause in explanation.causes):
+        prepared = _with_angles_of(design, prepared)
+    normal, linear, _ = fitting.normal_equations(prepared, explanation)
 
     has_run_away = _mean_square(linear) > most_mean_square
     is_finite = np.all(np.isfinite(normal.A)) and np.all(np.isfinite(normal.b))
@@ -105,6 +108,19 @@ def simulate_and_score(
     result = evidence.scores(normal, known)
     # single precision: the matrix goes from process to process
     return Scores(S=result.S.astype(np.float32), g=result.g)
+
+
+def _with_angles_of(measured: Design, simulated: Design) -> Design:
+    """Return simulated stops with the angles of the measured wheels, along which loads swing there.
+
+    A simulated wheel slides otherwise, and so turns by another angle. After some hundred metres the
+    swing of its load would be out of phase, and a large one would look like a locked wheel.
+    """
+    angles = []
+    for segment in range(simulated.segments):
+        samples = simulated.measured_rad_s[simulated.span(segment)].size
+        angles.append(measured.angle_rad[measured.span(segment)][:samples])
+    return simulated._replace(angle_rad=np.concatenate(angles))
 
 
 def _mean_square(linear: LinearisedReplay) -> float:

@@ -56,6 +56,16 @@ class LinearisedReplay(NamedTuple):
     vehicle_variance: np.ndarray
 
 
+class Innovations(NamedTuple):
+    """The innovations of a replay of all wheels (n,) and vehicles (vehicle samples,)."""
+
+    nu: np.ndarray
+    variance: np.ndarray
+    field: np.ndarray  # filtered irregularity m
+    vehicle_nu: np.ndarray
+    vehicle_variance: np.ndarray
+
+
 class Inputs(NamedTuple):
     """The inputs of a replay, as causes have changed them."""
 
@@ -146,31 +156,46 @@ def vehicle_response(changes, variance, noise, step_s, d_u, out):
                 d_u[c] = remaining * d_u[c] + 0.5 * step_s * (changes[k, c] + changes[k + 1, c])
 
 
-def linearise(design: Design, inputs: Inputs, changed: np.ndarray) -> LinearisedReplay:
+@kernel
+def add_squares(squares, columns, places, A):
+    """Add the products of whitened courses to the normal equations A (columns, columns).
+
+    `squares` (courses, courses) are the products, `columns` (used,) the numbers of the columns that
+    act, `places` (used,) those of their courses.
+    """
+    for i in range(columns.size):
+        for j in range(columns.size):
+            A[columns[i], columns[j]] += squares[places[i], places[j]]
+
+
+def linearise(
+    design: Design, inputs: Inputs, changed: np.ndarray, replayed: Innovations | None = None
+) -> LinearisedReplay:
     """Return the replay of all wheels and vehicles, with its coefficients.
 
     `changed` (segments, changes, PARAMETERS) are parameters of which one is larger by STEP.
+    `replayed` are the innovations of these inputs, if they are known.
     """
     n = design.measured_rad_s.size
-    nu, variance, field = replay_wheels(design, inputs)
-    vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
+    if replayed is None:
+        replayed = innovations(design, inputs)
     linear = LinearisedReplay(
-        nu=nu,
-        variance=variance,
-        field=field,
+        nu=replayed.nu,
+        variance=replayed.variance,
+        field=replayed.field,
         coefficients=np.empty((n, _COEFFICIENTS)),
         rates=np.empty((len(RATES), n)),
         constants=np.empty((changed.shape[1], n)),
         sliding_m_s=np.empty(n),
         energy_J_m=np.empty(n),
         acceleration_rad_s2=np.empty(n),
-        vehicle_nu=vehicle_nu,
-        vehicle_variance=vehicle_variance,
+        vehicle_nu=replayed.vehicle_nu,
+        vehicle_variance=replayed.vehicle_variance,
     )
     for s in range(design.segments):
         _linearise_wheel(design, inputs, s, changed[s], linear)
         at = design.span(s)
-        second_gain(variance[at], linear.coefficients[at], inputs.parameters[s])
+        second_gain(linear.variance[at], linear.coefficients[at], inputs.parameters[s])
     return linear
 
 
@@ -263,9 +288,11 @@ def replay_law(
     return out
 
 
-def innovations(design: Design, inputs: Inputs) -> tuple[np.ndarray, ...]:
-    """Return (nu, variance, filtered m) of the wheels and (nu, variance) of the vehicles."""
-    return (*replay_wheels(design, inputs), *replay_vehicles(design, inputs))
+def innovations(design: Design, inputs: Inputs) -> Innovations:
+    """Return the innovations of all wheels and vehicles."""
+    nu, variance, field = replay_wheels(design, inputs)
+    vehicle_nu, vehicle_variance = replay_vehicles(design, inputs)
+    return Innovations(nu, variance, field, vehicle_nu, vehicle_variance)
 
 
 def replay_wheels(design: Design, inputs: Inputs) -> np.ndarray:

@@ -1,9 +1,10 @@
 """Measures the smallest slide that this recording shows, by planting slides into it.
 
 At random places where the vehicle is braked, the speed of a random wheel is lowered by a trapezoid.
-The smallest size is that at which half of the planted slides are found. Twice the size has to be
-found in 95 of 100 places; else the size is larger. A planted slide counts as found only if it would
-be reported: its measured size is not below the size that is stated.
+The smallest size is that at which half of the planted slides are found, over all places: at high
+speed and in hard braking only larger slides show, elsewhere smaller ones too. A planted slide
+counts as found only if it would be reported: the interval of its measured size reaches the size
+that is stated, and excludes 0.
 """
 
 from typing import NamedTuple
@@ -11,22 +12,25 @@ from typing import NamedTuple
 import numpy as np
 
 from rollerrig.rig.identify.train_recorder import thresholds as limit
-from rollerrig.rig.identify.train_recorder.alignment import Aligned
+from rollerrig.rig.identify.train_recorder.alignment import Aligned, slope
 from rollerrig.rig.identify.train_recorder.sliding import slides
 from rollerrig.rig.identify.train_recorder.sliding.slides import Noise
 
 # planted slides of each size
 PLACES = 60
 
-# share of the planted slides that are found at the smallest size, and at twice the size
+# share of the planted slides that are found at the smallest size
 POWER = 0.5
-POWER_TWICE = 0.95
 
 # m/s. First, smallest and largest size that is tried, and the ratio to which the size is known.
 _FIRST_M_S = 0.6
 _LEAST_M_S = 0.02
 _MOST_M_S = 20.0
 _RATIO = 1.1
+
+# m/s^2 and s. A slide is planted where the vehicle loses more speed, by so much on both sides.
+_BRAKED_M_S2 = -0.8
+_HALF_S = 0.3
 
 # s. So much of the recording around a planted slide is judged.
 _AROUND_S = 3.0
@@ -62,7 +66,10 @@ def places(aligned: list[Aligned], braked: list[np.ndarray], near: list[np.ndarr
     for k, a in enumerate(aligned):
         v = slides.vehicle(a)
         slowest_m_s = max(a.slowest_m_s, _SLOWEST_SHARE * a.run.fastest_m_s)
-        good = braked[k] & ~near[k] & (np.nan_to_num(v) > slowest_m_s)
+        # at the edges of a braking only the mean of some seconds is braked
+        change_m_s2 = np.nan_to_num(slope(a.time_s, v, max(_HALF_S, 2.5 * a.step_s)))
+        good = braked[k] & (change_m_s2 < _BRAKED_M_S2)
+        good &= ~near[k] & (np.nan_to_num(v) > slowest_m_s)
         count = max(round(shortest_s(a) / a.step_s), 3)
         running = np.concatenate([[0], np.cumsum(good)])
         is_whole = running[count:] - running[:-count] == count
@@ -94,8 +101,8 @@ def with_slide(speed: np.ndarray, first: int, count: int, size_m_s: float) -> np
     return lowered
 
 
-def measured_m_s(place: Place, size_m_s: float) -> float:
-    """Return the size of a planted slide as it would be reported; 0 if it is not seen."""
+def is_found(place: Place, size_m_s: float, stated_m_s: float) -> bool:
+    """Whether a planted slide would be reported (`slides.at_least`)."""
     a = place.part
     count = max(round(shortest_s(a) / a.step_s), 3)
     speed = a.speed.copy()
@@ -105,7 +112,8 @@ def measured_m_s(place: Place, size_m_s: float) -> float:
     part = slice(place.first, place.first + count)
     within = np.where(seen.slides_at[part], seen.size_m_s[part], 0.0)
     size = float(within[:, place.wheel].max())
-    return size if size > 2.0 * place.noise.scatter_m_s[place.wheel] + 0.02 * size else 0.0
+    half = slides.half_interval_m_s(size, float(place.noise.scatter_m_s[place.wheel]))
+    return size > half and size + half >= stated_m_s
 
 
 def smallest_m_s(places_of: list[Place]) -> float:
@@ -136,19 +144,11 @@ def smallest_m_s(places_of: list[Place]) -> float:
 
 
 def _is_shown(places_of: list[Place], size_m_s: float) -> bool:
-    """Whether half of the slides of a size are found, and nearly all of twice the size."""
-    return all(
-        _reaches(places_of, factor * size_m_s, size_m_s, power)
-        for factor, power in ((1.0, POWER), (2.0, POWER_TWICE))
-    )
-
-
-def _reaches(places_of: list[Place], size_m_s: float, stated_m_s: float, power: float) -> bool:
-    """Whether a share of the slides of a size is found; it stops when that is certain."""
-    needed = int(np.ceil(power * len(places_of)))
+    """Whether half of the slides of a size are found; it stops when that is certain."""
+    needed = int(np.ceil(POWER * len(places_of)))
     allowed = len(places_of) - needed
     for place in places_of:
-        if measured_m_s(place, size_m_s) >= stated_m_s:
+        if is_found(place, size_m_s, size_m_s):
             needed -= 1
         else:
             allowed -= 1

@@ -211,13 +211,18 @@ def find(aligned: list[Aligned]) -> tuple[list[Slide], list[np.ndarray]]:
 
 
 def at_least(found: list[Slide], smallest_m_s: float) -> list[Slide]:
-    """Return the slides that are not below the smallest one that the recording shows.
+    """Return the slides whose interval reaches the smallest size that the recording shows.
 
     Slides whose interval holds 0 are left out, too.
     """
     return [
-        slide for slide in found if slide.finding.size >= smallest_m_s and slide.finding.low > 0.0
+        slide for slide in found if slide.finding.high >= smallest_m_s and slide.finding.low > 0.0
     ]
+
+
+def half_interval_m_s(size_m_s: float, scatter_m_s: float) -> float:
+    """Return half the width of the interval of a size, by the scatter of the wheel's speed."""
+    return 2.0 * scatter_m_s + 0.02 * size_m_s
 
 
 def _sliding(a: Aligned, v: np.ndarray) -> np.ndarray:
@@ -470,7 +475,7 @@ def _slide(
     within = np.where(slides_at[part], seen.size_m_s[part], 0.0)
     worst = int(np.argmax(within.max(axis=0)))
     most = float(within.max())
-    half = 2.0 * float(scatter_m_s[worst]) + 0.02 * most
+    half = half_interval_m_s(most, float(scatter_m_s[worst]))
 
     names = [name for j, name in enumerate(a.names) if slides_at[part, j].any()]
     start_s = float(a.time_s[first])
