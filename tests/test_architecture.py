@@ -164,6 +164,7 @@ OPENS = {
     "realtime/bench/rig_fmu/server": "standard streams",
     "realtime/telemetry/viewer": "settings of the viewer, a temporary folder",
     "realtime/benchmarks/campaign": "status of the process",
+    "realtime/benchmarks/train": "processor time of the processes of a run",
     "realtime/benchmarks/figures": "the kernel",
     "realtime/benchmarks/references": "the kernel",
     "realtime/benchmarks/vehicle": "a temporary folder",

@@ -84,12 +84,19 @@ def test_each_further_run_has_a_column_of_differences_from_the_first(tmp_path, c
     # these runs have no such figure
     assert figures["longest lock"]["differences"] == [None, None]
 
+    assert cli.main(["compare", *runs[:2]]) == 0
+    shown = capsys.readouterr().out
+    assert "long - short" in shown
+    (row,) = (line for line in shown.splitlines() if "stopping distance" in line)
+    assert re.findall(r"[-+\d.]+", row) == ["400", "425.5", "+25.5"]
+
+    # of more runs, the differences have a table, so that both fit a terminal
     assert cli.main(["compare", *runs]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    (head,) = (line for line in lines if "long - short" in line)
-    assert "equal - short" in head
-    (row,) = (line for line in lines if "stopping distance" in line)
-    assert re.findall(r"[-+\d.]+", row) == ["400", "425.5", "400", "+25.5", "0"]
+    shown = capsys.readouterr().out
+    assert "less short" in shown
+    values, differences = (line for line in shown.splitlines() if "stopping distance" in line)
+    assert re.findall(r"[-+\d.]+", values) == ["400", "425.5", "400"]
+    assert re.findall(r"[-+\d.]+", differences) == ["+25.5", "0"]
 
 
 def test_a_tolerance_for_a_channel_that_the_first_run_has_not_is_refused(folders, capsys):
