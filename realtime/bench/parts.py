@@ -153,6 +153,7 @@ class Parts:
         self.unit_played = played.unit_of(options.unit, options.unit_map, options.started_unit)
 
         self.rows = Ring(ring.place("rows"), np.float64, _ROWS, len(self.table.columns))
+        self.rows.header[ring.CAR] = car
         self.frames = Ring(ring.place("frames"), np.int64, _FRAMES, ring.FRAME_WORDS)
         self.event_ring = Ring(ring.place("events"), np.int64, _EVENTS, ring.EVENT_WORDS)
         self.rings = (self.rows, self.frames, self.event_ring)

@@ -59,7 +59,13 @@ def call(options: argparse.Namespace) -> int:
     """Serve the desk until the user interrupts it. Returns PASS."""
     if options.scenario:
         from rollerrig.realtime.bench import scenario
+        from rollerrig.realtime.train import plan
 
+        if plan.find(options.scenario) is not None:
+            raise ConfigError(
+                f"--scenario {options.scenario}: is a train, which the desk runs under Automatic; allowed "
+                "is the scenario of one vehicle"
+            )
         # an error in it is reported before the page is served
         scenario.load(options.scenario)
 

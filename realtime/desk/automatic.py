@@ -1,4 +1,4 @@
-"""Automatic mode: starts sequences, programmes and campaigns; shows messages, progress and reports.
+"""Automatic mode: starts sequences, programmes, campaigns and trains; shows progress and reports.
 
 Each of them is a program with a `rollerrig` command line (see `programs`).
 """
@@ -39,6 +39,7 @@ def build(desk: Desk) -> None:
             _sequences(desk, title_block)
             _programme(desk, title_block)
             _campaigns(desk, title_block)
+            _trains(desk)
         place = ui.column().classes("grow gap-2").style("min-width: 0")
     _programs(desk, place)
 
@@ -170,6 +171,45 @@ def _campaigns(desk: Desk, title_block: _TitleBlock) -> None:
         ui.label("A campaign that was begun earlier continues.").classes("desk-small")
 
 
+def _trains(desk: Desk) -> None:
+    """The controls that run a train, with reference units or with a unit on one of its cars."""
+    with ui.card().classes("w-full desk-card"):
+        ui.label("Train").classes("desk-title")
+        packaged = store.names("trains")
+        name = ui.select(
+            [*desk.own_files("trains"), *packaged],
+            value=packaged[0],
+            label="train or file",
+            with_input=True,
+            new_value_mode="add-unique",
+        )
+        name.classes("w-full").mark("train")
+        with ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0"):
+            labels = {"free": "free: no bus", "lockstep": "lockstep", "wall": "wall: real time"}
+            pacing = ui.select(labels, value="free", label="pacing").mark("train-pacing")
+            unit = ui.select(desk.units, value="reference", label="WSP unit").mark("train-unit")
+            cars = ui.input("cars with this unit", value="all", placeholder="2, or 1,3, or all")
+            cars.bind_enabled_from(pacing, "value", backward=lambda value: value != "free")
+            cars.mark("train-cars")
+            more = ui.input("further values", placeholder="train.delay_s=0.2").mark("train-more")
+            more.props("stack-label")
+
+        async def run() -> None:
+            desk.run_train(
+                str(name.value),
+                str(pacing.value),
+                str(unit.value),
+                str(cars.value or "").strip(),
+                str(more.value or ""),
+            )
+
+        button = ui.button("Run the train", on_click=lambda: carry_out(run(), "started"))
+        button.props("color=primary").classes("w-full").mark("run-train")
+        ui.label(
+            "In real time, Manual shows the cars with this unit. The run is under Runs."
+        ).classes("desk-small")
+
+
 def _programs(desk: Desk, place: ui.column) -> None:
     """Keep the list of programs in `place` up to date; runs of the manual mode are not in it.
 
@@ -180,7 +220,7 @@ def _programs(desk: Desk, place: ui.column) -> None:
         nothing = ui.label("Nothing has been started here yet.").classes("desk-small")
 
     def follow() -> None:
-        programs = [program for program in desk.programs if program.words[0] != "run"]
+        programs = [program for program in desk.programs if not program.is_bench]
         nothing.set_visibility(not programs)
         shown = programs[-_PROGRAMS_SHOWN:]
         for program in shown:

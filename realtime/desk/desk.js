@@ -80,7 +80,8 @@ function bogiePlaces(bogies) {
 function roundUp(value) {
   const power = 10 ** Math.floor(Math.log10(value));
   const step = [1, 1.25, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10].find((candidate) => candidate * power >= value * (1 - 1e-9));
-  return step * power;
+  // without the rounding of the product, which a label would show in full
+  return Number((step * power).toPrecision(3));
 }
 
 // Returns the vertical range of a plot: the points of all lines except limits, zero, and at least `least`.

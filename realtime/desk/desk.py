@@ -14,6 +14,7 @@ import contextlib
 import itertools
 import math
 import os
+import re
 import shlex
 import time
 from collections import deque
@@ -31,6 +32,7 @@ from rollerrig.realtime.desk.doors import Doors
 from rollerrig.realtime.desk.programs import Program
 from rollerrig.realtime.loop import cores
 from rollerrig.realtime.telemetry import viewer
+from rollerrig.realtime.train import plan as trains
 from rollerrig.wsp_interface import signals, unit_choice
 from rollerrig.wsp_interface.events import Code, Event
 from rollerrig.wsp_interface.unit_choice import AllowList
@@ -40,6 +42,8 @@ _REGISTERS_S = 0.5
 _FIND_S = 1.0
 _MOST_ALARMS = 300
 _LONGEST_NOTE = 400  # characters
+# cars of a train, as on the command line
+_CARS = re.compile(r"all|\d+(,\d+)*")
 
 
 @dataclass(eq=False)
@@ -91,6 +95,8 @@ class Desk:
         self.choices: list[reader.Bench] = []
         self.stops = 0
         self.bench: reader.Bench | None = None
+        # the cars of the train that the bench belongs to; only the bench for a vehicle alone
+        self.cars: list[reader.Bench] = []
         self.doors: Doors | None = None
         self.alarms: deque[Alarm] = deque(maxlen=_MOST_ALARMS)
         self.programs: list[Program] = []
@@ -128,6 +134,7 @@ class Desk:
                     self._leave_cores()
                     if not self.running():
                         self.find()
+                    self._find_cars()
                 self.look()
                 if self.doors and now_s - polled_s > _REGISTERS_S:
                     polled_s = now_s
@@ -148,14 +155,14 @@ class Desk:
 
     def find(self) -> None:
         """Follow a running bench if there is no doubt which; else list the benches in `choices`."""
-        started_here = reader.running(self._is_started_here)
+        started_here = _first_cars(reader.running(self._is_started_here))
         if len(started_here) == 1:
             self._follow(started_here[0])
             return
         self.choices = started_here
         if self.own or started_here:
             return
-        self.choices = reader.running()
+        self.choices = _first_cars(reader.running())
         if len(self.choices) == 1 and self.bench is None:
             self._follow(self.choices[0])
 
@@ -181,25 +188,45 @@ class Desk:
         raise ConfigError("this bench has ended; choose another one")
 
     def _follow(self, bench: reader.Bench) -> None:
+        self.choices = []
+        self.cars = [bench]
+        self._show(bench)
+        self._find_cars()
+
+    def _show(self, bench: reader.Bench) -> None:
         if self.doors:
             self.doors.close()
         self.bench = bench
         self.doors = Doors(bench)
-        self.choices = []
         self.frictions = {}
+
+    def _find_cars(self) -> None:
+        """Add the cars of the train that the desk follows, which begin one after another."""
+        bench = self.bench
+        if bench is None or not bench.car or bench.ended:
+            return
+        known = {car.key for car in self.cars}
+        found = reader.running(lambda pid: pid == bench.pid)
+        self.cars += [car for car in found if car.key not in known]
+        self.cars.sort(key=lambda car: car.car)
+
+    def show_car(self, number: int) -> None:
+        """Show another car of the train. Raises ConfigError if it has no bus."""
+        for car in self.cars:
+            if car.car == number:
+                self._show(car)
+                return
+        shown = ", ".join(str(car.car) for car in self.cars)
+        raise ConfigError(f"car {number} has no bus in this run; the desk can show: {shown}")
 
     def _running_benches(self) -> list[Program]:
         """The benches that the desk has started and that still run."""
-        return [
-            program
-            for program in self.programs
-            if program.words[0] == "run" and program.status is None
-        ]
+        return [program for program in self.programs if program.is_bench and program.status is None]
 
     def look(self) -> None:
         """Process the new events of the bench, and the programs that have exited."""
-        if self.bench:
-            self._look_at(self.bench)
+        for bench in self.cars:
+            self._look_at(bench)
         for program in self.programs:
             if program.status is None or program.end_noticed:
                 continue
@@ -247,7 +274,7 @@ class Desk:
 
     def is_present(self, alarm: Alarm) -> bool:
         """Whether an alarm belongs to the bench that the desk follows, or to the desk."""
-        return not alarm.bench or (self.bench is not None and alarm.bench == self.bench.key)
+        return not alarm.bench or alarm.bench in {car.key for car in self.cars}
 
     # -- commands of an operator
 
@@ -304,22 +331,65 @@ class Desk:
         for text in (scenario, unit, more, *settings.values()):
             if not text.isprintable():
                 raise ConfigError(f"{text!r} contains a control character; remove it")
-        if self.running() or self.choices or self._running_benches():
-            raise ConfigError(
-                "a bench runs already on this machine: stop it first, or wait until it has ended"
-            )
+        self._check_that_no_bench_runs()
         self.check_file("scenario", scenario)
+        if self.is_train(scenario):
+            raise ConfigError(
+                f"{scenario} is a train, which has no Modbus and cannot be held; run it under "
+                "Automatic, or prepare the scenario of one vehicle"
+            )
         given = [f"{key}={value}" for key, value in settings.items() if value]
         given += _settings_of(more)
         self.show_vehicle_of(scenario, tuple(given))
-        # the bench inherits the cores of the desk
-        cores.restore(self._cores_before)
-        self._left_cores = set()
         words = ["run", "--start", "modbus", "--pacing", "wall", f"--wsp={self.checked(unit)}"]
         words += [f"--set={setting}" for setting in given]
         self.prepared = {"scenario": scenario, "unit": unit, "more": more, **settings}
         # behind `--` nothing is an option, so a typed name cannot become one
         self.start([*words, "--", scenario])
+
+    def _check_that_no_bench_runs(self) -> None:
+        """Make ready for a bench in real time. Raises ConfigError if one runs already."""
+        if self.running() or self.choices or self._running_benches():
+            raise ConfigError(
+                "a bench runs already on this machine: stop it first, or wait until it has ended"
+            )
+        # the bench inherits the cores of the desk
+        cores.restore(self._cores_before)
+        self._left_cores = set()
+
+    def is_train(self, name: str) -> bool:
+        """Return whether a scenario is that of a train. Any error in it is that of the run."""
+        file = self.folder / name
+        with contextlib.suppress(ConfigError):
+            return trains.find(str(file) if file.is_file() else name) is not None
+        return False
+
+    def run_train(self, name: str, pacing: str, unit: str, cars: str, more: str) -> Program:
+        """Run a train, and write its report in the folder of its run.
+
+        `pacing` is free, or lockstep or wall with the unit on the buses of `cars`: 2, or 1,3, or
+        all. `more` has values such as "train.delay_s=0.2". Raises ConfigError for what may not be
+        chosen here.
+        """
+        for text in (name, unit, more):
+            if not text.isprintable():
+                raise ConfigError(f"{text!r} contains a control character; remove it")
+        self.check_file("train", name)
+        if not self.is_train(name):
+            raise ConfigError(
+                f"{name} is no train; choose a train of the library, or a file with a table [train]"
+            )
+        words = ["run", f"--pacing={pacing}", f"--wsp={self.checked(unit)}"]
+        if pacing != "free":
+            if not _CARS.fullmatch(cars):
+                raise ConfigError(f"cars {cars!r}: write numbers of cars, as in 2 or 1,3, or all")
+            words.append(f"--car={cars}")
+        if pacing == "wall":
+            self._check_that_no_bench_runs()
+        words += [f"--set={setting}" for setting in _settings_of(more)]
+        words += ["--out", self.free_folder("runs", Path(name).stem)]
+        # behind `--` nothing is an option, so a typed name cannot become one
+        return self.start([*words, "--", name])
 
     @property
     def units(self) -> list[str]:
@@ -395,10 +465,14 @@ class Desk:
 
     def free_report(self, name: str) -> str:
         """The folder of a new report, relative to `folder`: no earlier report is replaced."""
-        out = f"reports/{name}"
+        return self.free_folder("reports", name)
+
+    def free_folder(self, kind: str, name: str) -> str:
+        """A new folder below that of a kind, relative to `folder`: no earlier one is replaced."""
+        out = f"{kind}/{name}"
         numbers = itertools.count(2)
         while (self.folder / out).exists():
-            out = f"reports/{name}-{next(numbers)}"
+            out = f"{kind}/{name}-{next(numbers)}"
         return out
 
     def door(self) -> Doors:
@@ -456,6 +530,14 @@ class Desk:
             self.doors.close()
         if self._viewer:
             viewer.terminate(self._viewer)
+
+
+def _first_cars(benches: Sequence[reader.Bench]) -> list[reader.Bench]:
+    """Return the first bench of each process: the cars of a train are benches of one."""
+    first: dict[int, reader.Bench] = {}
+    for bench in benches:
+        first.setdefault(bench.pid, bench)
+    return list(first.values())
 
 
 def _settings_of(text: str) -> list[str]:

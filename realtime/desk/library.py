@@ -2,6 +2,7 @@
 
 import datetime
 import functools
+import re
 import subprocess
 import tempfile
 import zipfile
@@ -22,6 +23,8 @@ FORMATS = {"csv": "CSV", "mdf4": "MDF4", "mat": "MAT", "svg": "Picture"}
 _DEEPEST = 4  # levels of folders: programmes keep a folder for each report, and reports one a run
 _MOST_RUNS = 500
 _KM_H_PER_M_S = 3.6
+# the folder of a car in that of its train
+_CAR = re.compile(r"car_\d+")
 
 
 class ComparedFigure(NamedTuple):
@@ -37,13 +40,16 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     """A row for each run, the newest first.
 
     A row has name, time, scenario, unit, initial speed, adhesion, faults, test, verdict, note, and
-    the figures by their names. `test` is the result of the sequence that was played (pass, fail or
-    error), empty for another run. `verdict` is whether the run is valid, or why it is not.
+    the figures by their names. `cars` is the number of cars of a train, None for a vehicle. `test`
+    is the result of the sequence that was played (pass, fail or error), empty for another run.
+    `verdict` is whether the run is valid, or why it is not.
     """
     runs = set()
     for depth in range(1, _DEEPEST + 1):
         pattern = "*/" * depth + run_folder.SCENARIO
         runs |= {file.parent for file in folder.glob(pattern)}
+    # a car of a train is opened from the row of the train
+    runs = {run for run in runs if not (run.parent in runs and _CAR.fullmatch(run.name))}
     newest_first = sorted(runs, key=_changed_s, reverse=True)
     return [_row(folder, run) for run in newest_first[:_MOST_RUNS]]
 
@@ -62,6 +68,7 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
         "name": str(run.relative_to(folder)),
         "when": begun.strftime("%Y-%m-%d %H:%M:%S"),
         "note": note(run),
+        "cars": None,
         "test": _test_result(run),
     }
     try:
@@ -71,6 +78,7 @@ def _row(folder: Path, run: Path) -> dict[str, Any]:
         return row
 
     row["scenario"] = summary.get("scenario")
+    row["cars"] = len(summary.get("cars") or []) or None
     row["unit"] = summary.get("wsp", {}).get("unit")
     speed_m_s = summary.get("initial_speed_m_s")
     if isinstance(speed_m_s, int | float):

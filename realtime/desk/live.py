@@ -5,6 +5,7 @@ rows ten times a second, less often if it cannot draw that fast. `answer` makes 
 """
 
 import math
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,8 @@ from rollerrig.realtime.pictures.colours import Colour
 from rollerrig.wsp_interface import signals
 from rollerrig.wsp_interface.signals import Table
 
+# time between two looks at the cars of a train
+_FOLLOW_S = 0.5
 # fault marks in the plots
 _MOST_MARKS = 40
 
@@ -228,14 +231,14 @@ def build(desk: Desk) -> None:
                 f"<i>{figure.unit}</i><br><span>{figure.label}</span></div>",
                 sanitize=False,
             )
-    vehicle.build(desk, _build_for_vehicle)
+    vehicle.build(desk, partial(_build_for_vehicle, desk))
 
 
-def _build_for_vehicle(table: Table) -> None:
+def _build_for_vehicle(desk: Desk, table: Table) -> None:
     """Put what depends on the vehicle into the page, and let the browser draw it."""
     rig = f'<div id="desk-rig" data-vehicle="{_key(table)}"></div>'
     ui.html(rig, sanitize=False).classes("w-full desk-rig")
-    _choices(table)
+    _choices(desk, table)
     columns = reader.columns_of(table)
     declared = plots_of(columns)
     grid = ui.element("div").classes("desk-plots")
@@ -261,10 +264,11 @@ def _build_for_vehicle(table: Table) -> None:
     ui.timer(0.2, lambda: ui.run_javascript(start), once=True)
 
 
-def _choices(table: Table) -> None:
-    """The switches that choose axle and span of the plots."""
+def _choices(desk: Desk, table: Table) -> None:
+    """The switches that choose axle and span of the plots; of a train also the car."""
     axle_names = {0: "all", **{axle: str(axle) for axle in table.axles}}
     with ui.row().classes("items-center gap-2"):
+        _car_choice(desk)
         ui.label("Axles").classes("desk-small")
         axle_choice = ui.toggle(axle_names, value=0)
         axle_choice.props('dense no-caps size=sm padding="1px 8px" aria-label="axles shown"')
@@ -277,6 +281,30 @@ def _choices(table: Table) -> None:
 
         axle_choice.on_value_change(choose)
         whole_choice.on_value_change(choose)
+
+
+def _car_choice(desk: Desk) -> None:
+    """The switch that chooses the car of a train, shown while the desk follows a train."""
+    with ui.row().classes("items-center gap-2") as row:
+        ui.label("Car").classes("desk-small")
+        car = ui.toggle({0: ""}, value=0).mark("car-shown")
+        car.props('dense no-caps size=sm padding="1px 8px" aria-label="car shown"')
+
+    def follow() -> None:
+        numbers = {one.car: str(one.car) for one in desk.cars if one.car}
+        row.set_visibility(bool(numbers))
+        shown = desk.bench.car if desk.bench else 0
+        if numbers and (numbers != car.options or car.value != shown):
+            car.set_options(numbers, value=shown)
+
+    def choose() -> None:
+        number = int(car.value or 0)
+        if desk.bench and number != desk.bench.car:
+            desk.show_car(number)
+
+    car.on_value_change(choose)
+    ui.timer(_FOLLOW_S, follow)
+    follow()
 
 
 def _valves(table: Table) -> None:

@@ -172,7 +172,8 @@ def _run(desk: Desk, prepare: ui.button) -> None:
     def follow() -> None:
         prepare.set_enabled(not desk.running())
         start.set_enabled(desk.held())
-        stop.set_enabled(desk.running())
+        # a train has no Modbus: its program is stopped in the automatic mode
+        stop.set_enabled(desk.running() and not (desk.bench and desk.bench.car))
 
     ui.timer(_FOLLOW_S, follow)
     follow()

@@ -170,9 +170,7 @@ def _emergency_stop(desk: Desk) -> None:
 
 def _bench_sentence(desk: Desk) -> str:
     """The state of the bench in a sentence."""
-    preparing = any(
-        program.words[0] == "run" and program.status is None for program in desk.programs
-    )
+    preparing = any(program.is_bench and program.status is None for program in desk.programs)
     bench = desk.bench
     doors = desk.doors
     if bench is None or doors is None:

@@ -57,6 +57,11 @@ class Program:
         return shlex.join(["rollerrig", *self.words])
 
     @property
+    def is_bench(self) -> bool:
+        """Whether it is a bench that the manual mode has prepared."""
+        return self.words[0] == "run" and "--start" in self.words
+
+    @property
     def pid(self) -> int:
         """The number of its process."""
         return self._process.pid

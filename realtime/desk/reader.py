@@ -133,6 +133,8 @@ def table_of(rows: Ring) -> signals.Table:
 class Bench:
     """One bench: its rings, the samples read from them, and its state as its events report it.
 
+    Each `car` of a train that has a bus is a bench of one process, counted from 1; 0: a vehicle.
+
     `columns` is what a page draws of its vehicle. `name` is its process and its folder. `bus` is
     the address of its CAN bus and `modbus` host and port of its server, empty before they are
     open. `faults` are the titles of active faults. `points` counts the points read so far, two a
@@ -145,7 +147,8 @@ class Bench:
         self.columns = columns_of(table_of(rows))
         self._event_ring = events
         self.key = f"{pid}-{int(rows.header[ring.CREATED_NS])}"
-        self.name = _name(pid)
+        self.car = int(rows.header[ring.CAR])
+        self.name = f"{_name(pid)}, car {self.car}" if self.car else _name(pid)
         # as its events report it
         self.events: list[Event] = []
         self.bus = ""

@@ -10,16 +10,18 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from nicegui import run, ui
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.realtime.desk import library, live
+from rollerrig.realtime.desk import guard, library, live
 from rollerrig.realtime.desk.desk import Desk
 from rollerrig.realtime.desk.library import ComparedFigure
 from rollerrig.realtime.desk.manual import carry_out
 from rollerrig.realtime.pictures import colours
 from rollerrig.realtime.record import figures
+from rollerrig.realtime.reports import train
 
 # figures of a summary that have a column in the table
 _FIGURES = (
@@ -47,6 +49,8 @@ _VERDICT_CELL = """<q-td :props="props"><span :style="{color: ['valid', 'pass'].
 _CHOOSE = """<q-checkbox v-model="props.selected" dense
         :aria-label="props.row ? 'choose ' + props.row.name : 'choose all'" />"""
 _ALL = "all"
+# instead of the number of a car
+_WHOLE_TRAIN = 0
 _TEST_RESULTS = ("pass", "fail", "error")
 _NOT_VALID = "not valid"
 
@@ -64,6 +68,7 @@ def _columns() -> list[dict[str, Any]]:
         "name": "run",
         "when": "when",
         "scenario": "scenario",
+        "cars": "cars",
         "unit": "unit",
         "initial_km_h": "initial speed (km/h)",
         "adhesion": "adhesion (mu_cd)",
@@ -116,8 +121,9 @@ class _RunTable:
             self.table.add_slot(f"body-cell-{name}", _VERDICT_CELL)
         for slot in ("header-selection", "body-selection"):
             self.table.add_slot(slot, _CHOOSE)
-        self.table.on_select(self.show_note)
+        self.table.on_select(self.show_chosen)
         self.place = ui.column().classes("w-full")
+        self.show_chosen()
 
     def _build_filter(self) -> None:
         """Put the filters into the page: by the verdict, with the number of runs, and by words."""
@@ -133,6 +139,10 @@ class _RunTable:
             ui.button("Look again", on_click=self.fill).props("flat")
             compare = ui.button("Compare two", on_click=lambda: carry_out(self.compare()))
             compare.mark("compare")
+            self.car = ui.select({_WHOLE_TRAIN: "whole train"}, value=_WHOLE_TRAIN, label="car")
+            self.car.props("dense").style("min-width: 8rem").mark("car")
+            report = ui.button("Open the report", on_click=lambda: carry_out(self.report()))
+            report.props("flat").mark("report-of-run")
             ui.button("Open in Rerun", on_click=lambda: carry_out(self.rerun())).props("flat")
             for kind, name in library.FORMATS.items():
                 download = ui.button(name, icon="download", on_click=partial(self.download, kind))
@@ -162,9 +172,10 @@ class _RunTable:
         self.table.rows = [row for row in self._every_row if _has_verdict(row, verdict)]
         shown = {row["name"] for row in self.table.rows}
         self.table.selected = [row for row in self.table.selected if row["name"] in shown]
+        self.show_chosen()
 
     def chosen(self, count: int) -> list[Path]:
-        """Return the folders of the chosen runs.
+        """Return the folders of the chosen runs; of trains, those of the chosen car.
 
         Raises ConfigError unless exactly `count` runs are chosen.
         """
@@ -172,7 +183,22 @@ class _RunTable:
         if len(selected) != count:
             raise ConfigError(f"{len(selected)} runs are chosen in the table: choose {count}")
 
-        return [self.desk.folder / row["name"] for row in selected]
+        folders = []
+        for row in selected:
+            folder = self.desk.folder / row["name"]
+            if row["cars"] and self.car.value:
+                folder /= f"car_{self.car.value}"
+            folders.append(folder)
+        return folders
+
+    def show_chosen(self) -> None:
+        """Offer the cars that all chosen runs have; show the note of the only chosen run."""
+        trains = [row["cars"] for row in self.table.selected if row["cars"]]
+        labels = {_WHOLE_TRAIN: "whole train"}
+        labels |= {number: f"car {number}" for number in range(1, min(trains, default=0) + 1)}
+        self.car.set_options(labels, value=self.car.value if self.car.value in labels else 0)
+        self.car.set_enabled(bool(trains))
+        self.show_note()
 
     def show_note(self) -> None:
         """Show the note of the chosen run, if exactly one run is chosen."""
@@ -182,6 +208,8 @@ class _RunTable:
     async def compare(self) -> None:
         """Show two runs next to each other."""
         first, second = self.chosen(2)
+        if not self.car.value and any(row["cars"] for row in self.table.selected):
+            raise ConfigError("whole trains are not compared: choose a car in the field car")
         # `io_bound` returns None if the desk shuts down
         compared = await run.io_bound(library.compared, first, second)
         figures_of_both, differences = compared or ([], [])
@@ -193,6 +221,18 @@ class _RunTable:
         self.place.clear()
         with self.place:
             _comparison([first.name, second.name], figures_of_both, differences, curves)
+
+    async def report(self) -> None:
+        """Open the report of the chosen run in another tab of the browser."""
+        self.chosen(1)
+        run_name = self.table.selected[0]["name"]
+        file = Path(run_name) / train.REPORT
+        if not (self.desk.folder / file).is_file():
+            raise ConfigError(
+                f"{run_name}: this run has no report; trains have one, and sequences and campaigns "
+                "under Automatic"
+            )
+        ui.navigate.to(f"{guard.FILES}{quote(str(file))}", new_tab=True)
 
     async def rerun(self) -> None:
         """Open the chosen run in Rerun's viewer, in another tab of the browser."""

@@ -48,6 +48,7 @@ LOST = 7  # rows that were overwritten before the recorder read them; it writes 
 CREATED_NS = 8  # when the writer made the ring
 RECORDER_BEAT_NS = 9  # heartbeat of the recorder, which writes it; 0: it is not ready yet
 VIEWED = 10  # 1 while a viewer has joined the live view, which writes it
+CAR = 11  # of a ring of rows: the car of a train, counted from 1; 0: a vehicle alone
 _HEADER = 16
 _WORD_BYTES = 8
 # only the owner may read and write

@@ -11,7 +11,8 @@ Source: ASAM MDF 4.1 as asammdf writes it; MAT-file level 5 as scipy writes it.
 
 import csv
 import json
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -21,6 +22,7 @@ import numpy as np
 from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.output_files import make_folder, replaced, writing
 from rollerrig.configs.table import nearest
+from rollerrig.configs.vehicle import COACH
 from rollerrig.realtime.record import played
 from rollerrig.realtime.record.records import Run
 from rollerrig.wsp_interface import signals
@@ -42,16 +44,38 @@ class Column(NamedTuple):
 
 def columns(run: Run) -> list[Column]:
     """Return all channels of a run except time, with unit and description."""
-    known: dict[str, tuple[str, str]] = {}
-    for signal in run.signal_table.signals:
-        unit = UNITS.get(signal.unit, signal.unit)
-        for name in signals.columns(signal):
-            known[name] = (unit, signal.text)
+    known = _of_train(run.table.column_names) if run.is_train else _of_vehicle(run)
     return [
         Column(name, *known.get(name, ("", "")), run.column(name))
         for name in run.table.column_names
         if name != "time_s"
     ]
+
+
+def _of_vehicle(run: Run) -> dict[str, tuple[str, str]]:
+    """Return unit and description of each channel of a vehicle."""
+    known: dict[str, tuple[str, str]] = {}
+    for signal in run.signal_table.signals:
+        unit = UNITS.get(signal.unit, signal.unit)
+        for name in signals.columns(signal):
+            known[name] = (unit, signal.text)
+    return known
+
+
+def _of_train(names: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """Return unit and description of each channel of a train.
+
+    The end of a name is its unit; axles count through, so a signal has more of them than a vehicle.
+    """
+    of_signals = signals.table(COACH).signals
+    # the longest one that fits: N_m also ends like m
+    units = sorted({signal.unit for signal in of_signals if signal.unit} | {"N"}, key=len)
+    known = {}
+    for name in names:
+        unit = next((one for one in reversed(units) if name.endswith(f"_{one}")), "")
+        text = next((one.text for one in of_signals if re.match(rf"{one.name}_\d+(_|$)", name)), "")
+        known[name] = (UNITS.get(unit, unit), text)
+    return known
 
 
 def write(

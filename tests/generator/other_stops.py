@@ -23,6 +23,7 @@ Source: Meli, Ridolfi, Rindi, Meccanica 49 (2014) 919-937, eqs 8 to 15, Tables 1
 are inventions, not measurements. A real rail has more than one of them.
 """
 
+from collections.abc import Mapping
 from math import atan, cos, exp, log1p, pi, sqrt, tanh
 from pathlib import Path
 from typing import NamedTuple
@@ -190,6 +191,19 @@ RUNS = ("a1", "a2", "a3", "b1", "b2", "b3")
 IDEAL = measured.Conditions()
 
 
+class OtherRun(NamedTuple):
+    """What differs in one run from the other runs of a set: its vehicle, rail or effects.
+
+    The effects are in addition to those of the set. `load_shares` are added to the loads of the
+    wheelsets, as shares of their mean.
+    """
+
+    effects: Mapping[str, float] = {}
+    radius_fraction: float = 0.0  # of all wheels
+    friction_fraction: float = 0.0  # of the contaminant
+    load_shares: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
 class Stop(NamedTuple):
     """One stop: the coach, its brake and protection, and where the effects strike."""
 
@@ -218,6 +232,7 @@ class Stop(NamedTuple):
     wave_m: float
     burst_s: float  # negative: not in this run
     slope: float  # pi G a b c11 / 4 at N_REF, N
+    radius_m: float  # of the wheels
     pads: measured.PadVariation
 
 
@@ -600,7 +615,7 @@ def run(stop, e, now, rail, own, fine):
 
 def rolling(stop: Stop, e: np.ndarray) -> State:
     """Return the coach before the brake is applied: every wheel rolls."""
-    radius = np.full(4, R)
+    radius = np.full(4, stop.radius_m)
     radius[stop.axle] *= 1.0 + e[WORN]
     return State(
         y=np.array([stop.v0, *(stop.v0 / radius)]),
@@ -637,16 +652,16 @@ def make(
     seed: int,
     runs: tuple[str, ...] = RUNS,
     conditions: measured.Conditions = IDEAL,
+    other: Mapping[str, OtherRun] | None = None,
 ) -> Path:
     """Write a dataset of six stops with hidden effects; return its folder.
 
-    `effects` has the size of each effect by its name in SMALLEST or UNKNOWN. The same seed writes
-    the same bytes, and the same stop for any choice of `runs`.
+    `effects` has the size of each effect by its name in SMALLEST or UNKNOWN. `other` has the runs
+    that differ, by their names. The same seed writes the same bytes, and the same stop for any
+    choice of `runs`.
     """
     draw = np.random.default_rng((71, seed))
-    e = np.zeros(len(NAMES))
-    for name, size in effects.items():
-        e[NAMES.index(name)] = size
+    of_set = _sizes(effects)
     (folder / "runs").mkdir(parents=True, exist_ok=True)
     # calibration of load sensors, torque gauges, and the declared mass
     gains = 1.0 + draw.normal(0.0, 0.003, 3)
@@ -656,11 +671,15 @@ def make(
     if conditions.sensor:
         # nobody declares the noise of such a sensor: it depends on the speed
         text = text.replace(_WHEEL_NOISE, "")
-    for name, stop, mass, mapped in _plan(draw, e, gains[2]):
+    for name, stop, mass, mapped in _plan(draw, of_set, gains[2]):
         if name not in runs:
             continue
         number = RUNS.index(name)
         stop = stop._replace(pads=measured.pad_variation(conditions, seed, number))
+        e = of_set
+        if other and name in other:
+            e = of_set + _sizes(other[name].effects)
+            stop = _differing(stop, e, other[name])
         rng = np.random.default_rng((71, seed, number))
         own = friction_field(rng, of_wheelset, (4,))
         fine = np.zeros((LONGEST_ROWS, ROW_COLUMNS))
@@ -682,6 +701,24 @@ def make(
         )
     (folder / "dataset.toml").write_text(text)
     return folder
+
+
+def _sizes(effects: Mapping[str, float]) -> np.ndarray:
+    """Return the vector of effects of their sizes by name."""
+    e = np.zeros(len(NAMES))
+    for name, size in effects.items():
+        e[NAMES.index(name)] = size
+    return e
+
+
+def _differing(stop: Stop, e: np.ndarray, other: OtherRun) -> Stop:
+    """Return the stop of a run that differs, with its effects `e`."""
+    return stop._replace(
+        share=stop.share + np.array(other.load_shares),
+        mu_d=stop.mu_d * (1.0 + other.friction_fraction),
+        radius_m=stop.radius_m * (1.0 + other.radius_fraction),
+        slope=0.25 * pi * _curved(e[CURVATURE]),
+    )
 
 
 def _plan(
@@ -707,6 +744,7 @@ def _plan(
         patch_length_m=draw.uniform(70.0, 130.0),
         wave_m=draw.uniform(14.0, 25.0),
         slope=0.25 * pi * _curved(e[CURVATURE]),
+        radius_m=R,
         pads=measured.pad_variation(IDEAL, 0, 0),
     )
     soiled = draw.uniform(0.033, 0.043)

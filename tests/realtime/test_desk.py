@@ -263,7 +263,8 @@ def test_a_bench_that_is_killed_is_an_alarm(tmp_path):
     try:
         assert writer.stdout.readline()
         one = desk.Desk(tmp_path, own=True)
-        (one.bench,) = reader.running(lambda pid: pid == writer.pid)
+        (bench,) = reader.running(lambda pid: pid == writer.pid)
+        one._follow(bench)
         one.look()
         assert not one.alarms
 
@@ -286,7 +287,8 @@ def test_a_ring_that_is_cut_off_is_an_alarm_and_the_desk_continues(tmp_path, kin
     try:
         assert writer.stdout.readline()
         one = desk.Desk(tmp_path, own=True)
-        (one.bench,) = reader.running(lambda pid: pid == writer.pid)
+        (bench,) = reader.running(lambda pid: pid == writer.pid)
+        one._follow(bench)
         (path,) = ring.folder().glob(f"rollerrig-{writer.pid}-*-{kind}")
         os.truncate(path, 0)
         one.look()

@@ -6,8 +6,9 @@ from typing import Any
 
 from rollerrig.configs.number_text import rounded
 from rollerrig.realtime.reports.hints import sizes
+from rollerrig.rig.identify.base import shared
 from rollerrig.rig.identify.base.by_run import ByRun, Quantity
-from rollerrig.rig.identify.decide.side_by_side import Apart, Common, Difference, SideBySide
+from rollerrig.rig.identify.decide.side_by_side import Apart, Difference, SideBySide
 from rollerrig.rig.identify.statistics.interval import Estimate
 
 _PERCENT = 100.0
@@ -33,17 +34,6 @@ _SUSPECTS = {
     Quantity.FRICTION: "a wetter or drier rail, or other rollers",
     Quantity.NOISE: "another sensor, or another filter",
 }
-_COMMON = {
-    Common.RIG: "of rig {name}",
-    Common.DATE: "of {name}",
-    Common.FIRST: "the first of the dataset",
-    Common.LAST: "the last of the dataset",
-    Common.SLOWER: "slower than the others, so an effect of speed looks alike",
-    Common.FASTER: "faster than the others, so an effect of speed looks alike",
-    Common.HEAVIER: "of a heavier vehicle",
-    Common.LIGHTER: "of a lighter vehicle",
-    Common.NOT_FITTED: "not among the fitted runs",
-}
 
 
 def names(runs: Sequence[str]) -> str:
@@ -60,11 +50,8 @@ def story(compared: SideBySide) -> list[str]:
         verb = "differs" if len(apart.runs) == 1 else "differ"
         what = "; ".join(_difference(one, compared) for one in apart.differences)
         line = f"{head} {names(apart.runs)} {verb} from {names(apart.others)}: {what}."
-        if apart.common:
-            are = "It is" if len(apart.runs) == 1 else "They are"
-            common = [_COMMON[one].format(name=name) for one, name in apart.common.items()]
-            line += f" {are} {'; '.join(common)}."
-        lines.append(line)
+        of_all = shared.sentence(apart.runs, apart.shared)
+        lines.append(f"{line} {of_all}".rstrip())
     return lines
 
 
@@ -173,7 +160,7 @@ def _apart(apart: Apart) -> dict[str, Any]:
     return {
         "runs": list(apart.runs),
         "others": list(apart.others),
-        "common": {one.value: name for one, name in apart.common.items()},
+        "common": {one.value: name for one, name in apart.shared.items()},
         "differences": [
             {
                 "name": one.cause or str(one.quantity),

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from rollerrig.configs.errors import ConfigError
-from rollerrig.rig.identify.base import channels, reference, rolling, sampling, weight
+from rollerrig.rig.identify.base import channels, reference, rolling, sampling, shared, weight
 from rollerrig.rig.identify.base.findings import Finding
 from rollerrig.rig.identify.base.sentences import sentence
 from rollerrig.rig.identify.data.runs import Dataset
@@ -28,7 +28,14 @@ def findings(data: Dataset) -> list[Finding]:
         return found
     for one_check in _CHECKS:
         found += one_check(data)
-    return found
+    return [_with_shared(data, finding) for finding in found]
+
+
+def _with_shared(data: Dataset, finding: Finding) -> Finding:
+    """Return a finding with what its runs share."""
+    apart = [k for k, run in enumerate(data.runs) if run.name in finding.runs]
+    others = [k for k, run in enumerate(data.runs) if run.name not in finding.runs]
+    return finding._replace(shared=shared.find(data.runs, apart, others))
 
 
 def check(data: Dataset) -> None:

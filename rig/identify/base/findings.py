@@ -3,8 +3,11 @@
 A finding holds a code and fields. Its sentence is made in `sentences`.
 """
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import NamedTuple
+
+from rollerrig.rig.identify.base.shared import Shared
 
 
 class Code(StrEnum):
@@ -54,3 +57,5 @@ class Finding(NamedTuple):
     channels: tuple[str, ...] = ()  # names of columns
     axles: tuple[int, ...] = ()  # numbers of wheelsets, from 1
     detail: str = ""  # a name that the code needs, such as that of a unit
+    # what its runs share, and no other run has
+    shared: Mapping[Shared, str] = {}

@@ -2,11 +2,15 @@
 
 from collections.abc import Sequence
 
+from rollerrig.rig.identify.base import shared
 from rollerrig.rig.identify.base.findings import Code, Finding
 
 
 def sentence(finding: Finding) -> str:
     """Return the sentence of a finding, with its code."""
+    of_runs = shared.sentence(finding.runs, finding.shared)
+    if of_runs:
+        return f"{_TEXTS[finding.code](finding)}. {of_runs} [{finding.code}]"
     return f"{_TEXTS[finding.code](finding)} [{finding.code}]"
 
 

@@ -169,7 +169,7 @@ def prepare(curve: Curve, accuracy: Mapping[str, float] | None = None) -> Prepar
 
 
 def _declared_noise(points: Curve, accuracy: Mapping[str, float]) -> dict[str, float]:
-    """Return the declared noise of the columns of load and speed, by their names."""
+    """Return the declared noise of the columns of load, speed and temperature, by their names."""
     declared = {}
     load = accuracy.get("load_fraction", -1.0)
     if load >= 0.0:
@@ -178,6 +178,9 @@ def _declared_noise(points: Curve, accuracy: Mapping[str, float]) -> dict[str, f
     middle_m_s = float(np.median(points.speed_m_s))
     if speed_m_s >= 0.0 and middle_m_s > 0.0:
         declared[SPEED] = speed_m_s / middle_m_s
+    temperature_K = accuracy.get("temperature_K", -1.0)
+    if temperature_K >= 0.0:
+        declared[TEMPERATURE] = temperature_K / TEMPERATURE_STEP_K
     return declared
 
 

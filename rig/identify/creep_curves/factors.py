@@ -181,6 +181,7 @@ def _why_noise(c: Condition) -> str:
     remedy = "measure at some set values"
     if c.name == conditions.TEMPERATURE:
         scatter = f"{conditions.TEMPERATURE_STEP_K * c.noise:.2g} K"
+        remedy += ", or declare its noise (temperature_K in [accuracy])"
     if c.name == conditions.LOAD:
         remedy += ", or declare its noise (load_fraction in [accuracy])"
     if c.name == conditions.SPEED:

@@ -62,6 +62,7 @@ ACCURACY = (
     number("wheel_speed_rad_s", -1.0, 1e-5, 10.0, "rad/s"),
     number("torque_fraction", -1.0, 1e-5, 0.5, "of the run's largest torque"),
     number("load_fraction", -1.0, 1e-5, 0.5, "of the static load"),
+    number("temperature_K", -1.0, 1e-3, 50.0, "K; of a creep curve"),
     number("calibration_fraction", 0.003, 0.0, 0.2, "of torque, load and mass"),
     # `form` is the form of a law: a library law is never exactly the true one
     number(
@@ -381,6 +382,12 @@ class _DataFile(NamedTuple):
             raise ConfigError(
                 f"{self.path}: column '{column}' has no number in any of its {bad.size} rows; give the "
                 "channel, or leave this run out of dataset.toml"
+            )
+        if bad.size > 0.5 * values.size:
+            raise ConfigError(
+                f"{self.path}: column '{column}' has a number in {values.size - bad.size} of its "
+                f"{values.size} rows only: if its sensor is slower than the file, give all channels at "
+                "the rate of the sensor; else give the channel, or leave this run out of dataset.toml"
             )
         if bad.size:
             raise ConfigError(

@@ -130,7 +130,7 @@ def _check_time(run: Run, path: Path, sample_time_s: float) -> None:
     if gaps.size:
         raise ConfigError(
             f"{path}: {gaps.size} gaps, the first of {steps_s[gaps[0]]:.4g} s after "
-            f"t = {run.time_s[gaps[0]]:.4g} s; split the run there or resample it"
+            f"t = {run.time_s[gaps[0]]:.4g} s; split the run there into two, and do not fill the gap"
         )
 
     if uneven.size > MOST_UNEVEN_STEPS * n:

@@ -171,8 +171,15 @@ def _check_momentum(
 
 
 def _decrease(values: np.ndarray) -> np.ndarray:
-    """Return how far values decrease from the first 20 samples to the last 20."""
-    return values[:20].mean(axis=0) - values[-20:].mean(axis=0)
+    """Return how far values (n,) or (n, columns) decrease from the first sample to the last.
+
+    Both are ends of straight lines through 20 samples: their means would miss what a short stop
+    loses in these samples, 1.4 % of that of a car.
+    """
+    number = np.arange(20.0)
+    first = np.polynomial.polynomial.polyfit(number, values[:20], 1)
+    last = np.polynomial.polynomial.polyfit(number, values[-20:], 1)
+    return first[0] - (last[0] + number[-1] * last[1])
 
 
 class _Shift(NamedTuple):

@@ -11,13 +11,13 @@ that all fitted runs gave.
 
 import math
 from collections.abc import Sequence
-from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
 
-from rollerrig.rig.identify.base import by_run
+from rollerrig.rig.identify.base import by_run, shared
 from rollerrig.rig.identify.base.by_run import ByRun, Quantity
+from rollerrig.rig.identify.base.shared import Shared
 from rollerrig.rig.identify.causes import discrepancy, table
 from rollerrig.rig.identify.causes.candidates import Cause, Explanation
 from rollerrig.rig.identify.data.preparation import Design, prepare
@@ -31,8 +31,6 @@ from rollerrig.rig.identify.statistics.interval import Estimate
 # probability of a false alarm of all comparisons of a dataset
 ALPHA = 0.02
 STEPS_OF_ONE_RUN = 5
-# Speeds and masses of two groups of runs differ if they are apart by this ratio. Chosen.
-LEAST_RATIO = 1.02
 
 
 class CauseByRun(NamedTuple):
@@ -41,20 +39,6 @@ class CauseByRun(NamedTuple):
     cause: Cause
     sizes: np.ndarray
     errors: np.ndarray
-
-
-class Common(StrEnum):
-    """What the runs that differ have in common, and no other run has."""
-
-    RIG = "rig"
-    DATE = "date"
-    FIRST = "first"  # in the order of dataset.toml
-    LAST = "last"
-    SLOWER = "slower"  # initial speeds
-    FASTER = "faster"
-    HEAVIER = "heavier"
-    LIGHTER = "lighter"
-    NOT_FITTED = "not_fitted"
 
 
 class Difference(NamedTuple):
@@ -72,7 +56,7 @@ class Apart(NamedTuple):
     runs: tuple[str, ...]
     others: tuple[str, ...]
     differences: list[Difference]
-    common: dict[Common, str]  # with the name of the rig, or the date
+    shared: dict[Shared, str]  # with the name of the rig, or the date
 
 
 class SideBySide(NamedTuple):
@@ -132,7 +116,7 @@ def of_runs(runs: Sequence[Run], quantities: list[ByRun], cause: CauseByRun | No
             runs=tuple(runs[k].name for k in places),
             others=tuple(runs[k].name for k in others[places]),
             differences=differences,
-            common=_common(runs, places, others[places]),
+            shared=shared.find(runs, places, others[places]),
         )
         for places, differences in by_group.items()
     ]
@@ -192,42 +176,3 @@ def size_in_run(
     if not 0.0 < variance < math.inf:
         return math.nan, math.nan
     return fit.explanation.causes[0].values[0], math.sqrt(variance)
-
-
-# --- what runs have in common ---
-
-
-def _common(
-    runs: Sequence[Run], apart: tuple[int, ...], others: tuple[int, ...]
-) -> dict[Common, str]:
-    """Return what the runs that differ have in common, and no other run has."""
-    found: dict[Common, str] = {}
-    for common, key in ((Common.RIG, "rig"), (Common.DATE, "date")):
-        names = {getattr(runs[k], key) for k in apart}
-        if (
-            len(names) == 1
-            and names != {""}
-            and not any(getattr(runs[k], key) in names for k in others)
-        ):
-            found[common] = names.pop()
-    if max(apart) < min(others):
-        found[Common.FIRST] = ""
-    if min(apart) > max(others):
-        found[Common.LAST] = ""
-    initial_m_s = [float(np.median(run.speed_m_s[:20])) for run in runs]
-    masses_kg = [run.mass_kg for run in runs]
-    for values, below, above in (
-        (initial_m_s, Common.SLOWER, Common.FASTER),
-        (masses_kg, Common.LIGHTER, Common.HEAVIER),
-    ):
-        of_apart = [values[k] for k in apart]
-        of_others = [values[k] for k in others]
-        if max(of_apart) * LEAST_RATIO < min(of_others):
-            found[below] = ""
-        if min(of_apart) > max(of_others) * LEAST_RATIO:
-            found[above] = ""
-    if {runs[k].group for k in apart} == {"validate"} and {runs[k].group for k in others} == {
-        "tune"
-    }:
-        found[Common.NOT_FITTED] = ""
-    return found

@@ -4,6 +4,8 @@ A proposal is shown to the user, who accepts or corrects it. Its rules are those
 
 - The data are braking runs if there are a speed of the vehicle, and speeds, loads and brake torques
   of all wheelsets; a creep curve with creepage and adhesion; else the data of a recorder.
+- Numbered columns in a unit of force, or of torque, are loads, or brake torques, if all speeds are
+  there and no column is named a load, or a torque.
 - A unit comes from the file, else from the end of the name. Stamps without a unit are in seconds,
   unless their size shows another unit (a count since 1970), or they would be 5 s apart or more.
 - A speed without a unit gets none: the user has to give it, because nothing in the file decides.
@@ -139,6 +141,8 @@ def propose(
             meanings[content.name] = found
     renumbered = _numbered_apart(meanings)
     meanings |= renumbered
+    by_unit = _loads_and_torques_by_unit(contents, meanings, axles)
+    meanings |= by_unit
     kind = kind or _kind(set(meanings.values()), mapped, axles)
 
     columns = _columns(contents, meanings, kind, mapped, axles)
@@ -161,6 +165,11 @@ def propose(
         remarks.append(
             f"{', '.join(repr(name) for name in renumbered)} have the same number: they are numbered in "
             "the order of the file; correct it with --map"
+        )
+    if by_unit:
+        remarks.append(
+            f"{', '.join(repr(name) for name in by_unit)} are taken as loads and brake torques by their "
+            "units and numbers only; correct it with --map"
         )
     if kind == "recorder":
         remarks += _missing_of_braking_runs(meanings, axles)
@@ -188,18 +197,48 @@ def _with_its_unit(key: str, name: str, names: Sequence[str]) -> str:
 def _numbered_apart(meanings: Mapping[str, Meaning]) -> dict[str, Meaning]:
     """Return new numbers of columns that have the same number, and names that differ in a letter.
 
-    Only speeds of wheels and bogies count. Columns of other quantities keep their numbers.
+    Only speeds of wheels, bogies and vehicles count: two speeds of one vehicle, as TCU_A_Velocity
+    and TCU_B_Velocity, are those of its wheels. Columns of other quantities keep their numbers.
     """
     renumbered: dict[str, Meaning] = {}
-    for quantity in (words.WHEEL_SPEED, words.BOGIE_SPEED):
+    for quantity in (words.WHEEL_SPEED, words.BOGIE_SPEED, words.VEHICLE_SPEED):
         names = [name for name, found in meanings.items() if found.quantity == quantity]
         numbers = [meanings[name].number for name in names]
         if len(set(numbers)) == len(numbers) or len(set(numbers)) > 1:
             continue
         if all(_differ_in_a_letter(names[0], name) for name in names[1:]):
+            of_wheels = words.WHEEL_SPEED if quantity == words.VEHICLE_SPEED else quantity
             for number, name in enumerate(names, start=1):
-                renumbered[name] = Meaning(quantity, number)
+                renumbered[name] = Meaning(of_wheels, number)
     return renumbered
+
+
+def _loads_and_torques_by_unit(
+    contents: Sequence[Content], meanings: Mapping[str, Meaning], axles: int
+) -> dict[str, Meaning]:
+    """Return columns that are loads or brake torques by their units, and their numbers alone.
+
+    Only if speeds of all wheelsets and of the vehicle are there: then columns that are numbered
+    from 1 to `axles` in a unit of force are loads, and those in a unit of torque brake torques.
+    """
+    present = set(meanings.values())
+    speeds = {Meaning(words.WHEEL_SPEED, axle) for axle in range(1, axles + 1)}
+    quantities = {found.quantity for found in present}
+    if not speeds <= present or words.VEHICLE_SPEED not in quantities:
+        return {}
+    found: dict[str, Meaning] = {}
+    for of_unit, quantity in ((units.FORCE, words.LOAD), (units.TORQUE, words.TORQUE)):
+        if quantity in quantities:
+            continue
+        numbered: dict[str, int] = {}
+        for content in contents:
+            named = words.column(content.name, content.unit)
+            known = units.find(named.unit) if named.unit else None
+            if content.name not in meanings and known is not None and known.quantity == of_unit:
+                numbered[content.name] = words.number_of(named)
+        if sorted(numbered.values()) == list(range(1, axles + 1)):
+            found |= {name: Meaning(quantity, number) for name, number in numbered.items()}
+    return found
 
 
 def _differ_in_a_letter(name: str, other: str) -> bool:

@@ -86,8 +86,9 @@ PRESSURES = Words(inside=("druck", "pressure"), whole=("p",))
 DEMANDS = Words(inside=("demand", "anforder", "befehl", "request", "command"))
 CREEPAGES = Words(inside=("creepage", "schlupf"), whole=("creep", "slip"))
 DATES = Words(inside=(), whole=("date", "datum"))
-# letters of formulas that a unit makes a quantity: Q1 [kN], N2 [kN]
+# letters of formulas that a unit makes a quantity: Q1 [kN], N2 [kN], s [%]
 LOAD_LETTERS = Words(inside=(), whole=("q", "n", "fn"))
+CREEPAGE_LETTERS = Words(inside=(), whole=("s", "xi", "nu", "kappa", "lambda"))
 # an adhesion is also a coefficient of one of these
 COEFFICIENTS = Words(inside=("coeff", "koeff", "beiwert"))
 OF_ADHESION = Words(inside=("traction", "friction", "reib"))
@@ -163,11 +164,12 @@ def meaning(named: Column) -> Meaning | None:
     words = words_of(named.name)
     if not words or NOT_USED.fit(words):
         return None
-    is_named_speed = any(part in word for part in SPEEDS.inside for word in words)
-    if ACCELERATIONS.fit(words) and not is_named_speed:
-        return None
     known = units.find(named.unit) if named.unit else None
     of_unit = known.quantity if known else ""
+    is_speed = any(part in word for part in SPEEDS.inside for word in words)
+    is_speed = is_speed or of_unit in (units.SPEED, units.ROTATION)
+    if ACCELERATIONS.fit(words) and not is_speed:
+        return None
     quantity = _quantity(words, of_unit)
     if quantity == _SPEED:
         quantity = _owner(words)
@@ -176,12 +178,18 @@ def meaning(named: Column) -> Meaning | None:
     return Meaning(quantity, _number(words))
 
 
+def number_of(named: Column) -> int:
+    """Return the number of the wheel in the name of a column; 0 if there is none."""
+    return _number(words_of(named.name))
+
+
 def _quantity(words: list[str], of_unit: str) -> str:
     """Return the quantity of words; the quantity of the unit decides between some of them."""
     if DATES.fit(words) and len(words) == 1:
         return DATE
     is_speed = SPEEDS.fit(words) or of_unit in (units.SPEED, units.ROTATION)
-    if CREEPAGES.fit(words):
+    is_creepage = of_unit == units.RATIO and CREEPAGE_LETTERS.fit(words)
+    if CREEPAGES.fit(words) or is_creepage:
         return CREEPAGE
     if ADHESIONS.fit(words) or (COEFFICIENTS.fit(words) and OF_ADHESION.fit(words)):
         return ADHESION

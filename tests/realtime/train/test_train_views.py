@@ -178,6 +178,19 @@ def test_a_picture_of_a_train_shows_its_cars_and_couplers(kind, folder, tmp_path
     assert "couplers, kN," in exported.read_text(encoding="utf-8")
 
 
+def test_the_channels_of_a_train_are_exported_with_their_units(folder, run, tmp_path):
+    out = tmp_path / "train.csv"
+    assert cli.main(["export", str(folder), "--format", "csv", "--out", str(out)]) == output.PASS
+    names, units, first, *_ = (line.split(",") for line in out.read_text().splitlines())
+    unit_of = dict(zip(names, units, strict=True))
+    assert unit_of["coupler_1_N"] == "N"
+    assert unit_of["coupler_1_m"] == "m"
+    assert unit_of["car_2_speed_m_s"] == unit_of["sliding_16_m_s"] == "m/s"
+    assert unit_of["car_2_acceleration_m_s2"] == "m/s^2"
+    assert unit_of["adhesion_9"] == ""
+    assert float(first[names.index("car_3_position_m")]) == run.column("car_3_position_m")[0]
+
+
 def test_a_train_is_drawn_alone(folder, tmp_path, capsys):
     car = str(folder / "car_1")
     words = ["view", str(folder), car, "--png", str(tmp_path / "both.svg")]

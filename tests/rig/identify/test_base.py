@@ -96,7 +96,7 @@ MISTAKES = {
     ),
     "wheel speeds smoothed": Case(mistakes.low_passed(WHEELS, 4.0), Code.SMOOTHED, "[accuracy]"),
     "torques in lbf ft": Case(mistakes.scaled(TORQUES, 0.73756), Code.TORQUE_UNIT, "lbf ft"),
-    "torques 35 % too large": Case(mistakes.scaled(TORQUES, 1.35), Code.TORQUE_SHARE, "1.36"),
+    "torques 35 % too large": Case(mistakes.scaled(TORQUES, 1.35), Code.TORQUE_SHARE, "1.35"),
     "speed in whole km/h": Case(
         mistakes.in_columns(mistakes.whole_kilometres_an_hour), Code.RESOLUTION, "0.278 m/s"
     ),

@@ -291,3 +291,36 @@ def test_a_file_in_which_nothing_is_recognised_is_refused_with_the_option() -> N
         proposed("foo", "bar")
     found = proposed("foo", "bar", mapped={"time_s": "foo", "wheel_speed_1_m_s": "bar"})
     assert found.kind == "recorder"
+
+
+def test_braking_runs_are_found_by_units_and_numbers_alone() -> None:
+    names = ["t [s]", "A [km/h]"]
+    for number in range(1, 5):
+        names += [f"B{number} [1/min]", f"C{number} [kN]", f"D{number} [kNm]"]
+    found = proposed(*names)
+    assert found.kind == "braking_runs"
+    columns = {channel.key: channel.column for channel in found.channels}
+    assert columns["wheel_load_3_N"] == "C3 [kN]"
+    assert columns["brake_torque_4_Nm"] == "D4 [kNm]"
+    assert "by their units and numbers only" in " ".join(found.remarks)
+
+
+def test_forces_that_are_not_numbered_by_wheelset_are_no_loads() -> None:
+    names = ["t [s]", "A [km/h]"]
+    names += [f"B{number} [1/min]" for number in range(1, 5)]
+    names += [f"C{number} [kN]" for number in range(2, 6)]
+    found = proposed(*names)
+    assert found.kind == "recorder"
+    assert not any(channel.column.startswith("C") for channel in found.channels)
+
+
+def test_two_speeds_of_a_vehicle_that_differ_in_a_letter_are_two_wheels() -> None:
+    found = proposed("t", "TCU_A_Velocity [km/h]", "TCU_B_Velocity [km/h]")
+    columns = {channel.key: channel.column for channel in found.channels}
+    assert columns["wheel_speed_1_m_s"] == "TCU_A_Velocity [km/h]"
+    assert columns["wheel_speed_2_m_s"] == "TCU_B_Velocity [km/h]"
+
+
+def test_letters_of_formulas_make_a_creep_curve() -> None:
+    found = proposed("s [%]", "mu [-]")
+    assert found.kind == "creep_curve"

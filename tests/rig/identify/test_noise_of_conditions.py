@@ -135,3 +135,28 @@ def test_the_order_of_the_file_decides_what_is_noise():
         [load] = [c for c in conditions.prepare(curve).conditions if c.name == conditions.LOAD]
         noise.append(load.may_be_noise)
     assert noise == [False, True]
+
+
+@for_each([(0.05, 0.0), (0.15, 0.0), (0.05, -0.15), (0.15, -0.15)])
+def test_noise_of_the_creepage_makes_no_effect_of_a_temperature_and_hides_none(row):
+    """Wheels that slide more are hotter, so a noisy creepage could look like a temperature."""
+    creepage_noise, per_10_K = row
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        creepage = rng.uniform(0.001, 0.05, POINTS)
+        true_K = 293.0 + 400.0 * creepage + 8.0 * rng.standard_normal(POINTS)
+        adhesion = law(creepage) * np.exp(0.1 * per_10_K * (true_K - 300.0))
+        curve = Curve(
+            np.maximum(creepage * (1.0 + creepage_noise * rng.standard_normal(POINTS)), 1e-4),
+            adhesion * (1.0 + 0.01 * rng.standard_normal(POINTS)),
+            np.full(POINTS, 10.0),
+            np.full(POINTS, 1e4),
+            np.zeros(POINTS),
+            temperature_K=true_K + 2.0 * rng.standard_normal(POINTS),
+        )
+        found = effect(judged(curve, temperature_K=2.0), conditions.TEMPERATURE)
+        assert found.judged
+        assert found.is_reported == (per_10_K != 0.0)
+        assert found.exponent == pytest.approx(per_10_K, abs=0.04)
+        # all of the spread may be noise where the sensor's is not declared
+        assert not effect(judged(curve), conditions.TEMPERATURE).judged

@@ -20,9 +20,9 @@ from rollerrig.realtime.reports.hints import runs as words
 from rollerrig.rig.identify.base import by_run, check
 from rollerrig.rig.identify.base.by_run import Quantity
 from rollerrig.rig.identify.base.findings import Code
+from rollerrig.rig.identify.base.shared import Shared
 from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.decide import side_by_side
-from rollerrig.rig.identify.decide.side_by_side import Common
 from rollerrig.rig.identify.statistics import groups
 
 Columns = dict[str, np.ndarray]
@@ -125,7 +125,7 @@ def test_rollers_of_another_diameter_show_in_their_run(plain, tmp_path):
     [apart] = compared(folder).apart
     assert apart.runs == ("b3",)
     assert Quantity.ROLLING in {one.quantity for one in apart.differences}
-    assert Common.LAST in apart.common
+    assert Shared.LAST in apart.shared
 
 
 def test_equal_runs_do_not_differ(plain):
@@ -143,8 +143,8 @@ def test_what_runs_that_differ_share_is_named(plain, tmp_path):
         text = text.replace(file, f'{file}\nrig = "{rig}"\ndate = "2026-03-0{name[1]}"')
     (folder / "dataset.toml").write_text(text)
     [apart] = compared(folder).apart
-    assert apart.common[Common.RIG] == "B"
-    assert apart.common[Common.DATE] == "2026-03-02"
+    assert apart.shared[Shared.RIG] == "B"
+    assert apart.shared[Shared.DATE] == "2026-03-02"
     [line] = words.story(compared(folder))
     assert "of rig B" in line
 

@@ -12,7 +12,7 @@ from generator import smallest_rates
 from rollerrig.rig.identify.causes import candidates, simulate
 from rollerrig.rig.identify.causes.candidates import Cause
 from rollerrig.rig.identify.data import dataset, preparation
-from rollerrig.rig.identify.decide import evidence, fitting, null_simulations, smallest
+from rollerrig.rig.identify.decide import evidence, fitting, null_simulations, smallest, thresholds
 from rollerrig.rig.identify.decide.evidence import Scores
 from rollerrig.rig.identify.decide.smallest import Planting
 from rollerrig.rig.identify.replay.rail import USUAL
@@ -105,3 +105,20 @@ def test_effects_of_twice_the_smallest_size_are_found_in_another_authors_stops(t
     assert len(doubled) >= 6
     # 95 % are to be found: three misses of eight would happen in 0.6 % of the nights
     assert doubled.count(False) <= 2
+
+
+def test_null_simulations_of_a_large_out_of_round_wheel_are_no_locked_wheels(planting) -> None:
+    data = dataset.load("open_none")
+    runs = data.group("tune")[:2]
+    swing = Cause("wheel_out_of_round", 2, {}, (0.09, 0.0, 0.0, 0.09))
+    scored = null_simulations.simulate_and_score(
+        data,
+        runs,
+        planting.design,
+        planting.base._replace(causes=(swing,)),
+        1,
+        ("wheel_out_of_round",),
+        USUAL,
+        thresholds.RUNAWAY_VARIANCE,
+    )
+    assert scored is not None
