@@ -81,17 +81,18 @@ def fit(all_points: Prepared) -> Factors:
     late = _at_large_creepage(prepared)
     if not late.all():
         prepared = prepared.chosen(late)
+    together = conditions.going_together(prepared)
+    fitted = [c for c in prepared.conditions if c.varies and c.name not in together]
+    names = [c.name for c in fitted for _ in range(c.columns.shape[1])]
+    # what the conditions change is no error that neighbours in the file share
     smooth = shape.fit(
         prepared.creepage,
         prepared.adhesion,
         np.zeros_like(prepared.group),
-        np.empty((prepared.group.size, 0)),
+        prepared.columns([c.name for c in fitted]),
         prepared.file_order,
     )
     basis = np.column_stack([np.ones(prepared.creepage.size), smooth.groups[0].basis])
-    together = conditions.going_together(prepared)
-    fitted = [c for c in prepared.conditions if c.varies and c.name not in together]
-    names = [c.name for c in fitted for _ in range(c.columns.shape[1])]
     freedom = prepared.creepage.size - basis.shape[1] - len(names)
 
     if freedom < LEAST_FREEDOM or not names:

@@ -10,6 +10,7 @@ that rises with sliding, loads that scatter about their levels. All their curves
 with noise of 1 to 10 %.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -45,6 +46,14 @@ NOTHING = (
     Truth("saturating"),
     Truth("two equal loads"),
     Truth("two equal series"),
+)
+# each of two loads sweeps over the same creepages, one after the other
+BLOCKS = (
+    Truth("two equal loads in blocks"),
+    *(
+        Truth(f"load in blocks, {percent} %", load_exponent=math.log1p(-0.01 * percent) / math.log(1.5))
+        for percent in (5, 10, 15)
+    ),
 )
 LOAD = Truth("load", load_exponent=-0.2)
 SERIES = Truth("series", series_change=-0.2)
@@ -93,6 +102,10 @@ def curve(truth: Truth, seed: int, points: int = 150) -> Points:
     series = np.zeros(points)
     if "load" in truth.name:
         load = rng.choice((30e3, 60e3, 90e3), points)
+    in_blocks = "blocks" in truth.name
+    if in_blocks:
+        share = np.tile(np.sort(share[: points // 2]), 2)
+        load = np.repeat((40e3, 60e3), points // 2)
     if "series" in truth.name:
         series = rng.choice((1.0, 2.0), points)
     level = limit * (load / load.max()) ** truth.load_exponent
@@ -102,7 +115,9 @@ def curve(truth: Truth, seed: int, points: int = 150) -> Points:
     exact = exact * (1.0 - truth.fall * np.clip((share - 0.3) / 0.7, 0.0, 1.0))
 
     deviation = rng.uniform(0.005, 0.04) * limit
-    adhesion = exact + deviation * _noise(noise, rng, share, exact / limit)
+    adhesion = exact + deviation * _noise(
+        noise, rng, np.arange(points) if in_blocks else share, exact / limit
+    )
     creepage = largest * share
     if noise == "rounded":
         creepage = np.maximum(np.round(creepage, 3), 0.001)
@@ -111,15 +126,15 @@ def curve(truth: Truth, seed: int, points: int = 150) -> Points:
 
 
 def _noise(
-    kind: str, rng: np.random.Generator, share: np.ndarray, relative: np.ndarray
+    kind: str, rng: np.random.Generator, order: np.ndarray, relative: np.ndarray
 ) -> np.ndarray:
-    """Return noise of deviation about 1 (n,)."""
-    white = rng.standard_normal(share.size)
+    """Return noise of deviation about 1 (n,); `order` (n,) sorts points as they were measured."""
+    white = rng.standard_normal(order.size)
     if kind == "growing":
         return white * (0.3 + relative)
     if kind == "shared":
         # the points follow one another as in a slow sweep
-        along = np.argsort(share)
+        along = np.argsort(order)
         value = 0.0
         out = np.empty_like(white)
         for place in along:

@@ -19,7 +19,7 @@ from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.runs import Curve
 
 FORMS = (*generators.LEVEL_FORMS, *generators.FALLING_FORMS)
-ALL = (*generators.NOTHING, generators.LOAD, generators.SERIES, generators.FALLING)
+ALL = (*generators.NOTHING, *generators.BLOCKS, generators.LOAD, generators.SERIES, generators.FALLING)
 
 
 class Answers(NamedTuple):
@@ -63,14 +63,23 @@ def answers(truth, seeds):
             false_reports.append(seed)
         if wanted - found:
             is_too_small = truth.fall and shown.fall.size < shown.fall.smallest
+            if "load" in wanted - found:
+                smallest = next(e.smallest for e in shown.factors.effects if e.name == "load")
+                is_too_small = abs(_change_by_load(truth)) < smallest
             (too_small if is_too_small else missed).append(seed)
         for effect in shown.reported:
             size = truth.series_change
             if effect.name == "load":
-                size = 3.0**truth.load_exponent - 1.0
+                size = _change_by_load(truth)
             if not effect.low <= size <= effect.high:
                 outside.append(seed)
     return Answers(truth, len(seeds), false_reports, missed, too_small, outside)
+
+
+def _change_by_load(truth):
+    """Return the change of adhesion from the lowest load to the highest."""
+    ratio = 1.5 if truth in generators.BLOCKS else 3.0
+    return ratio**truth.load_exponent - 1.0
 
 
 def answers_on_forms(truth, seeds):
