@@ -1,7 +1,7 @@
 """Single values and further faults of a train: of all cars, of the train, or of one car.
 
-A setting `car_2.load_kg=4e4` or `car_2.brake.pad_friction=0.2` is of car 2, counted from the front;
-`train.delay_s=0.1` is of the train; any other one is of all cars. A fault has its car among its
+A setting `car_2.load_kg=4e4` or `car_2.brake.pad_friction=0.2` is of car 2, counted from the front
+(`train.car.2.load_kg` is the same); `train.delay_s=0.1` is of the train; any other one is of all cars. A fault has its car among its
 words: `speed_sensor_dropout car=2 axle=1`.
 """
 
@@ -14,7 +14,9 @@ from rollerrig.configs.errors import ConfigError
 from rollerrig.configs.vehicle import TRAIN
 from rollerrig.realtime.bench import scenario
 
-_SETTING = re.compile(r"\s*car_(\d+)\.([^=]+)=(.*)", re.DOTALL)
+_SETTING = re.compile(r"\s*(?:car_|train\.car\.)(\d+)\.([^=]+)=(.*)", re.DOTALL)
+# a key of the train has no further table
+_DEEPER = re.compile(rf"\s*{TRAIN}\.[^=]*\.[^=]*=.*", re.DOTALL)
 _CAR_WORD = re.compile(r"car=(\d+)")
 # the same for all cars, so a setting of one car cannot change it
 SHARED = ("loop", "bus", "modbus", "rig")
@@ -59,6 +61,11 @@ def read(settings: Sequence[str], faults: Sequence[str], faults_from: str) -> Ch
     for one in settings:
         of_car = _SETTING.fullmatch(one)
         if of_car is None:
+            if _DEEPER.fullmatch(one):
+                raise ConfigError(
+                    f"--set {one}: allowed are keys of [train], as in {TRAIN}.delay_s=0.1, and those of "
+                    "one car, as in car_2.load_kg=4e4"
+                )
             (of_train if one.startswith(f"{TRAIN}.") else shared).append(one)
             continue
         number, key, text = int(of_car[1]), of_car[2].strip(), of_car[3]

@@ -145,6 +145,16 @@ def test_settings_reach_the_train_and_its_cars():
     assert toml_text.parse(plan.dump(train), "dump")["train"]["delay_of_car_s"] == 0.3
 
 
+@pytest.mark.parametrize("car", ["car_3", "train.car.3"])
+def test_a_setting_of_one_car_reaches_it_alone_and_one_of_nothing_is_refused(car):
+    train = plan.load("five_coaches", settings=(f"{car}.isolated=true",))
+    assert [one.given["isolated"] for one in train.cars] == [False, False, True, False, False]
+    with pytest.raises(ConfigError, match=r"unknown key 'nonsense'"):
+        plan.load("five_coaches", settings=(f"{car}.nonsense=5",))
+    with pytest.raises(ConfigError, match=r"allowed are keys of \[train\].*car_2.load_kg"):
+        plan.load("five_coaches", settings=("train.coupler.slack_m=5",))
+
+
 def test_a_fault_acts_in_its_car_alone_and_reads_again(tmp_path):
     fault = {"kind": "vent_magnet_stuck", "axle": 2, "at_s": 1.0}
     train = read({"car": [{}, {"fault": [fault]}, {}]}, adhesion="dry")

@@ -51,7 +51,10 @@ NOTHING = (
 BLOCKS = (
     Truth("two equal loads in blocks"),
     *(
-        Truth(f"load in blocks, {percent} %", load_exponent=math.log1p(-0.01 * percent) / math.log(1.5))
+        Truth(
+            f"load in blocks, {percent} %",
+            load_exponent=math.log1p(-0.01 * percent) / math.log(1.5),
+        )
         for percent in (5, 10, 15)
     ),
 )

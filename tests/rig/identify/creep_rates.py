@@ -19,7 +19,13 @@ from rollerrig.rig.identify.data import dataset
 from rollerrig.rig.identify.data.runs import Curve
 
 FORMS = (*generators.LEVEL_FORMS, *generators.FALLING_FORMS)
-ALL = (*generators.NOTHING, *generators.BLOCKS, generators.LOAD, generators.SERIES, generators.FALLING)
+ALL = (
+    *generators.NOTHING,
+    *generators.BLOCKS,
+    generators.LOAD,
+    generators.SERIES,
+    generators.FALLING,
+)
 
 
 class Answers(NamedTuple):
