@@ -1,8 +1,8 @@
 """Single values and further faults of a train: of all cars, of the train, or of one car.
 
 A setting `car_2.load_kg=4e4` or `car_2.brake.pad_friction=0.2` is of car 2, counted from the front
-(`train.car.2.load_kg` is the same); `train.delay_s=0.1` is of the train; any other one is of all cars. A fault has its car among its
-words: `speed_sensor_dropout car=2 axle=1`.
+(`train.car.2.load_kg` is the same); `train.delay_s=0.1` is of the train; any other one is of all
+cars. A fault has its car among its words: `speed_sensor_dropout car=2 axle=1`.
 """
 
 import re
