@@ -354,16 +354,9 @@ def _conditions(outcome: Outcome) -> dict[str, str]:
 
 def _conditions_of_train(record: Record) -> dict[str, str]:
     """Return the train, its load, speed, adhesion and gradient."""
-    train = record.train["train"]
     scenario = record.scenario
-    return {
-        "train": f"{train['cars']} cars, {train['length_m']:.0f} m, {train['control']}",
-        "vehicles": str(record.train["vehicle"]),
-        "load": f"{train['mass_kg'] / 1e3:g} t in all",
-        "initial speed": f"{3.6 * record.columns['vehicle_speed_m_s'][0]:.0f} km/h",
-        "adhesion": str(scenario.get("adhesion_set", played.NOT_STATED)),
-        "gradient": _gradient(scenario["mechanisms"]["track_gradient_gradient"]),
-    }
+    gradient = _gradient(scenario["mechanisms"]["track_gradient_gradient"])
+    return train_report.conditions(record.train, scenario) | {"gradient": gradient}
 
 
 def _gradient(rise: float) -> str:
@@ -447,7 +440,7 @@ def _section(outcome: Outcome, out: Path) -> list[Markup]:
     record = outcome.record
     if record is not None and record.train:
         parts.append(paragraph(train_report.sentence(record.train)))
-        parts += train_report.parts(outcome.folder, record.train)
+        parts += train_report.parts(records.load(outcome.folder))
     elif record is not None and len(record.columns["time_s"]) > 1:
         parts.append(table(*stop.axles(record)))
         parts.append(paragraph(element("small", stop.lock_note(record))))

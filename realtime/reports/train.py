@@ -111,17 +111,32 @@ def sentence(summary: Mapping[str, Any]) -> str:
 
 
 def _page(folder: Path, summary: Mapping[str, Any]) -> str:
+    run = records.load(folder)
     return page.page(
         summary["title"] or summary["scenario"],
         page.paragraph(sentence(summary)),
-        page.facts(played.of_summary(summary).facts()),
-        *parts(folder, summary),
+        page.facts(played.of_summary(summary).facts() | conditions(summary, run.scenario)),
+        *parts(run),
     )
 
 
-def parts(folder: Path, summary: Mapping[str, Any]) -> list[page.Markup]:
+def conditions(summary: Mapping[str, Any], scenario: Mapping[str, Any]) -> dict[str, str]:
+    """Return the rows of what was braked, and on what, from the summary of a train's run."""
+    train = summary["train"]
+    control = train["control"].replace("_", " ")
+    return {
+        "train": f"{train['cars']} cars, {train['length_m']:.0f} m, {control}",
+        "vehicles": str(summary["vehicle"]),
+        "load": f"{1e-3 * train['mass_kg']:g} t in all",
+        "initial speed": f"{_KM_H_PER_M_S * summary['initial_speed_m_s']:.0f} km/h",
+        "adhesion": str(scenario.get("adhesion_set", played.NOT_STATED)),
+    }
+
+
+def parts(run: Run) -> list[page.Markup]:
     """Return tables and pictures of the cars, the couplers and the rail of a recorded train."""
-    stop = _stop_of(records.load(folder))
+    summary = run.summary
+    stop = _stop_of(run)
     couplers: list[page.Markup] = []
     if len(stop.cars) > 1:
         couplers = [
@@ -163,14 +178,15 @@ def _car_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     rows = []
     for number, car in enumerate(summary["cars"], start=1):
         begins_s = car["demand_begins_s"]
+        begins = "-" if begins_s is None else f"{begins_s:.2f}"
         rows.append(
             [
                 str(number),
                 car["vehicle"],
                 f"{1e-3 * car['mass_kg']:.1f}",
                 f"{car['axles'][0]} to {car['axles'][1]}",
-                "-" if begins_s is None else f"{begins_s:.2f}",
-                f"{car['sliding_mean_m_s']:.2f}",
+                "isolated" if car.get("isolated") else begins,
+                f"{car['sliding_mean_m_s']:z.2f}",
                 f"{car['sliding_max_m_s']:.2f}",
                 f"{car['longest_lock_s']:.2f}",
                 f"{car['adhesion_mean']:.3f}",

@@ -384,6 +384,7 @@ def _car(
         "wheelsets_m": [before_m + car.place_m + behind_m for behind_m in places_m],
         "mass_kg": float(train.mass_kg[number - 1]),
         "load_kg": car.given["load_kg"],
+        "isolated": car.given["isolated"],
         "unit": of_car["wsp"]["unit"],
         "axles": [first, first + len(axles) - 1],
         "demand_begins_s": float(one["time_s"][braked[0]]) if braked.size else None,
