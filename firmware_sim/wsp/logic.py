@@ -5,9 +5,11 @@ follows the fastest axle that is left, but its fall is limited [W1]. The sliding
 against it [W2] and its filtered acceleration [W3] drive the phase machine of the valve. The unit
 keeps the wheels sliding within a band on purpose, because sliding cleans the rail [W4]. Every few
 seconds one axle runs up unbraked to the speed of the vehicle. This speed is an anchor of the
-reference, and the unit learns the deceleration from it [W5]. A pulse of the valve is as long as the
-wheel needs to come back to the middle of its band [W6, W7]. An axle without a sensor follows
-another axle, and its brake is relieved at intervals while wheels slide, so that it does not lock.
+reference, and the unit learns the deceleration from it [W5]. While no axle slides, the fall is
+limited by the deceleration of all axles, since a light vehicle on a dry rail brakes harder than the
+usual limit [W8]. A pulse of the valve is as long as the wheel needs to come back to the middle of
+its band [W6, W7]. An axle without a sensor follows another axle, and its brake is relieved at
+intervals while wheels slide, so that it does not lock.
 
     [W1] v_ref' = min(max(v_ref - b T, max v_j), v_ref + b_rise T)
     [W2] s_j = v_ref - v_j
@@ -15,15 +17,17 @@ another axle, and its brake is relieved at intervals while wheels slide, so that
     [W4] s_low = min(S_low, k c_low v_ref), s_high likewise; k falls from 1 to a share where the
          learned deceleration of a braked axle is small, because the rail gives most there at less
          sliding
-    [W5] b = b_max while no axle slides, else b_learned + margin, at most b_max
+    [W5] b = max(b_max, b_calm) while no axle slides, else b_learned + margin, at most b_max
     [W6] x_j = -b_learned - a_j + (s_j - (s_low + s_high) / 2) / T_approach: too much brake, in m/s2
     [W7] a vent pulse lasts g_vent x_j, a fill pulse -g_fill x_j, each within its limits
+    [W8] b_calm = min((l - max v_j) / T_calm + margin, a_fall), l' = l - T (l - max v_j) / T_calm;
+         l = max v_j until no axle has slid for T_calm
 
 The cycle has no clock and takes the integers of the bus, so the unit on the bus and the compiled
 loop get the same bits. Source: common practice of such units, from memory; every threshold is
 marked so in `configs/wsp/`. Limits: braking only; wheel diameters as configured; a wheel that does
 not reach the speed of the vehicle in a run-up is no anchor; a vehicle that can brake harder than
-b_max needs a larger b_max; two or three sensors that drift alike may be believed.
+a_fall needs a larger a_fall; two or three sensors that drift alike may be believed.
 """
 
 from typing import Any, NamedTuple
@@ -143,6 +147,7 @@ class State(NamedTuple):
     anchor_m_s: np.ndarray  # speed of the last anchor; `anchor`
     anchor_age: np.ndarray  # cycles since the last anchor; `advance`
     calm: np.ndarray  # cycles since an axle slid; `advance`
+    calm_lagged_m_s: np.ndarray  # the fastest axle after a filter, while calm; `calm_fall_m_s2`
     runner: np.ndarray  # axle that runs up, -1: none; `choose_runner`, `finish_run_up`
     run_ups: np.ndarray  # run-ups begun since axles slide; `choose_runner`
     sliding_m_s: np.ndarray  # against the reference; `event_of`
@@ -177,6 +182,7 @@ PER_UNIT = (
     "anchor_m_s",
     "anchor_age",
     "calm",
+    "calm_lagged_m_s",
     "runner",
     "run_ups",
 )

@@ -1,6 +1,6 @@
 """The reference speed of the WSP: an estimate of the vehicle speed from wheels that may all slide.
 
-The reference follows the fastest axle, but its fall is limited [W1, W5 of `logic`]. While axles
+The reference follows the fastest axle, but its fall is limited [W1, W5, W8 of `logic`]. While axles
 slide, one of the trailing axles runs up unbraked every few seconds. When its speed no longer rises,
 the wheel turns with the vehicle and is an anchor: the reference takes its speed, and the unit
 learns the deceleration from the loss of speed since the last anchor. Source and limits: see
@@ -65,8 +65,8 @@ def advance(state, params):
         state.anchor_m_s[0] = fastest
         state.deceleration_m_s2[0] = params.first_deceleration_m_s2
         state.runner[0] = NOBODY
-    fall = params.reference_fall_m_s2
     sliding = protecting(state, params)
+    fall = max(params.reference_fall_m_s2, calm_fall_m_s2(state, fastest, params))
     if sliding:
         fall = min(fall, state.deceleration_m_s2[0] + params.deceleration_margin_m_s2)  # [W5]
     before = state.reference_m_s[0]
@@ -79,6 +79,21 @@ def advance(state, params):
         state.anchor_m_s[0] = state.reference_m_s[0]
         state.anchor_age[0] = 0.0
         state.run_ups[0] = 0.0
+
+
+@kernel
+def calm_fall_m_s2(state, fastest_m_s, params):
+    """Return how fast the reference may fall because all axles have slowed down so for a while
+    [W8].
+
+    A light vehicle on a dry rail brakes harder than the usual limit. On a slippery rail an axle
+    falls as only a sliding wheel does long before this mean deceleration exceeds that limit.
+    """
+    if not sensors.passed(state.calm[0], params.calm_s, params):
+        state.calm_lagged_m_s[0] = fastest_m_s
+    slope_m_s2 = (state.calm_lagged_m_s[0] - fastest_m_s) / params.calm_s
+    state.calm_lagged_m_s[0] -= slope_m_s2 * params.cycle_s
+    return min(slope_m_s2 + params.deceleration_margin_m_s2, params.fall_m_s2)
 
 
 @kernel

@@ -29,7 +29,7 @@ typedef struct {
     int hold[4], vent[4];
     double reference, time;
     /* memory of the rules: names as in firmware_sim/wsp/logic.py, ages in cycles */
-    double cycles, speed[4], lagged[4], slope[4], falling[4], deceleration, anchored, anchor_age, calm, run_ups;
+    double cycles, speed[4], lagged[4], slope[4], falling[4], deceleration, anchored, anchor_age, calm, calm_lagged, run_ups;
     double sliding[4], measured[4], rim[4], same[4], still[4], disputed[4], relief[4], plausible[4];
     double phase_age[4], pulse[4], free_age[4], vent_age[4], hold_age[4];
     long raw[4];
@@ -163,7 +163,7 @@ static void measure(Wsp *w, const long *counts)
 
 static void advance(Wsp *w)
 {
-    double fastest = 0.0, fall = REFERENCE_FALL_M_S2, before;
+    double fastest = 0.0, fall, calm_slope, before;
     int sliding = 0;
     EACH_AXLE {
         if (!w->out[j]) fastest = most(fastest, w->speed[j]);
@@ -174,6 +174,10 @@ static void advance(Wsp *w)
         w->deceleration = FIRST_DECELERATION_M_S2;
         w->runner = NOBODY;
     }
+    if (!passed(w->calm, CALM_S)) w->calm_lagged = fastest;
+    calm_slope = (w->calm_lagged - fastest) / CALM_S;
+    w->calm_lagged -= calm_slope * CYCLE_S;
+    fall = most(REFERENCE_FALL_M_S2, least(calm_slope + DECELERATION_MARGIN_M_S2, FALL_M_S2));
     if (sliding) fall = least(fall, w->deceleration + DECELERATION_MARGIN_M_S2);
     before = w->reference;
     w->reference = least(most(before - fall * CYCLE_S, fastest), before + REFERENCE_RISE_M_S2 * CYCLE_S);
