@@ -20,7 +20,14 @@ SANDERS = {
     **{"axle": 1, "second_axle": 3, "rate_kg_s": 0.067},
     **{"from_s": 0.5, "until_s": 100.0},
 }
-COMMANDS = re.findall(r"^ {4}(rollerrig .+)$", PAGE, re.MULTILINE)
+COMMANDS = re.findall(r"^ {4}(rollerrig .+)$", PAGE.replace("\\\n", " "), re.MULTILINE)
+# commands that are not run here, and why
+NOT_RUN = {
+    "rollerrig run five_coaches --pacing wall": "test_train_units.py has units in real time",
+    "rollerrig programme": "needs a unit of the reader; test_train_sequences.py plays a programme",
+    "rollerrig campaign": "600 stops; test_train_campaign.py computes fewer",
+    "rollerrig etcs": "needs this campaign",
+}
 
 
 def test_the_commands_of_the_page_run_one_after_another(tmp_path, monkeypatch, capsys):
@@ -32,7 +39,10 @@ def test_the_commands_of_the_page_run_one_after_another(tmp_path, monkeypatch, c
     content = re.sub(r"^ {4}", "", FILE[1], flags=re.MULTILINE)
     Path("my_train.toml").write_text(content, encoding="utf-8")
     assert len(COMMANDS) >= 6
+    assert all(any(command.startswith(one) for command in COMMANDS) for one in NOT_RUN)
     for command in COMMANDS:
+        if command.startswith(tuple(NOT_RUN)):
+            continue
         words = shlex.split(command)[1:]
         assert cli.main(words) == output.PASS, command
         capsys.readouterr()
