@@ -16,7 +16,7 @@
 
 While a known fault explains them, these findings are neither reported nor counted; in place of the
 last one comes `wsp.reference_drifts_in_fault`, which names the fault. A fault explains an axle
-until it is lifted, and as long after that as the axle slides.
+until `RECOVERY_S` after it is lifted, and as long after that as the axle slides.
 
 The drift is found from the reference speed that the unit sends (TPDO 1A0h, or a mapped signal). It
 is not observable from the magnets alone: a valve that vents too late may have a wrong threshold as
@@ -54,6 +54,7 @@ CLEARLY = 1.5  # so many times longer than beside any third axle
 DRIFT_M_S = 3.0
 DRIFT_SHARE = 0.1
 DRIFT_S = 1.0
+RECOVERY_S = 2.0  # a unit trusts a sensor again only some time after it is whole
 _NEVER_S = -1e9
 
 
@@ -100,6 +101,7 @@ class Diagnosis:
         self._open_since_s = [math.inf] * kind.axles  # inf: it does not vent, or the axle slides
         self._reported_open = [False] * kind.axles
         self._explained_by = [""] * kind.axles
+        self._fault_at_s = [_NEVER_S] * kind.axles
         self._reported_vents = [False] * kind.axles
         self._reported_swaps: set[frozenset[int]] = set()
         self._drifts_since_s: float | None = None
@@ -165,7 +167,10 @@ class Diagnosis:
                 self._slid_at_s[axle] = sample.time_s
             has_not_slid = sample.time_s - self._slid_at_s[axle] > MEMORY_S
             fault = sample.faults[axle] if sample.faults else ""
-            if fault or has_not_slid:
+            if fault:
+                self._fault_at_s[axle] = sample.time_s
+            is_over = has_not_slid and sample.time_s - self._fault_at_s[axle] > RECOVERY_S
+            if fault or is_over:
                 self._explained_by[axle] = fault
         return True
 

@@ -19,7 +19,7 @@ from rollerrig.configs.output_files import make_folder, replaced, write_text, wr
 from rollerrig.rig.identify.data import dataset, mdf
 from rollerrig.rig.identify.files import channels, stamps, tables, units, words
 from rollerrig.rig.identify.files.channels import Source
-from rollerrig.rig.identify.files.proposal import Content, Proposal
+from rollerrig.rig.identify.files.proposal import KINDS, Content, Proposal, full_key
 from rollerrig.rig.identify.files.tables import Table
 from rollerrig.rig.identify.train_recorder import recording
 
@@ -244,21 +244,43 @@ def wheel_radius_m(vehicle: str) -> float:
     return float(sections["vehicle"]["wheel_radius_m"])
 
 
-def check_key(kind: str, key: str, axles: int) -> None:
-    """Raise ConfigError unless a kind of data of a vehicle has a channel with this key."""
+def check_keys(kind: str, keys: Sequence[str], axles: int) -> None:
+    """Raise ConfigError unless a kind of data of a vehicle has channels with these keys."""
+    wrong = [key for key in keys if not _is_key(kind, key, axles)]
+    if not wrong:
+        return
     if kind == "recorder":
         allowed = "time_s, wheel_speed_1_m_s, bogie_speed_1_m_s, reference_speed_m_s, brake_demand"
-        is_known = key == "time_s" or recording.is_key(key)
     else:
-        keys: tuple[str, ...] = dataset.CURVE_CHANNELS
-        if kind != "creep_curve":
-            keys = ("time_s", *dataset.channels_of(axles))
         # of the axles, the first and the last
-        left_out = [f"_{axle}_" for axle in range(2, axles)]
-        allowed = ", ".join(name for name in keys if not any(part in name for part in left_out))
-        is_known = key in keys
-    if not is_known:
-        raise ConfigError(f"--map {key}=...: {kind} has no channel {key}; allowed: {allowed}")
+        left_out = [f"_{axle}_" for axle in range(2, axles + 1)]
+        names = [key for key in _keys(kind, axles) if not any(part in key for part in left_out)]
+        allowed = ", ".join(
+            f"{name} .. {name.replace('_1_', f'_{axles}_')}" if "_1_" in name else name
+            for name in names
+        )
+    others = [
+        f"; of {other}, add --kind {other}"
+        for other in KINDS
+        if other != kind and all(_is_key(other, full_key(key, other), axles) for key in wrong)
+    ]
+    raise ConfigError(
+        f"--map: {kind} has no channel {', '.join(wrong)}; allowed: {allowed}{''.join(others)}"
+    )
+
+
+def _is_key(kind: str, key: str, axles: int) -> bool:
+    """Return whether a kind of data of a vehicle has a channel with this key."""
+    if kind == "recorder":
+        return key == "time_s" or recording.is_key(key)
+    return key in _keys(kind, axles)
+
+
+def _keys(kind: str, axles: int) -> tuple[str, ...]:
+    """Return the keys of the channels of braking runs, or of a creep curve."""
+    if kind == "creep_curve":
+        return dataset.CURVE_CHANNELS
+    return ("time_s", *dataset.channels_of(axles))
 
 
 def check(folder: Path, kind: str) -> list[str]:

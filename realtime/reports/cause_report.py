@@ -276,6 +276,12 @@ def panels(diagnosis: Diagnosis, report: dict[str, Any]) -> tuple[list[Panel], l
     return where, [pictures.cause(diagnosis, identified) for identified in diagnosis.causes]
 
 
+def ruled_out(diagnosis: Diagnosis, report: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return the entries of causes that are ruled out: alternatives of a cause are not."""
+    alternatives = {name for cause in diagnosis.causes for name in cause.confusable}
+    return [entry for entry in report["screened"] if entry["name"] not in alternatives]
+
+
 def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     """Return the HTML page, without external parts.
 
@@ -324,7 +330,7 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     parts.append(html.element("h2", "What was ruled out"))
     rows = [
         [BY_NAME[entry["name"]].text, entry["name"], entry["rejected_because"]]
-        for entry in report["screened"]
+        for entry in ruled_out(diagnosis, report)
         if entry["name"] != EMPIRICAL
     ]
     parts.append(html.table(["cause", "name", "why not"], rows))
@@ -333,16 +339,16 @@ def page(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
 
 def as_markdown(diagnosis: Diagnosis, report: dict[str, Any]) -> str:
     """Return verdict, story and what was ruled out, as Markdown."""
-    ruled_out = [
+    reasons = [
         f"- {BY_NAME[entry['name']].text}: {entry['rejected_because']}"
-        for entry in report["screened"]
+        for entry in ruled_out(diagnosis, report)
         if entry["name"] in BY_NAME
     ]
     parts = [
         f"# {diagnosis.verdict}",
         *sentences.story(diagnosis),
         "## What was ruled out",
-        "\n".join(ruled_out),
+        "\n".join(reasons),
     ]
     return "\n\n".join(parts)
 

@@ -286,6 +286,8 @@ def rejected_because(diagnosis: Diagnosis, name: str) -> str:
             "cases, and larger sizes more often"
         )
     if diagnosis.causes:
+        if any(name in cause.confusable for cause in diagnosis.causes):
+            return "not ruled out: these runs cannot distinguish it from the reported cause"
         return (
             f"alone it would be significant ({first_screen.p_in_words(test.p_value)}, "
             f"{sizes.in_words(name, test.estimate[0])}), but "

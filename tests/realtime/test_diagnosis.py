@@ -289,6 +289,32 @@ def test_a_fault_explains_its_axle_until_the_axle_no_longer_slides():
 
 
 @pytest.mark.parametrize(
+    ("after_s", "is_found"), [(0.03, False), (diagnosis.RECOVERY_S + 0.1, True)]
+)
+def test_a_fault_explains_its_axle_for_some_time_after_it_was_lifted(after_s, is_found):
+    """A sensor stands still, is whole again, and the valve of its axle vents so much later."""
+    found = []
+    one = Diagnosis(COACH, lambda code, /, **fields: found.append((code, fields["axle"])))
+    still = [0.0] * COACH.axles
+    for cycle in range(400):
+        time_s = 0.01 * cycle
+        is_faulty = time_s < 1.0
+        vents = 1.0 + after_s <= time_s < 1.2 + after_s
+        one.look(
+            Sample(
+                time_s=time_s,
+                speed_m_s=20.0,
+                sliding_m_s=still,
+                valves=[2.0 if vents else 0.0, *still[1:]],
+                reference_m_s=20.0,
+                brake_demand_Pa=3.8e5,
+                faults=["speed_sensor_stuck axle=1" if is_faulty else "", *[""] * 3],
+            )
+        )
+    assert found == ([(Code.WSP_VENTS_WITHOUT_SLIDING, 1)] if is_found else [])
+
+
+@pytest.mark.parametrize(
     ("fault", "axles"),
     [
         ("vent_magnet_stuck axle=2", {2}),

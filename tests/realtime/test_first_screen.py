@@ -17,6 +17,7 @@ from rollerrig.rig.identify.decide.coherence import Contradicted, Contradiction,
 from rollerrig.rig.identify.decide.decision import Diagnosis, Verdict
 from rollerrig.rig.identify.decide.evidence import ScoreTest
 from rollerrig.rig.identify.decide.notes import Note, NoteCode
+from rollerrig.rig.mechanisms import table as mechanisms
 
 
 def score_test(
@@ -191,6 +192,24 @@ def test_what_was_ruled_out_says_in_words_which_size_would_have_shown() -> None:
     assert entries["brake_gain"]["judged"]
     assert not entries["sanding"]["judged"]
     assert "sanding" in first_screen.not_judged(found)
+
+
+def test_an_alternative_of_a_cause_is_not_among_what_was_ruled_out() -> None:
+    tests = [score_test(name, 0.01, 1e-9, 90.0) for name in ("sensor_scale", "brake_gain")]
+    found = diagnosis(Cause("wheel_radius", 2, {}, (-0.015,)), tests=tests)
+    (cause,) = found.causes
+    found = found._replace(causes=[cause._replace(confusable=("sensor_scale",))])
+    report = cause_report.as_json(found)
+    entries = {entry["name"]: entry["rejected_because"] for entry in report["screened"]}
+    assert entries["sensor_scale"].startswith("not ruled out")
+    assert "explains the same error" in entries["brake_gain"]
+    _, ruled_out = cause_report.as_markdown(found, report).split("## What was ruled out")
+    assert mechanisms.BY_NAME["brake_gain"].text in ruled_out
+    assert mechanisms.BY_NAME["sensor_scale"].text not in ruled_out
+    page = cause_report.page(found, report)
+    _, of_page = page.split("What was ruled out</h2>")
+    assert "<td>brake_gain</td>" in of_page
+    assert "<td>sensor_scale</td>" not in of_page
 
 
 @pytest.mark.parametrize("name", [row.name for row in table.TABLE if row.name != "empirical"])

@@ -195,6 +195,58 @@ def german_stop(source: Path, target: Path) -> None:
     target.write_bytes(("\r\n".join(lines) + "\r\n").encode("utf-16"))
 
 
+def a_stop_without_names(folder: Path) -> tuple[Path, list[str]]:
+    """Write a stop whose columns are called KX00, KX01, ...; return it, and the `--map` of all."""
+    stop = sorted((STOPS / "runs").glob("*.csv"))[0]
+    head, *lines = stop.read_text().splitlines()
+    names = head.split(",")
+    codes = [f"KX{number:02}" for number in range(len(names))]
+    file = folder / "stop.csv"
+    file.write_text("\n".join([",".join(codes), *lines]))
+    short = [re.sub("_(m_s|rad_s|Nm|N)$", "", name) for name in names]
+    maps = [f"--map={name}={code}" for name, code in zip(short, codes, strict=True)]
+    return file, maps
+
+
+def test_columns_are_mapped_by_names_without_units_and_their_kind_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, maps = a_stop_without_names(tmp_path)
+    units = ("--unit", "vehicle_speed=m/s", "--unit", "wheel_speed=rad/s")
+    out = tmp_path / "out"
+    assert import_files(file, "--out", out, "--yes", "--json", *maps, *units) == cli.PASS
+    result = json.loads(capsys.readouterr().out)
+    assert result["kind"] == "braking_runs"
+    load = next(one for one in result["channels"] if one["key"] == "wheel_load_1_N")
+    # what is taken where neither the file nor the user gives a unit is said
+    assert (load["unit"], load["unit_from"]) == ("N", "no unit in the file: the default")
+    assert_same_stops(dataset.load(out).runs, dataset.load(STOPS).runs[:1])
+
+
+def test_all_wrong_names_are_in_one_message_with_the_kind_that_has_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file, maps = a_stop_without_names(tmp_path)
+    call = (file, "--out", tmp_path / "out", "--yes")
+    # without the torques they are no braking runs
+    few = [one for one in maps if "torque" not in one]
+    assert import_files(*call, *few) == cli.USAGE
+    message = capsys.readouterr().err
+    assert "vehicle_speed, " in message
+    assert "wheel_load_4" in message
+    assert "--kind braking_runs" in message
+
+    assert import_files(*call, *maps, "--map=wheel_load_9=KX01", "--map=slip=KX01") == cli.USAGE
+    message = capsys.readouterr().err
+    assert "no channel wheel_load_9_N, slip;" in message
+    assert "wheel_speed_1_rad_s .. wheel_speed_4_rad_s" in message
+
+    assert import_files(*call, "--map=vehicle_speed=A", "--map=wheel_speed_1=B") == cli.USAGE
+    message = capsys.readouterr().err
+    assert "no column 'A'" in message
+    assert "no column 'B'" in message
+
+
 def assert_same_stops(imported: Any, expected: Any) -> None:
     assert len(imported) == len(expected)
     for run, original in zip(imported, expected, strict=True):

@@ -4,6 +4,7 @@ import argparse
 import hashlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -161,6 +162,20 @@ def test_a_programme_writes_one_evidence_and_an_additional_failure_does_not_coun
     assert f"sequence {digest[:16]} (SHA-256)" in page
     assert "the whole programme" in page
     assert stop["files"]["a/channels.parquet"] in page
+
+
+def test_a_programme_that_is_called_again_keeps_the_entries_of_its_title_block(played, tmp_path):
+    folder, *_ = played
+    out = tmp_path / "out"
+    shutil.copytree(folder / "out", out)
+    assert play(folder / "short.toml", out, "--about", "revision=B") == cli.PASS
+    about = json.loads((out / "evidence.json").read_text())["about"]
+    assert about == {"tested by": "A. Meier", "revision": "B"}
+    assert "A. Meier" in (out / "evidence.html").read_text()
+    # a later entry replaces an earlier one
+    assert play(folder / "short.toml", out, "--about", "tested by=B. Kern") == cli.PASS
+    about = json.loads((out / "evidence.json").read_text())["about"]
+    assert about == {"tested by": "B. Kern", "revision": "B"}
 
 
 def test_a_part_of_a_programme_is_played_by_its_groups_and_its_evidence_states_that(played):

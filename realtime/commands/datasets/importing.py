@@ -97,8 +97,7 @@ def call(options: argparse.Namespace) -> int:
             files.append(imported.read(path, head))
     axles = imported.axles_of(options.vehicle)
     found = proposal.propose(files[0].contents, options.kind, mapped, given_units, axles)
-    for key in mapped:
-        imported.check_key(found.kind, key, axles)
+    imported.check_keys(found.kind, [proposal.full_key(key, found.kind) for key in mapped], axles)
     imported.check_same_columns(files, found)
 
     missing = _missing(files, found)

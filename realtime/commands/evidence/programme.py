@@ -111,10 +111,12 @@ def call(options: argparse.Namespace) -> int:
             f"{programme.name}: {sequence.count_text(len(names))} valid",
         )
 
-    about = output.about(options)
+    out = options.out or Path("programmes") / programme.name
+    # a later call keeps the entries of the title block, and adds or changes those that it gives
+    about = report.about_before(out) | output.about(options)
+    options.about = [f"{key}={value}" for key, value in about.items()]
     if options.pdf:
         pdf.check()
-    out = options.out or Path("programmes") / programme.name
     playing = _sequence_options(options, out)
     # all options are checked before the first bench starts
     sequence.check_options(playing, sequences)

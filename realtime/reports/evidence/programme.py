@@ -180,6 +180,21 @@ def _not_judged(groups: list[dict[str, Any]]) -> list[str]:
     return found
 
 
+def about_before(out: Path) -> dict[str, str]:
+    """Return the entries of the title block that earlier evidence in a folder has.
+
+    Those of the whole programme win over those of a part. Raises ConfigError if it cannot be read.
+    """
+    entries: dict[str, str] = {}
+    for path in (out / NAMES_OF_PART[0], out / NAMES[0]):
+        if path.is_file():
+            earlier = user_files.read_json(path, within=out)
+            about = earlier.get("about") if isinstance(earlier, dict) else None
+            if isinstance(about, dict):
+                entries |= {str(key): str(value) for key, value in about.items()}
+    return entries
+
+
 def write(found: Mapping[str, Any], out: Path, on_paper: bool = False) -> list[Path]:
     """Write the evidence as JSON, as a page, and as PDF if `on_paper`; return the paths.
 

@@ -47,8 +47,8 @@ def how_sure(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == Verdict.CONSISTENT:
         return (
             f"How sure: chance alone makes a cause look this significant with {p_value}; about "
-            "2 % of fault-free datasets are not called consistent. Consistent means that no cause is "
-            "larger than the sizes that these runs can show."
+            "2 % of fault-free datasets are not called consistent. Consistent means that no cause "
+            "of the library is larger than the sizes that these runs can show."
         )
     sure = f"How sure: chance alone would do this with {p_value}"
     rivals = [name for cause in diagnosis.causes for name in cause.confusable]

@@ -8,6 +8,7 @@ A proposal is shown to the user, who accepts or corrects it. Its rules are those
   there and no column is named a load, or a torque.
 - A unit comes from the file, else from the end of the name. Stamps without a unit are in seconds,
   unless their size shows another unit (a count since 1970), or they would be 5 s apart or more.
+- Loads and torques without a unit are in N and Nm.
 - A speed without a unit gets none: the user has to give it, because nothing in the file decides.
 """
 
@@ -25,6 +26,7 @@ from rollerrig.rig.identify.files.words import Meaning
 
 KINDS = ("braking_runs", "creep_curve", "recorder")
 UNKNOWN = "not recognised"
+_DEFAULT = "no unit in the file: the default"
 _LONGEST_STEP = 5.0  # stamps that are further apart than 5 s are in milliseconds
 # sizes of counts since 1970, in the years 2001 to 2096
 _SINCE_1970 = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
@@ -124,14 +126,15 @@ def propose(
 ) -> Proposal:
     """Return the proposal for the columns of a file.
 
-    `kind` is one of KINDS, or "" to find it. `mapped` are columns by the key of their channel; a
-    channel with the column "" is left out. `given_units` are units by a key or its beginning.
-    `axles` is the number of wheelsets of the vehicle, each of which has its channels in braking
-    runs. Raises ConfigError if a column does not exist, or nothing is recognised.
+    `kind` is one of KINDS, or "" to find it. `mapped` are columns by the key of their channel,
+    whose unit may be left out; a channel with the column "" is left out. `given_units` are units by
+    a key or its beginning. `axles` is the number of wheelsets of the vehicle, each of which has its
+    channels in braking runs. Raises ConfigError if a column does not exist, or nothing is
+    recognised.
     """
     mapped = mapped or {}
     names = [content.name for content in contents]
-    mapped = {key: _with_its_unit(key, name, names) for key, name in mapped.items()}
+    mapped = _with_their_units(mapped, names)
     meanings = {}
     for content in contents:
         found = words.meaning(words.column(content.name, content.unit))
@@ -141,9 +144,11 @@ def propose(
             meanings[content.name] = found
     renumbered = _numbered_apart(meanings)
     meanings |= renumbered
-    by_unit = _loads_and_torques_by_unit(contents, meanings, axles)
+    told = _told(mapped)
+    by_unit = _loads_and_torques_by_unit(contents, meanings | told, axles)
     meanings |= by_unit
-    kind = kind or _kind(set(meanings.values()), mapped, axles)
+    kind = kind or _kind(set((meanings | told).values()), mapped, axles)
+    mapped = {full_key(key, kind): name for key, name in mapped.items()}
 
     columns = _columns(contents, meanings, kind, mapped, axles)
     by_name = {content.name: content for content in contents}
@@ -172,8 +177,39 @@ def propose(
             "units and numbers only; correct it with --map"
         )
     if kind == "recorder":
-        remarks += _missing_of_braking_runs(meanings, axles)
+        remarks += _missing_of_braking_runs(meanings | told, axles)
     return Proposal(kind, tuple(channels), tuple(unused), tuple(remarks))
+
+
+def full_key(key: str, kind: str) -> str:
+    """Return the key of a channel of a kind of data whose unit may be left out."""
+    found = words.meaning(words.column(key, ""))
+    template = _KEYS[kind].get(found.quantity, "") if found else ""
+    full = template.format(found.number) if found else ""
+    return full if words.column(full, "").name == key else key
+
+
+def _told(mapped: Mapping[str, str]) -> dict[str, Meaning]:
+    """Return the meanings of the channels that the user has mapped, by their keys."""
+    found = {key: words.meaning(words.column(key, "")) for key, name in mapped.items() if name}
+    return {key: meaning for key, meaning in found.items() if meaning is not None}
+
+
+def _with_their_units(mapped: Mapping[str, str], names: Sequence[str]) -> dict[str, str]:
+    """Return the columns that are mapped, as they are in the file.
+
+    Raises ConfigError, which names all that are wrong.
+    """
+    columns = {}
+    wrong = []
+    for key, name in mapped.items():
+        try:
+            columns[key] = _with_its_unit(key, name, names)
+        except ConfigError as error:
+            wrong.append(str(error))
+    if wrong:
+        raise ConfigError("; ".join(wrong))
+    return columns
 
 
 def _with_its_unit(key: str, name: str, names: Sequence[str]) -> str:
@@ -285,7 +321,8 @@ def _kind(meanings: set[Meaning], mapped: Mapping[str, str], axles: int) -> str:
         return "recorder"
     raise ConfigError(
         "no column is recognised as a speed of a wheel, a bogie or the vehicle; name the columns, "
-        "as in: --map time_s=COLUMN --map wheel_speed_1_m_s=COLUMN"
+        "as in: --map time_s=COLUMN --map wheel_speed_1_m_s=COLUMN; of braking runs, add --kind "
+        "braking_runs"
     )
 
 
@@ -366,6 +403,9 @@ def _with_unit(key: str, content: Content, given_units: Mapping[str, str]) -> Ch
         return Channel(key, content.name, known.name, named.unit_from)
     if key == "time_s":
         return Channel(key, content.name, *_unit_of_stamps(content.numbers))
+    of_key = units.find(words.column(key, "").unit)
+    if of_key is not None and of_key.quantity in (units.FORCE, units.TORQUE):
+        return Channel(key, content.name, of_key.name, _DEFAULT)
     return Channel(key, content.name, "", "")
 
 
@@ -384,7 +424,7 @@ def _unit_of_stamps(numbers: np.ndarray) -> tuple[str, str]:
         return "", ""  # days of a spreadsheet, or refused when they are read
     if step >= _LONGEST_STEP:
         return "ms", f"the values: in s the samples would be {step:g} s apart"
-    return "s", "no unit in the file: the default"
+    return "s", _DEFAULT
 
 
 def _reason(found: Meaning | None) -> str:
