@@ -62,18 +62,10 @@ def places(aligned: list[Aligned], braked: list[np.ndarray], near: list[np.ndarr
     `braked` are the flags (n,) where a run is braked, `near` those near its slides.
     """
     rng = np.random.default_rng(1)
-    candidates = []
-    for k, a in enumerate(aligned):
-        v = slides.vehicle(a)
-        slowest_m_s = max(a.slowest_m_s, _SLOWEST_SHARE * a.run.fastest_m_s)
-        # at the edges of a braking only the mean of some seconds is braked
-        change_m_s2 = np.nan_to_num(slope(a.time_s, v, max(_HALF_S, 2.5 * a.step_s)))
-        good = braked[k] & (change_m_s2 < _BRAKED_M_S2)
-        good &= ~near[k] & (np.nan_to_num(v) > slowest_m_s)
-        count = max(round(shortest_s(a) / a.step_s), 3)
-        running = np.concatenate([[0], np.cumsum(good)])
-        is_whole = running[count:] - running[:-count] == count
-        candidates += [(k, int(first)) for first in np.flatnonzero(is_whole)]
+    candidates = _candidates(aligned, braked, near, _BRAKED_M_S2)
+    if not candidates:
+        # a slow robot never brakes so hard
+        candidates = _candidates(aligned, braked, near, 0.0)
     if not candidates:
         return []
     noises = {}
@@ -89,6 +81,25 @@ def places(aligned: list[Aligned], braked: list[np.ndarray], near: list[np.ndarr
         wheel = int(rng.integers(len(a.names)))
         found.append(Place(a.part(start, end), noises[k], wheel, first - start))
     return found
+
+
+def _candidates(
+    aligned: list[Aligned], braked: list[np.ndarray], near: list[np.ndarray], most_m_s2: float
+) -> list[tuple[int, int]]:
+    """Return recording and first sample of each place where the vehicle brakes harder than that."""
+    candidates = []
+    for k, a in enumerate(aligned):
+        v = slides.vehicle(a)
+        slowest_m_s = max(a.slowest_m_s, _SLOWEST_SHARE * a.run.fastest_m_s)
+        # at the edges of a braking only the mean of some seconds is braked
+        change_m_s2 = np.nan_to_num(slope(a.time_s, v, max(_HALF_S, 2.5 * a.step_s)))
+        good = braked[k] & (change_m_s2 < most_m_s2)
+        good &= ~near[k] & (np.nan_to_num(v) > slowest_m_s)
+        count = max(round(shortest_s(a) / a.step_s), 3)
+        running = np.concatenate([[0], np.cumsum(good)])
+        is_whole = running[count:] - running[:-count] == count
+        candidates += [(k, int(first)) for first in np.flatnonzero(is_whole)]
+    return candidates
 
 
 def with_slide(speed: np.ndarray, first: int, count: int, size_m_s: float) -> np.ndarray:
