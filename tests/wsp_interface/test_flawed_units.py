@@ -17,8 +17,7 @@ from program import rollerrig
 
 from rollerrig.configs import store
 from rollerrig.firmware_sim.faults import catalogue
-from rollerrig.wsp_interface.sequences import sequence
-from rollerrig.wsp_interface.sequences.measures import MEASURES
+from rollerrig.wsp_interface.sequences import measures, sequence
 from rollerrig.wsp_interface.sequences.verdict import Result
 
 LOW_SETS = ("low", "very_low", "wet_leaves", "leaf_film")
@@ -143,7 +142,7 @@ def test_a_stop_in_memory_has_the_measures_of_a_bench_on_the_bus(name, tmp_path)
     assert status in (0, 1), messages
     (on_bus,) = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["sequences"]
     record = outcome_of(name, Unit).record
-    in_memory = {measure.name: measure.of(record) for measure in MEASURES}
+    in_memory = {measure.name: measure.of(record) for measure in measures.of_kind(is_train=False)}
     # not applicable and unknown values are not in the report
     assert {"stop_distance", "longest_lock", "air_consumption"} <= set(on_bus["figures"])
     for measure, value in on_bus["figures"].items():
