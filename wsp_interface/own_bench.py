@@ -236,8 +236,9 @@ def start(
                 started = []
                 for companion in companions:
                     started.append(stack.enter_context(companion(address)))
-                    # a gateway may give the unit after it another bus
-                    address = getattr(started[-1], "address", address)
+                    if isinstance(started[-1], Helper):
+                        # the companions after it may have another bus
+                        address = started[-1].address or address
                 programs = [one for one in started if isinstance(one, Program)]
                 helpers = [one for one in started if isinstance(one, Helper)]
                 harness.on_silence = partial(_check, programs, helpers)
@@ -283,10 +284,12 @@ class Helper(Protocol):
 
     `failure`: why the unit has failed; "" as long as it has not.
     `breakdown`: why the companion itself has failed; "" as long as it has not.
+    `address`: the bus of the companions after it; "" for that of the bench.
     """
 
     failure: str
     breakdown: str
+    address: str
 
     def notes(self) -> Iterable[str]:
         """Return what is remarkable so far, a sentence each."""

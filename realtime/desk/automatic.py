@@ -94,6 +94,17 @@ def _unit_words(desk: Desk, unit: str) -> list[str]:
     return [f"--wsp={desk.checked(unit)}"] if unit else []
 
 
+def _file_choice(desk: Desk, kind: str, packaged: list[str], label: str) -> ui.select:
+    """Return the field that chooses a packaged file of a kind, or one of the user."""
+    return ui.select(
+        [*desk.own_files(kind), *packaged],
+        value=packaged[0],
+        label=label,
+        with_input=True,
+        new_value_mode="add-unique",
+    )
+
+
 def _sequences(desk: Desk, title_block: _TitleBlock) -> None:
     """The controls that play sequences."""
     with ui.card().classes("w-full desk-card"):
@@ -133,13 +144,7 @@ def _programme(desk: Desk, title_block: _TitleBlock) -> None:
         ui.label("Test programme").classes("desk-title")
         packaged = [*store.names("programmes"), *store.names_of_vehicles("programmes")]
         with ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0"):
-            name = ui.select(
-                [*desk.own_files("programmes"), *packaged],
-                value=packaged[0],
-                label="programme or file",
-                with_input=True,
-                new_value_mode="add-unique",
-            )
+            name = _file_choice(desk, "programmes", packaged, "programme or file")
             name.mark("programme")
             unit = _unit_choice(desk, "reference")
 
@@ -175,14 +180,7 @@ def _trains(desk: Desk) -> None:
     """The controls that run a train, with reference units or with a unit on one of its cars."""
     with ui.card().classes("w-full desk-card"):
         ui.label("Train").classes("desk-title")
-        packaged = store.names("trains")
-        name = ui.select(
-            [*desk.own_files("trains"), *packaged],
-            value=packaged[0],
-            label="train or file",
-            with_input=True,
-            new_value_mode="add-unique",
-        )
+        name = _file_choice(desk, "trains", store.names("trains"), "train or file")
         name.classes("w-full").mark("train")
         with ui.grid(columns=2).classes("w-full gap-x-2 gap-y-0"):
             labels = {"free": "free: no bus", "lockstep": "lockstep", "wall": "wall: real time"}

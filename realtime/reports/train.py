@@ -126,7 +126,6 @@ def conditions(summary: Mapping[str, Any], scenario: Mapping[str, Any]) -> dict[
     control = train["control"].replace("_", " ")
     return {
         "train": f"{train['cars']} cars, {train['length_m']:.0f} m, {control}",
-        "vehicles": str(summary["vehicle"]),
         "load": f"{1e-3 * train['mass_kg']:g} t in all",
         "initial speed": f"{_KM_H_PER_M_S * summary['initial_speed_m_s']:.0f} km/h",
         "adhesion": str(scenario.get("adhesion_set", played.NOT_STATED)),

@@ -1,43 +1,27 @@
 """A train in lockstep: a unit on the bus of one car, reference units in all others."""
 
-import json
 import sys
 from pathlib import Path
 
 import pytest
+from recorded_runs import differing, run
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.commands import output
-from rollerrig.realtime.record import channels, records, run_folder
+from rollerrig.realtime.record import records, run_folder
 
 # a brake that demands more than the rail has, so that the units act
-WORDS = (
-    *("run", "five_coaches", "--set", "initial_speed_m_s=22"),
-    *("--set", "brake.lever_ratio=3.5", "--json"),
-)
+WORDS = ("five_coaches", "--set", "initial_speed_m_s=22", "--set", "brake.lever_ratio=3.5")
 LOCKSTEP = ("--pacing", "lockstep", "--car", "2")
 PROGRAM = Path(sys.executable).with_name("rollerrig")
 AS_PROGRAM = f"{PROGRAM} wsp --bus socketcand://{{host}}:{{port}}/rig0"
 
 
-def run(folder, capsys, *more):
-    status = cli.main([*WORDS, *more, "--out", str(folder)])
-    printed = capsys.readouterr()
-    assert status == output.PASS, printed.err
-    return json.loads(printed.out)
-
-
-def differing(first, second):
-    a, b = (channels.load(folder) for folder in (first, second))
-    assert a.column_names == b.column_names
-    return [name for name in a.column_names if not a[name].equals(b[name])]
-
-
 def test_lockstep_is_equal_to_the_free_run_and_repeats_to_the_byte(tmp_path, capsys):
     free, first, second = (tmp_path / name for name in ("free", "first", "second"))
-    of_free = run(free, capsys, "--pacing", "free")
-    on_bus = run(first, capsys, *LOCKSTEP)
-    run(second, capsys, *LOCKSTEP, "--unit", AS_PROGRAM)
+    of_free = run(free, capsys, *WORDS, "--pacing", "free")
+    on_bus = run(first, capsys, *WORDS, *LOCKSTEP)
+    run(second, capsys, *WORDS, *LOCKSTEP, "--unit", AS_PROGRAM)
     assert on_bus["valid"]
     assert on_bus["cars_on_bus"] == [2]
     assert on_bus["bus"]["frames"] > 1000
@@ -57,7 +41,7 @@ def test_lockstep_is_equal_to_the_free_run_and_repeats_to_the_byte(tmp_path, cap
 
 def test_a_unit_that_fails_ends_the_run_with_its_words(tmp_path, capsys):
     folder = tmp_path / "run"
-    status = cli.main([*WORDS, *LOCKSTEP, "--unit", "false", "--out", str(folder)])
+    status = cli.main(["run", *WORDS, *LOCKSTEP, "--unit", "false", "--out", str(folder)])
     assert status == output.USAGE
     assert "exited with status 1" in capsys.readouterr().err
     events = [event.code for event in records.events(folder / "car_2")]

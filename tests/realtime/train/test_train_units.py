@@ -1,11 +1,11 @@
 """Units on the buses of several cars of a train, in lockstep and in real time."""
 
-import json
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_runs import differing, run
 
 from rollerrig.realtime import cli
 from rollerrig.realtime.commands import output
@@ -47,23 +47,6 @@ def two_coaches(tmp_path):
     path = tmp_path / "two_coaches.toml"
     path.write_text(TWO_COACHES)
     return (str(path),)
-
-
-def run(folder, capsys, *words):
-    status = cli.main(["run", *words, "--json", "--out", str(folder)])
-    printed = capsys.readouterr()
-    assert status == output.PASS, printed.err
-    return json.loads(printed.out)
-
-
-def differing(first, second):
-    a, b = (channels.load(folder) for folder in (first, second))
-    assert a.column_names == b.column_names
-    return [
-        name
-        for name in a.column_names
-        if a[name].to_numpy().tobytes() != b[name].to_numpy().tobytes()
-    ]
 
 
 @pytest.mark.parametrize(

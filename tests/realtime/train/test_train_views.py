@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import rerun as rr
-from rerun.chunk import RrdReader
+from drawn_samples import entities
 
 from rollerrig.configs.errors import ConfigError
 from rollerrig.realtime import cli
@@ -53,22 +53,7 @@ def run(folder):
 
 @pytest.fixture(scope="module")
 def drawn(folder):
-    """Time in s and value of each sample of each component of each entity of run.rrd."""
-    found = {}
-    for chunk in RrdReader(folder / run_folder.RRD).stream():
-        if chunk.is_static:
-            continue
-        batch = chunk.to_record_batch()
-        times_s = np.array(batch[views.TIMELINE].cast("int64").to_pylist()) / 1e9
-        of_entity = found.setdefault(str(chunk.entity_path), {})
-        for name in batch.schema.names:
-            if ":" in name:
-                samples = of_entity.setdefault(name, [])
-                samples += zip(times_s, batch[name].to_pylist(), strict=True)
-    for components in found.values():
-        for samples in components.values():
-            samples.sort(key=lambda sample: sample[0])
-    return found
+    return entities(folder / run_folder.RRD)
 
 
 def scalars(drawn, path):
